@@ -1,0 +1,1 @@
+"""From a trained network to a bundle: ONNX graphs, projection matrices, parity with torch, manifest."""

@@ -1,0 +1,58 @@
+"""From voltages to relative change, against the one reference taken flat and untouched (paper section II, eq. 2).
+
+dV = (V - V0) / V0, elementwise. The division removes the sign of the drive convention and the current; a conductive touch
+then mostly lowers it. |V0| spans a factor of about 500 over the rows, so a row whose reference is lost in noise would
+amplify that noise without bound. The rule: a row whose |V0| is under ``WEAK_FRACTION`` of the largest is *weak*, carries
+no information, and its dV is 0.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+WEAK_FRACTION: Final = 1e-4
+"""A reference row below this fraction of the largest is weak. A healthy sheet's smallest row is at 2e-3."""
+
+
+def weak_rows(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
+    """Return which rows of a reference are too weak to divide by.
+
+    Args:
+        reference: (rows,) V, untouched and flat.
+
+    Returns:
+        (rows,) True where |V0| < WEAK_FRACTION * max |V0|, or where V0 is not finite.
+
+    Raises:
+        ValueError: No row is finite and different from zero.
+    """
+    size = np.abs(np.where(np.isfinite(reference), reference, 0.0))
+    largest = float(size.max(initial=0.0))
+    if largest == 0.0:
+        raise ValueError("a reference of zeros cannot normalise anything; expected at least one row with a voltage")
+    return np.asarray(size < WEAK_FRACTION * largest)
+
+
+def inverse_reference(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return (rows,) 1 / V0, and 0 in the weak rows, so that normalising is one multiplication."""
+    weak = weak_rows(reference)
+    return np.asarray(np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, reference)), dtype=np.float64)
+
+
+def relative_change(
+    voltages: npt.NDArray[np.floating], reference: npt.NDArray[np.floating]
+) -> npt.NDArray[np.float64]:
+    """Return dV = (V - V0) / V0, and 0 in the weak rows.
+
+    Args:
+        voltages: (..., rows) V.
+        reference: (rows,) V.
+
+    Returns:
+        (..., rows) relative change, without unit.
+    """
+    inverse = inverse_reference(reference)
+    change = voltages * inverse
+    change -= inverse != 0.0
+    return np.asarray(change, dtype=np.float64)

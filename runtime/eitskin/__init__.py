@@ -1,0 +1,1 @@
+"""eitskin: the runtime of a soft electronic skin, without torch."""

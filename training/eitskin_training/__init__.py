@@ -1,0 +1,1 @@
+"""VD2T in torch: the model, its training and its recipes."""
