@@ -32,7 +32,7 @@ UNIT_SHAPE: Final = (9, 14)
 N_UNITS: Final = UNIT_SHAPE[0] * UNIT_SHAPE[1]
 """126 touch units."""
 
-ELECTRODE_ARC_MM: Final[npt.NDArray[np.float64]] = 12.5 + 31.25 * np.arange(16)
+ELECTRODE_ARC_MM: Final[npt.NDArray[np.float64]] = 12.5 + 31.25 * np.arange(16, dtype=np.float64)
 """(16,) arc length of each electrode's centre from the corner (0, 0), counter-clockwise: even and mirror-symmetric."""
 ELECTRODE_ARC_MM.setflags(write=False)
 
@@ -51,7 +51,8 @@ def unit_rect_mm(column: int, row: int) -> tuple[float, float, float, float]:
     """
     if not (0 <= column < UNIT_SHAPE[1] and 0 <= row < UNIT_SHAPE[0]):
         raise ValueError(
-            f"unit [{column}, {row}] is not on the sheet: columns are 0 to {UNIT_SHAPE[1] - 1}, rows 0 to {UNIT_SHAPE[0] - 1}"
+            f"unit [{column}, {row}] is not on the sheet: "
+            f"columns are 0 to {UNIT_SHAPE[1] - 1}, rows 0 to {UNIT_SHAPE[0] - 1}"
         )
     width, height = SHEET_MM[0] / UNIT_SHAPE[1], SHEET_MM[1] / UNIT_SHAPE[0]
     return column * width, row * height, (column + 1) * width, (row + 1) * height

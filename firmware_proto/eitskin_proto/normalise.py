@@ -1,9 +1,9 @@
 """From voltages to relative change, against the one reference taken flat and untouched (paper section II, eq. 2).
 
-dV = (V - V0) / V0, elementwise. The division removes the sign of the drive convention and the current; a conductive touch
-then mostly lowers it. |V0| spans a factor of about 500 over the rows, so a row whose reference is lost in noise would
-amplify that noise without bound. The rule: a row whose |V0| is under ``WEAK_FRACTION`` of the largest is *weak*, carries
-no information, and its dV is 0.
+dV = (V - V0) / V0, elementwise. The division removes the sign of the drive convention and the current; a conductive
+touch then mostly lowers it. |V0| spans a factor of about 500 over the rows, so a row whose reference is lost in noise
+would amplify that noise without bound. The rule: a row whose |V0| is under ``WEAK_FRACTION`` of the largest is *weak*,
+carries no information, and its dV is 0.
 """
 
 from typing import Final
@@ -40,9 +40,7 @@ def inverse_reference(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.flo
     return np.asarray(np.where(weak, 0.0, 1.0 / np.where(weak, 1.0, reference)), dtype=np.float64)
 
 
-def relative_change(
-    voltages: npt.NDArray[np.floating], reference: npt.NDArray[np.floating]
-) -> npt.NDArray[np.float64]:
+def relative_change(voltages: npt.NDArray[np.floating], reference: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
     """Return dV = (V - V0) / V0, and 0 in the weak rows.
 
     Args:

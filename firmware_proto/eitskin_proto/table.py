@@ -1,9 +1,9 @@
 """The adjacent-drive protocol: which electrodes carry current, which are measured, and in what order.
 
-Electrodes are numbered 0 to 15, counter-clockwise from the corner (0, 0). Drive k sends the current into electrode k and
-out of electrode k + 1; measure m reads V = U[m] - U[m + 1]; all indices are modulo 16. A pair that shares an electrode
-with the drive is not measured, which leaves m = k + 2 .. k + 14: 16 x 13 = 208 rows. Reciprocity makes row (k, m) equal
-to row (m, k), so the 104 rows with k < m say everything (paper sections V.A and VI.A). ::
+Electrodes are numbered 0 to 15, counter-clockwise from the corner (0, 0). Drive k sends the current into electrode k
+and out of electrode k + 1; measure m reads V = U[m] - U[m + 1]; all indices are modulo 16. A pair that shares an
+electrode with the drive is not measured, which leaves m = k + 2 .. k + 14: 16 x 13 = 208 rows. Reciprocity makes row
+(k, m) equal to row (m, k), so the 104 rows with k < m say everything (paper sections V.A and VI.A). ::
 
     full table, 208 rows       (0,2) (0,3) ... (0,14) | (1,3) ... (1,15) | (2,4) ... (2,15) (2,0) | ...
     table, 104 rows            the rows of the full table with k < m, in the same order

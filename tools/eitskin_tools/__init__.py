@@ -1,1 +1,1 @@
-"""The command line, the benchmarks and the pictures; it may use every other package, inside the subcommand that needs it."""
+"""The command line, the benchmarks and the pictures; heavy imports stay inside the subcommand that needs them."""

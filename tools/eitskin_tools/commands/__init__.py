@@ -1,1 +1,1 @@
-"""One module a subcommand, each with ``add_arguments(parser)`` and ``run(arguments) -> int``; see :mod:`eitskin_tools.cli`."""
+"""One module a subcommand: ``add_arguments(parser)`` and ``run(arguments) -> int``; see :mod:`eitskin_tools.cli`."""

@@ -1,0 +1,70 @@
+# make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
+# make test    everything that CI runs: lint, types, Python and C tests, the runtime from its wheel
+# make check   lint, types and tests, without the wheel
+# make bench   the benchmarks, each as one JSON object
+#
+# Every target makes its own virtual environment. PYTHON names the interpreter to start from.
+
+PYTHON ?= python3
+VENV   ?= .venv
+BIN    := $(VENV)/bin
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+
+SECONDS_DEMO ?= 20
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test check lint types unit wheel-test firmware-test system-packages bench clean
+
+help:
+	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
+
+$(VENV)/bin/python:
+	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "eitskin needs Python 3.11 or newer, found " + sys.version'
+	@$(PYTHON) -m venv $(VENV) || { tools/system-packages.sh python3-venv && $(PYTHON) -m venv --clear $(VENV); }
+
+$(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) install --constraint constraints.txt --editable '.[sim]'
+	@touch $@
+
+# torch by its pin alone and first: any other way of asking for it may bring gigabytes of CUDA.
+$(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
+	$(PIP) install torch==2.13.0
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster]'
+	@touch $@ $(VENV)/.demo
+
+demo: $(VENV)/.demo
+	$(BIN)/eitskin demo --seconds $(SECONDS_DEMO)
+
+test: check wheel-test
+
+check: lint types unit firmware-test
+
+lint: $(VENV)/.dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+
+types: $(VENV)/.dev
+	$(BIN)/mypy
+
+unit: $(VENV)/.dev system-packages
+	$(BIN)/python -m pytest
+
+firmware-test: $(VENV)/.dev system-packages
+	@if [ -f firmware_proto/Makefile ]; then $(MAKE) -C firmware_proto check PYTHON=$(abspath $(BIN)/python); fi
+
+system-packages:
+	@tools/system-packages.sh
+
+# The wheel, installed without extras where neither torch nor scipy exists, must run the runtime's tests by itself.
+wheel-test: $(VENV)/.dev
+	@rm -rf .build/wheel .build/clean && mkdir -p .build
+	$(BIN)/python -m build --wheel --outdir .build/wheel . >/dev/null
+	$(PYTHON) -m venv .build/clean
+	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt .build/wheel/*.whl pytest hypothesis
+	tools/wheel-test.sh .build/clean/bin/python
+
+bench: $(VENV)/.dev
+	@for name in footprint frame dataset physics; do $(BIN)/eitskin bench $$name --json || exit 1; done
+
+clean:
+	rm -rf .build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
