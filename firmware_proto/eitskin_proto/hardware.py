@@ -1,0 +1,70 @@
+"""What each kind of electronics can do, so that an impossible configuration is refused before it is sent.
+
+The front end drives one pair at a time and samples every measured pair at once: a scan takes, for every drive that has
+rows, the settling time and then ``averages`` whole periods of the drive frequency.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+
+@dataclass(frozen=True, slots=True)
+class Hardware:
+    """The limits of one kind of electronics."""
+
+    id: int
+    """What HELLO and every configuration carry."""
+    name: str
+    """What a TOML file calls it."""
+    min_frequency_hz: int
+    max_frequency_hz: int
+    max_current_ua: int
+    gains: tuple[int, ...]
+    """Linear gains that the amplifier has."""
+    min_settle_us: int
+    """The multiplexers need this long, whatever the configuration says."""
+    scan_overhead_us: int
+    """Reading the converters and packing the frame."""
+
+
+EITSKIN_16: Final = Hardware(
+    id=0x45533136,
+    name="eitskin-16",
+    min_frequency_hz=1_000,
+    max_frequency_hz=100_000,
+    max_current_ua=5_000,
+    gains=(1, 2, 4, 8, 16, 32),
+    min_settle_us=20,
+    scan_overhead_us=20,
+)
+"""Sixteen electrodes, thirteen parallel converters; the virtual and the emulated skin are of this kind."""
+
+KNOWN: Final[dict[int, Hardware]] = {EITSKIN_16.id: EITSKIN_16}
+"""Every kind by its id."""
+
+
+def by_name(name: str) -> Hardware:
+    """Return the electronics of this name.
+
+    Raises:
+        ValueError: There is none; the text lists those that exist.
+    """
+    for hardware in KNOWN.values():
+        if hardware.name == name:
+            return hardware
+    known = ", ".join(repr(hardware.name) for hardware in KNOWN.values())
+    raise ValueError(f"hardware {name!r} is unknown; known are {known}")
+
+
+def by_id(hardware_id: int) -> Hardware:
+    """Return the electronics of this id.
+
+    Raises:
+        ValueError: There is none.
+    """
+    if hardware_id not in KNOWN:
+        raise ValueError(
+            f"hardware 0x{hardware_id:08x} is unknown to this release; known are "
+            + ", ".join(f"0x{known:08x} ({KNOWN[known].name})" for known in KNOWN)
+        )
+    return KNOWN[hardware_id]
