@@ -1,0 +1,216 @@
+"""VD2T: voltages and a scanned shape in, the touched map out (paper section IV.B, Fig. 3).
+
+Two channels meet in two linear layers. The first of them is linear in both channels, so it is kept as its two column
+blocks: what the cloud adds there is a *bias* that changes only when the sheet's shape does. ::
+
+    dv (B, 104) ── features ── voltage channel ──┐ W_v
+                                                 + ── BN ── ReLU ── dropout ── linear ── sigmoid ── map
+    cloud (D, 3, 30, 45) ── cloud channel ───────┘ W_c, b        = bias (D, H)
+
+``bias`` and ``logits`` are the two halves; training uses them too, so that geometry costs once a bend, not once a
+sample. Two voltage channels exist: the paper's (three-layer MLP, then three-layer 1-D CNN) and a residual MLP that
+reaches more with the same number of weights. Widths are ours: the paper gives none.
+"""
+
+import itertools
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import torch
+from torch import Tensor, nn
+
+from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, N_UNITS, UNIT_OF_PIXEL
+from eitskin_proto.table import N_ROWS
+
+VoltageChannel = Literal["paper", "residual"]
+
+RATIO_FLOOR: Final = 1e-3
+"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero."""
+
+TOUCHED_PRIOR: Final = 0.05
+"""Mean of the labels to start from, so that the first epochs do not go into learning that most pixels are 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """Everything that fixes the shape of a network.
+
+    Args:
+        voltage_channel: The paper's MLP and 1-D CNN, or residual linear layers.
+        log_ratio: Whether log(V / V0) joins dv as an input, computed inside the graph.
+        log_predicted: Whether log(V / V_pred) does; V_pred then comes as a second input of the head.
+        widths: Outputs of each linear layer of the voltage channel; a residual channel needs them equal.
+        convolutions: Channels of each 1-D convolution of the paper's voltage channel.
+        cloud_channels: Channels of each 2-D convolution of the cloud channel.
+        use_cloud: False leaves the cloud out, for the ablation; the bias is then a constant.
+        hidden: Width H between the two fusion layers, and so of the bias.
+        outputs: 1350 pixels, or 126 units that the graph spreads over their pixels.
+        dropout: Fraction of activations dropped in training.
+    """
+
+    voltage_channel: VoltageChannel = "residual"
+    log_ratio: bool = True
+    log_predicted: bool = False
+    widths: tuple[int, ...] = (512, 512, 512)
+    convolutions: tuple[int, ...] = ()
+    cloud_channels: tuple[int, ...] = (8, 8)
+    use_cloud: bool = True
+    hidden: int = 512
+    outputs: int = N_PIXELS
+    dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.outputs not in (N_PIXELS, N_UNITS):
+            raise ValueError(f"outputs is {self.outputs}; expected {N_PIXELS} pixels or {N_UNITS} units")
+        if self.voltage_channel == "residual" and len(set(self.widths)) != 1:
+            raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
+
+    @property
+    def feature_blocks(self) -> int:
+        """How many times 104 values the voltage channel reads."""
+        return 1 + self.log_ratio + self.log_predicted
+
+
+class Residual(nn.Module):
+    """x + ReLU(BN(linear(x)))."""
+
+    def __init__(self, width: int, dropout: float) -> None:
+        super().__init__()
+        self.path = _dense(width, width, dropout)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, width)."""
+        return torch.add(x, self.path(x))
+
+
+class VD2T(nn.Module):
+    """The network as two halves that meet in a bias.
+
+    Args:
+        architecture: Its shape.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__()
+        self.architecture = architecture
+        self.standardise = nn.BatchNorm1d(architecture.feature_blocks * N_ROWS)
+        self.voltage, voltage_width = _voltage_channel(architecture)
+        self.cloud, cloud_width = _cloud_channel(architecture)
+        self.fusion_voltage = nn.Linear(voltage_width, architecture.hidden, bias=False)
+        self.fusion_cloud = nn.Linear(cloud_width, architecture.hidden)
+        self.fusion = nn.Sequential(nn.BatchNorm1d(architecture.hidden), nn.ReLU(), nn.Dropout(architecture.dropout))
+        self.out = nn.Linear(architecture.hidden, architecture.outputs)
+        nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
+        self.register_buffer("unit_of_pixel", torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).copy()), persistent=False)
+
+    def bias(self, clouds: Tensor) -> Tensor:
+        """Return (D, H), what each cloud adds in the first fusion layer.
+
+        Args:
+            clouds: (D, 3, 30, 45) as :func:`eitskin_proto.cloud.network_input` gives them.
+        """
+        if not self.architecture.use_cloud:
+            clouds = torch.zeros_like(clouds)
+        return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
+
+    def logits(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None = None) -> Tensor:
+        """Return (B, outputs) before the sigmoid.
+
+        Args:
+            dv: (B, 104) relative change against the flat untouched reference.
+            bias: (B, H), one row a sample.
+            log_predicted: (B, 104) log(V_pred / V0), where the architecture has that input; None stands for zeros.
+        """
+        x = self.standardise(features(dv, self.architecture, log_predicted))
+        hidden = self.fusion(self.fusion_voltage(self.voltage(x)) + bias)
+        return self.out(hidden)  # type: ignore[no-any-return]
+
+    def forward(
+        self, dv: Tensor, clouds: Tensor, which: Tensor | None = None, log_predicted: Tensor | None = None
+    ) -> Tensor:
+        """Return (B, outputs) before the sigmoid.
+
+        Args:
+            dv: (B, 104) relative change.
+            clouds: (D, 3, 30, 45), each shape once.
+            which: (B,) the cloud of each sample; None when D = B, one each.
+            log_predicted: As in :meth:`logits`.
+        """
+        bias = self.bias(clouds)
+        return self.logits(dv, bias if which is None else bias[which], log_predicted)
+
+    def maps(self, logits: Tensor) -> Tensor:
+        """Return (B, 1350) touched maps in [0, 1] from logits."""
+        touched = torch.sigmoid(logits)
+        if self.architecture.outputs == N_PIXELS:
+            return touched
+        return touched[:, self.unit_of_pixel]  # type: ignore[index]
+
+    def parameter_count(self) -> int:
+        """Return how many numbers training fits."""
+        return sum(parameter.numel() for parameter in self.parameters())
+
+    def streamed_weights(self) -> int:
+        """Return how many weights one frame reads: all but the cloud's half."""
+        geometry = [*self.cloud.parameters(), *self.fusion_cloud.parameters()]
+        return self.parameter_count() - sum(parameter.numel() for parameter in geometry)
+
+
+def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | None = None) -> Tensor:
+    """Return (B, 104 * blocks): dv, then log(V / V0), then log(V / V_pred), as the architecture asks."""
+    blocks = [dv]
+    if architecture.log_ratio or architecture.log_predicted:
+        log_ratio = torch.log(torch.clamp(1.0 + dv, min=RATIO_FLOOR))
+        if architecture.log_ratio:
+            blocks.append(log_ratio)
+        if architecture.log_predicted:
+            blocks.append(log_ratio if log_predicted is None else log_ratio - log_predicted)
+    return torch.cat(blocks, dim=1)
+
+
+def _dense(inputs: int, outputs: int, dropout: float) -> nn.Sequential:
+    return nn.Sequential(
+        nn.Linear(inputs, outputs, bias=False), nn.BatchNorm1d(outputs), nn.ReLU(), nn.Dropout(dropout)
+    )
+
+
+def _voltage_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+    """Return the channel and the width of what it gives."""
+    widths = architecture.widths
+    width_in = architecture.feature_blocks * N_ROWS
+    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture.dropout)]
+    if architecture.voltage_channel == "residual":
+        layers += [Residual(width, architecture.dropout) for width in widths[1:]]
+        return nn.Sequential(*layers), widths[-1]
+    for before, after in itertools.pairwise(widths):
+        layers.append(_dense(before, after, architecture.dropout))
+    layers.append(nn.Unflatten(1, (1, widths[-1])))
+    length, channels = widths[-1], 1
+    for index, after in enumerate(architecture.convolutions):
+        stride = 2 if index == len(architecture.convolutions) - 1 else 1
+        layers.append(
+            nn.Sequential(
+                nn.Conv1d(channels, after, 3, stride=stride, padding=1, bias=False), nn.BatchNorm1d(after), nn.ReLU()
+            )
+        )
+        length, channels = (length - 1) // stride + 1, after
+    layers.append(nn.Flatten())
+    return nn.Sequential(*layers), length * channels
+
+
+def _cloud_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+    """Return two strided 2-D convolutions and the width of what they give."""
+    rows, columns = GRID_SHAPE
+    channels = 3
+    layers: list[nn.Module] = []
+    for after in architecture.cloud_channels:
+        layers.append(
+            nn.Sequential(
+                nn.Conv2d(channels, after, 3, stride=2, padding=1, bias=False), nn.BatchNorm2d(after), nn.ReLU()
+            )
+        )
+        rows, columns, channels = (rows + 1) // 2, (columns + 1) // 2, after
+    layers.append(nn.Flatten())
+    return nn.Sequential(*layers), rows * columns * channels

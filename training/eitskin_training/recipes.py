@@ -1,0 +1,146 @@
+"""Recipes: everything that decides a training run, as named values with their source.
+
+``paper`` is section V.A of the paper. ``units`` and ``free`` are what a robot needs: several-parameter deformations,
+all three noises, the sheet's mirror symmetries, lost rows; ``units`` keeps the paper's hard labels on the 126 units,
+``free`` has area labels of touches anywhere. ``tiny`` is ``free`` in seconds, for tests and CI.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final, Literal
+
+from eitskin_proto.grid import N_PIXELS, N_UNITS
+from eitskin_training.model import Architecture
+
+Labels = Literal["units", "area"]
+Schedule = Literal["constant", "onecycle"]
+Noise = Literal["N1", "N2", "N3"]
+
+PAPER_BATCH: Final = 512
+"""Samples a step (paper section V.A)."""
+
+PAPER_EPOCHS: Final = 100
+"""Passes through the data (paper section V.A)."""
+
+PAPER_LEARNING_RATE: Final = 1e-4
+"""Adam's step (paper section V.A). It is slow: CC 0.42 after 6 epochs."""
+
+PAPER_SNR_DB: Final = 50.0
+"""White noise added to the training data (paper section V.A)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Recipe:
+    """One way to train.
+
+    Args:
+        name: What ``--recipe`` calls it.
+        labels: Hard unit labels, or the touched fraction of each pixel.
+        architecture: The network.
+        epochs: Passes through the data.
+        batch: Samples a step.
+        learning_rate: Adam's step, or its peak in a cycle.
+        schedule: Constant, or one cycle of rise and fall over the whole run.
+        weight_decay: Decoupled decay of the weights a step, times the learning rate.
+        average: Decay a step of the running mean of the weights that is validated and exported; 0 takes the last ones.
+        noises: Definitions of 50 dB, one drawn for each sample.
+        snr_db: Signal-to-noise ratio.
+        flips: Whether each batch is shown in one of the sheet's four mirror images, drawn at random.
+        lost_rows: Share of the samples that lose one to four rows.
+        lost_electrode: Share of the samples that lose every row of one electrode.
+        predicted_dropout: Share of the samples whose V_pred is replaced by V0, as when none was sent.
+    """
+
+    name: str
+    labels: Labels
+    architecture: Architecture
+    epochs: int = PAPER_EPOCHS
+    batch: int = PAPER_BATCH
+    learning_rate: float = PAPER_LEARNING_RATE
+    schedule: Schedule = "constant"
+    weight_decay: float = 0.0
+    average: float = 0.0
+    noises: tuple[Noise, ...] = ("N1",)
+    snr_db: float = PAPER_SNR_DB
+    flips: bool = False
+    lost_rows: float = 0.0
+    lost_electrode: float = 0.0
+    predicted_dropout: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.epochs < 1 or self.batch < 2:
+            raise ValueError(f"epochs {self.epochs} and batch {self.batch}; expected at least 1 epoch and a batch of 2")
+        if self.labels == "area" and self.architecture.outputs != N_PIXELS:
+            raise ValueError(f"area labels need {N_PIXELS} outputs; the architecture has {self.architecture.outputs}")
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return the recipe as plain values, for a checkpoint or a manifest."""
+        return asdict(self)
+
+    @classmethod
+    def from_dict(cls, values: dict[str, Any]) -> "Recipe":
+        """Return the recipe that :meth:`as_dict` wrote.
+
+        Raises:
+            ValueError: A key is unknown or missing.
+        """
+        try:
+            architecture: dict[str, Any] = {
+                k: tuple(v) if isinstance(v, list) else v for k, v in values["architecture"].items()
+            }
+            rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
+            return cls(**{**rest, "architecture": Architecture(**architecture)})
+        except (KeyError, TypeError) as error:
+            raise ValueError(f"not a recipe of this version: {error}; train again with 'eitskin train'") from error
+
+
+_PAPER_NETWORK: Final = Architecture(
+    voltage_channel="paper",
+    log_ratio=False,
+    widths=(512, 512, 256),
+    convolutions=(8, 16, 8),
+    cloud_channels=(16, 8),
+    hidden=384,
+    outputs=N_PIXELS,
+    dropout=0.1,
+)
+
+_ROBUST: Final = Recipe(
+    name="robust",
+    labels="area",
+    architecture=Architecture(widths=(480, 480, 480), hidden=480),
+    epochs=50,
+    learning_rate=2e-3,
+    schedule="onecycle",
+    weight_decay=1e-2,
+    average=0.999,
+    noises=("N1", "N2", "N3"),
+    flips=True,
+    lost_rows=0.05,
+    lost_electrode=0.01,
+    predicted_dropout=0.2,
+)
+
+RECIPES: Final[dict[str, Recipe]] = {
+    "paper": Recipe(name="paper", labels="units", architecture=_PAPER_NETWORK),
+    "units": replace(_ROBUST, name="units", labels="units", architecture=Architecture(hidden=512, outputs=N_UNITS)),
+    "free": replace(_ROBUST, name="free"),
+    "tiny": replace(
+        _ROBUST,
+        name="tiny",
+        architecture=Architecture(widths=(96, 96), cloud_channels=(4, 4), hidden=96),
+        epochs=4,
+        batch=64,
+    ),
+}
+"""Recipes by name."""
+
+
+def recipe(name: str) -> Recipe:
+    """Return a recipe by name.
+
+    Raises:
+        ValueError: There is none of that name.
+    """
+    if name not in RECIPES:
+        raise ValueError(f"no recipe is called {name!r}; expected one of {', '.join(RECIPES)}")
+    return RECIPES[name]

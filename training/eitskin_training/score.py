@@ -1,0 +1,113 @@
+"""How good a network's maps are: the loss and the correlation coefficient, over many samples at once."""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+from eitskin_proto.grid import map_from_units
+from eitskin_sim.noise import Kind
+from eitskin_training.data import PIXELS_PER_UNIT, TrainingData, assemble, noisy_change
+from eitskin_training.model import VD2T
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """A mean over samples.
+
+    Args:
+        loss: Binary cross-entropy a pixel.
+        cc: Mean correlation coefficient over the touched samples.
+        worst_bend_cc: The lowest mean over a bend.
+        untouched_peak: The highest pixel of any untouched sample; 0 when there is none.
+    """
+
+    loss: float
+    cc: float
+    worst_bend_cc: float
+    untouched_peak: float
+
+
+def loss_of(logits: Tensor, labels: Tensor) -> Tensor:
+    """Return the binary cross-entropy a pixel, also where the outputs are units of 9, 12 or 16 pixels."""
+    if logits.shape[1] == len(PIXELS_PER_UNIT):
+        weight = torch.from_numpy(PIXELS_PER_UNIT / PIXELS_PER_UNIT.mean()).to(logits)
+        return functional.binary_cross_entropy_with_logits(logits, _as_outputs(labels, logits), weight=weight)
+    return functional.binary_cross_entropy_with_logits(logits, _as_outputs(labels, logits))
+
+
+def _as_outputs(labels: Tensor, logits: Tensor) -> Tensor:
+    if labels.shape[1] == logits.shape[1]:
+        return labels
+    spread = torch.from_numpy(map_from_units(np.arange(labels.shape[1])).reshape(-1).copy()).to(labels.device)
+    return labels[:, spread]
+
+
+def correlation(maps: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
+    """Return (n,) Pearson's r of each (n, 1350) map with its truth; 0 where either is constant."""
+    a = maps - maps.mean(axis=1, keepdims=True, dtype=np.float64)
+    b = truth - truth.mean(axis=1, keepdims=True, dtype=np.float64)
+    size = np.sqrt(np.square(a).sum(axis=1) * np.square(b).sum(axis=1))
+    return np.asarray(np.where(size > 0, (a * b).sum(axis=1) / np.where(size > 0, size, 1.0), 0.0))
+
+
+def score(
+    model: VD2T,
+    data: TrainingData,
+    rows: npt.NDArray[np.intp],
+    kinds: tuple[Kind, ...],
+    *,
+    snr_db: float = 50.0,
+    seed: int = 0,
+    most: int = 6000,
+) -> Score:
+    """Return the score over rows of a data set, with noise that the seed fixes.
+
+    Args:
+        model: A network; it is used in evaluation mode.
+        data: The data set.
+        rows: Which samples.
+        kinds: Noises, one drawn a sample.
+        snr_db: Signal-to-noise ratio.
+        seed: Of the noise and of the choice of samples.
+        most: At most so many samples, chosen at random.
+
+    Raises:
+        ValueError: No rows.
+    """
+    if len(rows) == 0:
+        raise ValueError("no samples to score; expected at least one row of the data set")
+    rng = np.random.default_rng([seed, len(rows)])
+    chosen = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
+    device = next(model.parameters()).device
+    was_training = model.training
+    model.eval()
+    loss_sum, untouched_peak = 0.0, 0.0
+    cc: list[npt.NDArray[np.float64]] = []
+    bend: list[npt.NDArray[np.intp]] = []
+    with torch.inference_mode():
+        for start in range(0, len(chosen), 1024):
+            part = chosen[start : start + 1024]
+            dv = noisy_change(data, part, kinds, snr_db, rng)
+            batch = assemble(data, part, dv, data.log_predicted[data.deformation[part]]).to(device)
+            logits = model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
+            loss_sum += float(loss_of(logits, batch.labels)) * len(part)
+            maps = model.maps(logits).cpu().numpy()
+            labels = batch.labels.cpu().numpy()
+            truth = map_from_units(labels).reshape(len(part), -1) if data.labels_kind == "units" else labels
+            touched = truth.max(axis=1) > 0
+            cc.append(correlation(maps[touched], truth[touched]))
+            bend.append(data.deformation[part][touched])
+            if not touched.all():
+                untouched_peak = max(untouched_peak, float(maps[~touched].max()))
+    model.train(was_training)
+    all_cc, all_bends = np.concatenate(cc), np.concatenate(bend)
+    if len(all_cc) == 0:
+        return Score(loss_sum / len(chosen), 0.0, 0.0, untouched_peak)
+    per_bend = np.bincount(all_bends, weights=all_cc) / np.maximum(np.bincount(all_bends), 1)
+    return Score(
+        loss_sum / len(chosen), float(all_cc.mean()), float(per_bend[np.unique(all_bends)].min()), untouched_peak
+    )

@@ -1,0 +1,296 @@
+"""The training loop: Adam on binary cross-entropy, best validation epoch kept, resumable after every epoch.
+
+A run is a folder ::
+
+    checkpoint.pt    everything needed to go on: weights, optimiser, schedule, running mean, history
+    best.pt          the weights of the best validation epoch so far, with the recipe; what 'eitskin export' reads
+    history.json     the losses of every epoch
+    curves.png       the same as a picture, where matplotlib is installed
+
+Both .pt files are written beside and renamed, so an interrupted run leaves the last whole epoch. They hold tensors and
+plain values only, and are read with ``weights_only``.
+"""
+
+import json
+import math
+import os
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.data import TrainingData, batches
+from eitskin_training.model import VD2T
+from eitskin_training.recipes import Recipe
+from eitskin_training.score import loss_of, score
+
+FORMAT: Final = 1
+"""Version of both .pt files."""
+
+RISING_SHARE: Final = 0.05
+"""Share of the steps in which a cycle rises to its peak."""
+
+
+@dataclass(frozen=True, slots=True)
+class Epoch:
+    """What one epoch gave.
+
+    Args:
+        number: Counted from 1.
+        training_loss: Mean over its batches, with noise, flips and dropout.
+        validation_loss: Of the weights that would be exported now.
+        validation_cc: Likewise, mean correlation.
+        seconds: Time it took.
+    """
+
+    number: int
+    training_loss: float
+    validation_loss: float
+    validation_cc: float
+    seconds: float
+
+
+@dataclass(frozen=True, slots=True)
+class Progress:
+    """Where a run stands, told after every batch.
+
+    Args:
+        epoch: Number of the epoch, from 1.
+        epochs: How many there will be.
+        step: Steps done in all.
+        steps: Steps that there will be.
+        finished: The epoch that just ended, if one did.
+    """
+
+    epoch: int
+    epochs: int
+    step: int
+    steps: int
+    finished: Epoch | None = None
+
+
+@dataclass(slots=True)
+class Run:
+    """A training run in memory."""
+
+    recipe: Recipe
+    seed: int
+    model: VD2T
+    averaged: dict[str, Tensor]
+    optimiser: torch.optim.Optimizer
+    schedule: torch.optim.lr_scheduler.LRScheduler | None
+    data_digest: str
+    history: list[Epoch] = field(default_factory=list)
+    step: int = 0
+
+    @property
+    def best(self) -> Epoch | None:
+        """The epoch of the lowest validation loss."""
+        return min(self.history, key=lambda epoch: epoch.validation_loss, default=None)
+
+
+def device() -> torch.device:
+    """Return a GPU where there is one, else the CPU."""
+    return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+
+
+def train(
+    data: TrainingData,
+    recipe: Recipe,
+    out: Path,
+    *,
+    seed: int = 0,
+    resume: bool = False,
+    stop_after: int | None = None,
+    progress: Callable[[Progress], None] = lambda _: None,
+) -> Run:
+    """Train a network and leave the run in a folder.
+
+    Args:
+        data: The data set.
+        recipe: How to train; its ``epochs`` fixes the schedule.
+        out: The run's folder.
+        seed: Of the first weights, the order, the noise and the dropout.
+        resume: Whether to go on from the folder's checkpoint.
+        stop_after: Stop early after this epoch; the run can be resumed.
+        progress: Called after every batch.
+
+    Returns:
+        The run, with the last epoch's weights; the best epoch's are in ``best.pt``.
+
+    Raises:
+        MismatchError: The data or the checkpoint was made for something else.
+        SkinError: The folder already holds a run and ``resume`` is False, or the loss stopped being a number.
+    """
+    data.require(recipe)
+    out.mkdir(parents=True, exist_ok=True)
+    checkpoint = out / "checkpoint.pt"
+    if checkpoint.exists() and not resume:
+        raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
+    steps_per_epoch = max(1, len(data.train) // recipe.batch)
+    run = _start(recipe, seed, steps_per_epoch, data.digest)
+    if resume and checkpoint.exists():
+        _restore(run, checkpoint)
+    where = device()
+    mirrored: dict[int, Any] = {}
+    steps = steps_per_epoch * recipe.epochs
+    for number in range(len(run.history) + 1, min(recipe.epochs, stop_after or recipe.epochs) + 1):
+        began = time.monotonic()
+        torch.manual_seed(seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
+        run.model.train()
+        total = 0.0
+        for batch in batches(data, recipe, seed=seed, epoch=number, mirrored=mirrored):
+            total += _step(run, batch.to(where))
+            progress(Progress(number, recipe.epochs, run.step, steps))
+        epoch = _validate(run, data, number, total / steps_per_epoch, time.monotonic() - began)
+        run.history.append(epoch)
+        _save(run, out)
+        progress(Progress(number, recipe.epochs, run.step, steps, epoch))
+    return run
+
+
+def _start(recipe: Recipe, seed: int, steps_per_epoch: int, digest: str) -> Run:
+    torch.manual_seed(seed)
+    model = VD2T(recipe.architecture).to(device())
+    optimiser = torch.optim.AdamW(model.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
+    schedule = None
+    if recipe.schedule == "onecycle":
+        schedule = torch.optim.lr_scheduler.LambdaLR(
+            optimiser, partial(one_cycle, steps=steps_per_epoch * recipe.epochs)
+        )
+    averaged = {name: value.clone() for name, value in model.state_dict().items()}
+    return Run(recipe, seed, model, averaged, optimiser, schedule, digest)
+
+
+def one_cycle(step: int, *, steps: int) -> float:
+    """Return the share of the peak learning rate at a step: a linear rise, then half a cosine to nearly nothing."""
+    rise = max(1.0, RISING_SHARE * steps)
+    if step < rise:
+        return (step + 1) / (rise + 1)
+    return 1e-3 + 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - rise) / max(1.0, steps - rise))))
+
+
+def _step(run: Run, batch: Any) -> float:
+    logits = run.model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
+    loss = loss_of(logits, batch.labels)
+    value = float(loss.detach())
+    if value != value:  # noqa: PLR0124 - NaN is the one number that differs from itself
+        raise SkinError("the loss is not a number; lower the learning rate, or look for NaN in the data set")
+    run.optimiser.zero_grad(set_to_none=True)
+    loss.backward()  # type: ignore[no-untyped-call]
+    run.optimiser.step()
+    if run.schedule is not None:
+        run.schedule.step()
+    run.step += 1
+    _average(run)
+    return value
+
+
+def _average(run: Run) -> None:
+    """Move the running mean towards the weights; early on it forgets faster, so that it never drags the first ones."""
+    decay = min(run.recipe.average, (1 + run.step) / (10 + run.step)) if run.recipe.average else 0.0
+    current = run.model.state_dict()
+    floats = [name for name, value in current.items() if value.is_floating_point()]
+    torch._foreach_lerp_([run.averaged[name] for name in floats], [current[name] for name in floats], 1.0 - decay)
+    for name in current.keys() - set(floats):
+        run.averaged[name].copy_(current[name])
+
+
+def _validate(run: Run, data: TrainingData, number: int, training_loss: float, seconds: float) -> Epoch:
+    model = network(run.recipe, run.averaged)
+    rows = data.validation if len(data.validation) else data.train
+    found = score(model, data, rows, run.recipe.noises, snr_db=run.recipe.snr_db)
+    return Epoch(number, training_loss, found.loss, found.cc, seconds)
+
+
+def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
+    """Return a network in evaluation mode with the given weights."""
+    model = VD2T(recipe.architecture)
+    model.load_state_dict(state)
+    return model.eval().to(next(iter(state.values())).device)
+
+
+def _save(run: Run, out: Path) -> None:
+    common = {
+        "format": FORMAT,
+        "protocol_id": PROTOCOL_ID,
+        "grid_id": GRID_ID,
+        "recipe": run.recipe.as_dict(),
+        "seed": run.seed,
+        "data_digest": run.data_digest,
+        "history": [asdict(epoch) for epoch in run.history],
+    }
+    state = {
+        **common,
+        "model": run.model.state_dict(),
+        "averaged": run.averaged,
+        "optimiser": run.optimiser.state_dict(),
+        "schedule": run.schedule.state_dict() if run.schedule else None,
+        "step": run.step,
+    }
+    if run.best is run.history[-1]:
+        _write(out / "best.pt", {**common, "weights": run.averaged})
+    _write(out / "checkpoint.pt", state)
+    beside = out / "history.json.new"
+    beside.write_text(json.dumps(common["history"], indent=1) + "\n")
+    os.replace(beside, out / "history.json")
+
+
+def _write(path: Path, content: dict[str, Any]) -> None:
+    beside = path.with_suffix(".new")
+    with beside.open("wb") as file:
+        torch.save(content, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return what a run's .pt file holds.
+
+    Raises:
+        MismatchError: It was made for another protocol, grid or version.
+        SkinError: It is no file of a run.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise SkinError(
+            f"{path.parent} holds no finished epoch ({path.name} is missing); run 'eitskin train'"
+        ) from error
+    except Exception as error:
+        raise SkinError(f"{path} is no file of a training run: {type(error).__name__}; train again") from error
+    for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        found = content.get(name) if isinstance(content, dict) else None
+        if found != expected:
+            raise MismatchError(
+                f"{path}: {name}", found=found, expected=expected, hint="train again with 'eitskin train'"
+            )
+    return dict(content)
+
+
+def _restore(run: Run, path: Path) -> None:
+    content = read(path)
+    for name, found, expected in (
+        ("recipe", content["recipe"], run.recipe.as_dict()),
+        ("seed", content["seed"], run.seed),
+        ("data digest", content["data_digest"], run.data_digest),
+    ):
+        if found != expected:
+            raise MismatchError(
+                f"checkpoint {path}: {name}", found=found, expected=expected, hint="resume with what it began with"
+            )
+    run.model.load_state_dict(content["model"])
+    run.averaged = {name: value.to(device()) for name, value in content["averaged"].items()}
+    run.optimiser.load_state_dict(content["optimiser"])
+    if run.schedule is not None:
+        run.schedule.load_state_dict(content["schedule"])
+    run.history = [Epoch(**epoch) for epoch in content["history"]]
+    run.step = int(content["step"])
