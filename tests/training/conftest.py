@@ -35,6 +35,7 @@ def toy_data() -> MakeData:
             deformation=deformation,
             touch_set=touch_set,
             reference=reference,
+            untouched=reference * scale[:, None],
             clouds=rng.standard_normal((bends, 3, 30, 45)).astype(np.float32),
             log_predicted=np.log(scale)[:, None].repeat(N_ROWS, 1).astype(np.float32),
             labels_kind=labels_kind,  # type: ignore[arg-type]

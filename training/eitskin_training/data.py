@@ -43,6 +43,7 @@ class TrainingData:
         deformation: (N,) which bend each sample has.
         touch_set: (N,) which touch set.
         reference: (104,) V of the flat, untouched sheet.
+        untouched: (D, 104) V of each bend, untouched.
         clouds: (D, 3, 30, 45) network inputs.
         log_predicted: (D, 104) log(V_pred / V0), or zeros where nothing was predicted.
         labels_kind: "units" or "area".
@@ -58,6 +59,7 @@ class TrainingData:
     deformation: npt.NDArray[np.intp]
     touch_set: npt.NDArray[np.intp]
     reference: npt.NDArray[np.float64]
+    untouched: npt.NDArray[np.float64]
     clouds: npt.NDArray[np.float32]
     log_predicted: npt.NDArray[np.float32]
     labels_kind: Literal["units", "area"]
@@ -228,6 +230,7 @@ def load(directory: str) -> TrainingData:
         deformation=found.deformation.astype(np.intp),
         touch_set=found.touch_set.astype(np.intp),
         reference=found.reference_V,
+        untouched=found.untouched_V,
         clouds=np.stack([network_input(cloud) for cloud in found.clouds]),
         log_predicted=np.zeros((len(found.clouds), N_ROWS), dtype=np.float32),
         labels_kind=found.labels_kind,

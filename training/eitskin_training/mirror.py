@@ -3,7 +3,7 @@
 Electrodes sit mirror-symmetrically, so the mirror image of a touch on the mirror image of a bend gives the same
 voltages in another order. Mirroring x (x -> 150 mm - x) takes electrode k to 4 - k, mirroring y takes it to 12 - k. A
 pair (k, k+1) becomes the pair 3 - k or 11 - k with both its ends exchanged: drive and measure change sign together, the
-voltage does not. Where the image of (k, m) stands with the larger number first, reciprocity says that (m, k) is the same.
+voltage does not. Where the image of (k, m) has the larger number first, reciprocity says that (m, k) is the same.
 """
 
 from dataclasses import dataclass

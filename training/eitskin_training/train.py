@@ -87,6 +87,7 @@ class Run:
     optimiser: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler | None
     data_digest: str
+    source: str = ""
     history: list[Epoch] = field(default_factory=list)
     step: int = 0
 
@@ -109,6 +110,7 @@ def train(
     seed: int = 0,
     resume: bool = False,
     stop_after: int | None = None,
+    source: str = "",
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Run:
     """Train a network and leave the run in a folder.
@@ -120,6 +122,7 @@ def train(
         seed: Of the first weights, the order, the noise and the dropout.
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
+        source: Where the data set lies, for the export to find it again.
         progress: Called after every batch.
 
     Returns:
@@ -136,6 +139,7 @@ def train(
         raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
     steps_per_epoch = max(1, len(data.train) // recipe.batch)
     run = _start(recipe, seed, steps_per_epoch, data.digest)
+    run.source = source
     if resume and checkpoint.exists():
         _restore(run, checkpoint)
     where = device()
@@ -225,6 +229,7 @@ def _save(run: Run, out: Path) -> None:
         "recipe": run.recipe.as_dict(),
         "seed": run.seed,
         "data_digest": run.data_digest,
+        "data": run.source,
         "history": [asdict(epoch) for epoch in run.history],
     }
     state = {

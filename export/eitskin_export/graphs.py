@@ -1,0 +1,100 @@
+"""The two ONNX graphs of a bundle, as bytes, with the ids in their metadata.
+
+``geometry.onnx`` runs when a cloud arrives, ``head.onnx`` runs per frame. Batch is 1 in both: that is what streams. An
+export made in training mode would silently keep its dropout, so the finished graph is searched for layers that only
+training has, whatever the network was.
+"""
+
+import contextlib
+import io
+import logging
+import warnings
+from collections.abc import Iterator
+from typing import Final
+
+import onnx
+import torch
+
+from eitskin_export.fold import Geometry, Head
+from eitskin_proto.cloud import CLOUD_SHAPE
+from eitskin_proto.errors import SkinError
+from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.table import N_ROWS
+
+OPSET: Final = 20
+"""Version of the ONNX operators: the newest that torch 2.13 exports (18 to 20 work)."""
+
+TRAINING_ONLY: Final = frozenset({"Dropout", "BatchNormalization"})
+"""Operators that no deployed graph may hold."""
+
+
+def geometry_graph(geometry: Geometry) -> bytes:
+    """Return the graph from "cloud" (1, 3, 30, 45) to "bias" (1, H)."""
+    return _export(geometry, (torch.zeros(1, *CLOUD_SHAPE),), ["cloud"], ["bias"])
+
+
+def head_graph(head: Head) -> bytes:
+    """Return the graph from "dv" (1, 104) [, "log_predicted" (1, 104)] and "bias" (1, H) to "map" (1, 1350)."""
+    rows, bias = torch.zeros(1, N_ROWS), torch.zeros(1, head.architecture.hidden)
+    if head.architecture.log_predicted:
+        return _export(head, (rows, rows.clone(), bias), ["dv", "log_predicted", "bias"], ["map"])
+    return _export(head, (rows, bias), ["dv", "bias"], ["map"])
+
+
+@contextlib.contextmanager
+def quiet() -> Iterator[None]:
+    """Silence the exporters' notes on their own optional parts; ours are errors and stay."""
+    before = logging.root.manager.disable
+    logging.disable(logging.WARNING)
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        logging.disable(before)
+
+
+def _export(module: torch.nn.Module, example: tuple[torch.Tensor, ...], inputs: list[str], outputs: list[str]) -> bytes:
+    if module.training:
+        raise SkinError(
+            "a network in training mode cannot be exported: call eval() first, or dropout stays in the graph"
+        )
+    with quiet():
+        program = torch.onnx.export(
+            module,
+            example,
+            input_names=inputs,
+            output_names=outputs,
+            opset_version=OPSET,
+            dynamo=True,
+            external_data=False,
+            verbose=False,
+        )
+    assert program is not None
+    model = program.model_proto
+    check(model)
+    model.doc_string = ""
+    onnx.helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID})
+    onnx.checker.check_model(model)
+    buffer = io.BytesIO()
+    onnx.save_model(model, buffer)
+    return buffer.getvalue()
+
+
+def check(model: onnx.ModelProto) -> None:
+    """Refuse a graph that still holds a layer that only training has.
+
+    Raises:
+        SkinError: With the nodes found.
+    """
+    graphs = [model.graph, *model.functions]
+    left = sorted({f"{node.op_type} ({node.name})" for graph in graphs for node in graph.node if _trains(node)})
+    if left:
+        raise SkinError(
+            f"the exported graph holds {', '.join(left)}, expected no Dropout and no BatchNormalization; "
+            "fold the network with eitskin_export.fold.split and export it in evaluation mode"
+        )
+
+
+def _trains(node: onnx.NodeProto) -> bool:
+    return node.op_type in TRAINING_ONLY

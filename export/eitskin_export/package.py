@@ -1,0 +1,156 @@
+"""From a training run to a bundle: fold, export, compare, quantise, fit the gate, score, write."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_export import gate, graphs, parity, projection, quantise
+from eitskin_export.bundle import projection_bytes, write
+from eitskin_export.fold import split
+from eitskin_proto.errors import MismatchError
+from eitskin_training.card import card
+from eitskin_training.data import TrainingData, load, noisy_change
+from eitskin_training.model import VD2T
+from eitskin_training.recipes import Recipe
+from eitskin_training.train import network, read
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What a run's best epoch gives.
+
+    Args:
+        model: The network, in evaluation mode.
+        recipe: How it was trained.
+        content: Everything else in ``best.pt``: seed, data digest, history, ids.
+    """
+
+    model: VD2T
+    recipe: Recipe
+    content: dict[str, Any]
+
+
+def trained(run: Path) -> Trained:
+    """Return the best epoch of a run.
+
+    Raises:
+        SkinError: There is none, or it was made for another protocol or grid.
+    """
+    content = read(run / "best.pt")
+    recipe = Recipe.from_dict(content["recipe"])
+    return Trained(network(recipe, content["weights"]), recipe, content)
+
+
+def data_of(found: Trained, directory: str | None = None) -> TrainingData:
+    """Return the data set of a run, from where it was or from ``directory``.
+
+    Raises:
+        MismatchError: It is another data set.
+        OSError: It is gone.
+    """
+    data = load(directory or found.content["data"])
+    if data.digest != found.content["data_digest"]:
+        raise MismatchError(
+            "data set of the run: digest",
+            found=data.digest,
+            expected=found.content["data_digest"],
+            hint="name the one it was trained on with --data",
+        )
+    data.require(found.recipe)
+    return data
+
+
+def export(
+    found: Trained,
+    data: TrainingData,
+    out: Path,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+    projector: Callable[[], npt.NDArray[np.float32]] = projection.flat_projection,
+) -> dict[str, Any]:
+    """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
+
+    Args:
+        found: The network.
+        data: Its data set, which the gate learns from and the metrics are measured on.
+        out: The bundle's path.
+        tell: Told what is being done.
+        projector: Gives the (1350, 104) projection.
+
+    Raises:
+        SkinError: The graphs differ from the network, or still hold a training layer.
+    """
+    tell("exporting the two graphs")
+    geometry, head = split(found.model)
+    geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
+    differences = parity.parity(found.model, geometry_bytes, head_bytes)
+    tell("quantising")
+    int8_bytes = quantise.int8_head(head_bytes)
+    int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
+    tell("fitting the gate")
+    touch_gate = gate.fit(data, seed=int(found.content["seed"]))
+    tell("scoring on held-out bends")
+    metrics = {
+        "held_out": card(found.model, data),
+        "parity": differences,
+        "int8": int8,
+        "parameters": found.model.parameter_count(),
+        "streamed_weights": found.model.streamed_weights(),
+    }
+    files = {
+        "geometry.onnx": geometry_bytes,
+        "head.onnx": head_bytes,
+        "head_int8.onnx": int8_bytes,
+        "tikhonov.npy": projection_bytes(projector()),
+        "gate.npz": touch_gate.to_npz(),
+    }
+    facts = _facts(found, data, touch_gate, metrics)
+    identity = write(out, files, facts)
+    return {
+        "bundle": identity,
+        "path": str(out),
+        "bytes": out.stat().st_size,
+        "labels": found.recipe.labels,
+        "parity": differences,
+        "int8": int8,
+        "gate": touch_gate.facts(),
+        "held_out": metrics["held_out"],
+    }
+
+
+def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array, parity.Array, parity.Array]:
+    """Return dv, clouds and log_predicted of samples at bends never trained on, with noise."""
+    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    rng = np.random.default_rng(8)
+    rows = rng.choice(rows, size=min(count, len(rows)), replace=False)
+    bends = data.deformation[rows]
+    return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
+
+
+def _facts(found: Trained, data: TrainingData, touch_gate: gate.Gate, metrics: dict[str, Any]) -> dict[str, Any]:
+    history = found.content["history"]
+    architecture = found.recipe.architecture
+    return {
+        "created_utc": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+        "labels": found.recipe.labels,
+        "head": {
+            "inputs": ["dv", "log_predicted"] if architecture.log_predicted else ["dv"],
+            "bias": architecture.hidden,
+            "precision": ["fp32", "int8"],
+        },
+        "gate": touch_gate.facts(),
+        "recipe": found.recipe.as_dict(),
+        "seeds": {"training": found.content["seed"], "data": data.seed},
+        "data_digest": data.digest,
+        "training": {
+            "epochs": len(history),
+            "seconds": round(sum(epoch["seconds"] for epoch in history), 1),
+            "best": history[-1],
+        },
+        "metrics": metrics,
+    }

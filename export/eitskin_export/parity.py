@@ -1,0 +1,99 @@
+"""Whether the exported graphs say what the trained network says: the largest difference of each tensor.
+
+The inputs are stored with the code's seed, not with the data: random changes of the size that touches and bends make,
+and clouds of bent sheets' size. The network is run whole and unfolded, so folding, splitting and exporting are all held
+to account at once.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import onnxruntime
+import torch
+
+from eitskin_proto.cloud import CLOUD_SHAPE
+from eitskin_proto.errors import SkinError
+from eitskin_proto.table import N_ROWS
+from eitskin_training.model import VD2T
+
+TOLERANCE: Final = 1e-5
+"""Largest difference allowed in the map: float32 rounds a sum of 500 products to about 1e-6."""
+
+Array = npt.NDArray[np.float32]
+
+
+def stored_inputs(count: int = 64, seed: int = 7) -> tuple[Array, Array, Array]:
+    """Return (n, 104) dv, (n, 3, 30, 45) clouds and (n, 104) log_predicted that never change."""
+    rng = np.random.default_rng(seed)
+    dv = np.clip(rng.standard_normal((count, N_ROWS)) * rng.choice([0.01, 0.1, 0.5], size=(count, 1)), -0.9995, 2.3)
+    clouds = rng.standard_normal((count, *CLOUD_SHAPE))
+    predicted = 0.1 * rng.standard_normal((count, N_ROWS))
+    return dv.astype(np.float32), clouds.astype(np.float32), predicted.astype(np.float32)
+
+
+def session(graph: bytes) -> onnxruntime.InferenceSession:
+    """Return a one-thread session of a graph, as the runtime makes it."""
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = options.inter_op_num_threads = 1
+    options.log_severity_level = 3
+    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+
+
+def run_graphs(geometry: bytes, head: bytes, dv: Array, clouds: Array, predicted: Array) -> dict[str, Array]:
+    """Return {"bias": (n, H), "map": (n, 1350)} of the two graphs, one sample at a time as they stream."""
+    geometry_session, head_session = session(geometry), session(head)
+    wanted = {item.name for item in head_session.get_inputs()}
+    biases, maps = [], []
+    for index in range(len(dv)):
+        one = slice(index, index + 1)
+        (bias,) = geometry_session.run(["bias"], {"cloud": clouds[one]})
+        feed = {"dv": dv[one], "bias": bias, "log_predicted": predicted[one]}
+        (touched,) = head_session.run(["map"], {name: value for name, value in feed.items() if name in wanted})
+        biases.append(bias[0])
+        maps.append(touched[0])
+    return {"bias": np.array(biases), "map": np.array(maps)}
+
+
+def run_network(model: VD2T, dv: Array, clouds: Array, predicted: Array) -> dict[str, Array]:
+    """Return the same tensors from the whole network in torch, unfolded, as training evaluates it."""
+    was_training = model.training
+    model.eval()
+    with torch.inference_mode():
+        raw = model.bias(torch.from_numpy(clouds))
+        maps = model.maps(model.logits(torch.from_numpy(dv), raw, torch.from_numpy(predicted)))
+        bias = model.fusion[0](raw)
+    model.train(was_training)
+    return {"bias": bias.numpy(), "map": maps.numpy()}
+
+
+def parity(model: VD2T, geometry: bytes, head: bytes) -> dict[str, float]:
+    """Return the largest difference of each tensor between the network and its graphs on the stored inputs.
+
+    Raises:
+        SkinError: The map differs by more than ``TOLERANCE``.
+    """
+    inputs = stored_inputs()
+    expected, found = run_network(model, *inputs), run_graphs(geometry, head, *inputs)
+    # The bias has no bound of its own size, so its difference is given relative to its largest value.
+    size = max(1.0, float(np.abs(expected["bias"]).max()))
+    differences = {
+        "bias": float(np.abs(found["bias"] - expected["bias"]).max()) / size,
+        "map": float(np.abs(found["map"] - expected["map"]).max()),
+    }
+    if not max(differences.values()) < TOLERANCE:
+        raise SkinError(f"the exported graphs differ from the network: {differences}, expected under {TOLERANCE:g}")
+    return differences
+
+
+def int8_error(
+    geometry: bytes, head: bytes, int8: bytes, dv: Array, clouds: Array, predicted: Array
+) -> dict[str, float]:
+    """Return how far int8 maps are from float32 ones: rms, largest, and the share of pixels that flip at 0.5."""
+    exact = run_graphs(geometry, head, dv, clouds, predicted)["map"]
+    rounded = run_graphs(geometry, int8, dv, clouds, predicted)["map"]
+    return {
+        "rms": float(np.sqrt(np.mean(np.square(rounded - exact)))),
+        "max": float(np.abs(rounded - exact).max()),
+        "flipped": float(np.mean((rounded > 0.5) != (exact > 0.5))),
+    }
