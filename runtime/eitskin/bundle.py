@@ -1,0 +1,215 @@
+"""Reads a bundle: the one file with everything that turns voltages into maps, checked before any of it is used.
+
+::
+
+    NAME.eitskin (ZIP)
+      manifest.json     format, version, protocol_id, grid_id, labels, recipe, seeds, metrics, sha256 of every file
+      geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
+      head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
+      head_int8.onnx    the same, dynamic int8 (optional)
+      tikhonov.npy      (1350, 104) the projection for the flat sheet
+      gate.npz          the touch gate (optional)
+
+A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
+SHA-256 of the manifest, which holds the SHA-256 of everything else.
+"""
+
+import hashlib
+import io
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BundleError, MismatchError
+from eitskin_proto.grid import N_PIXELS
+from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.table import N_ROWS
+
+FORMAT: Final = "eitskin-bundle"
+VERSION: Final = 1
+
+LABELS: Final = {"area": "free", "units": "units"}
+"""What a bundle's maps mean -> the shipped bundle's name."""
+
+REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
+"""Files without which a bundle is no bundle."""
+
+LARGEST_MANIFEST: Final = 1 << 20
+LARGEST_FILE: Final = 256 << 20
+"""Bounds in bytes on what a file may claim; a default bundle is a few MB."""
+
+EXPORT_HINT: Final = "make it again with 'eitskin export'"
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A checked bundle, in memory."""
+
+    path: Path
+    manifest: dict[str, Any]
+    files: Mapping[str, bytes]
+    id: str
+    """16 hex digits."""
+
+    @property
+    def labels(self) -> str:
+        """``area`` or ``units``: what a value of the map means."""
+        return str(self.manifest["labels"])
+
+    @property
+    def bias_width(self) -> int:
+        """H, the width of the first fusion layer."""
+        return int(self.manifest["head"]["bias"])
+
+    @property
+    def uses_prediction(self) -> bool:
+        """Whether the head takes the predicted reference of the deformed sheet."""
+        return "log_predicted" in self.manifest["head"]["inputs"]
+
+    def tikhonov(self) -> npt.NDArray[np.float32]:
+        """Return the (1350, 104) projection.
+
+        Raises:
+            BundleError: It has another shape or type, or is not finite.
+        """
+        matrix = _load_array(self.files["tikhonov.npy"], "tikhonov.npy")
+        if not isinstance(matrix, np.ndarray) or matrix.shape != (N_PIXELS, N_ROWS) or matrix.dtype.kind != "f":
+            found = f"{getattr(matrix, 'shape', '?')} {getattr(matrix, 'dtype', '?')}"
+            raise BundleError(f"tikhonov.npy: found {found}, expected ({N_PIXELS}, {N_ROWS}) float32; {EXPORT_HINT}")
+        if not np.isfinite(matrix).all():
+            raise BundleError(f"tikhonov.npy: holds values that are not finite; {EXPORT_HINT}")
+        return np.ascontiguousarray(matrix, dtype=np.float32)
+
+    def gate_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return the touch gate's arrays, or None for a bundle without a gate."""
+        if "gate.npz" not in self.files:
+            return None
+        archive = _load_array(self.files["gate.npz"], "gate.npz")
+        if isinstance(archive, np.ndarray):
+            raise BundleError(f"gate.npz: found a single array, expected an archive; {EXPORT_HINT}")
+        try:
+            return {name: archive[name] for name in archive.files}
+        except (ValueError, OSError, zipfile.BadZipFile) as error:
+            raise BundleError(f"gate.npz: {error}; {EXPORT_HINT}") from error
+
+
+def default_path(labels: str = "area") -> Path:
+    """Return where the shipped bundle for these labels is.
+
+    Raises:
+        ValueError: There are no such labels.
+    """
+    if labels not in LABELS:
+        raise ValueError(f"labels {labels!r} do not exist; expected one of {', '.join(LABELS)}")
+    return Path(__file__).parent / "bundles" / f"{LABELS[labels]}.eitskin"
+
+
+def load_bundle(path: str | Path | None = None) -> Bundle:
+    """Return a bundle whose every byte was checked.
+
+    Args:
+        path: The file; None takes the shipped bundle of area labels.
+
+    Raises:
+        BundleError: It cannot be read, is damaged or incomplete.
+        MismatchError: It was made for another format version, protocol_id or grid_id.
+    """
+    where = default_path() if path is None else Path(path)
+    try:
+        with zipfile.ZipFile(where) as archive:
+            raw = _member(archive, "manifest.json", LARGEST_MANIFEST)
+            manifest = _manifest(raw, where)
+            _check_ids(manifest, where)
+            files = {name: _checked(archive, name, entry, where) for name, entry in manifest["files"].items()}
+    except FileNotFoundError as error:
+        raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
+    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, EOFError, RuntimeError) as error:
+        raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+    except OSError as error:
+        raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
+    missing = [name for name in REQUIRED if name not in files]
+    if missing:
+        raise BundleError(f"{where} lacks {', '.join(missing)}; {EXPORT_HINT}")
+    return Bundle(where, manifest, files, hashlib.sha256(raw).hexdigest()[:16])
+
+
+def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
+    try:
+        info = archive.getinfo(name)
+    except KeyError as error:
+        raise BundleError(f"{archive.filename} has no {name}; {EXPORT_HINT}") from error
+    if info.file_size > largest:
+        raise BundleError(f"{archive.filename}: {name} claims {info.file_size} bytes, expected at most {largest}")
+    with archive.open(info) as stream:  # a bounded read: the claim may be a lie
+        data = stream.read(largest + 1)
+    if len(data) > largest:
+        raise BundleError(f"{archive.filename}: {name} is longer than {largest} bytes")
+    return data
+
+
+def _checked(archive: zipfile.ZipFile, name: str, entry: dict[str, Any], where: Path) -> bytes:
+    try:
+        data = _member(archive, name, LARGEST_FILE)
+    except zipfile.BadZipFile as error:
+        raise BundleError(f"{where}: {name} is damaged ({error}); {EXPORT_HINT}") from error
+    found = hashlib.sha256(data).hexdigest()
+    if found != entry["sha256"]:
+        raise BundleError(
+            f"{where}: {name} is damaged: sha256 found {found[:16]}, expected {str(entry['sha256'])[:16]}; "
+            f"copy the bundle again, or {EXPORT_HINT}"
+        )
+    return data
+
+
+def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise BundleError(f"{where}: manifest.json is no JSON ({error}); {EXPORT_HINT}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
+        raise BundleError(f"{where}: format found {found!r}, expected {FORMAT!r}; {EXPORT_HINT}")
+    if manifest.get("version") != VERSION:
+        raise MismatchError(
+            f"{where}: version", found=manifest.get("version"), expected=VERSION, hint=f"{EXPORT_HINT} of this release"
+        )
+    problem = _shape_problem(manifest)
+    if problem:
+        raise BundleError(f"{where}: manifest.json: {problem}; {EXPORT_HINT}")
+    return manifest
+
+
+def _shape_problem(manifest: dict[str, Any]) -> str | None:
+    files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
+    if labels not in LABELS:
+        return f"labels found {labels!r}, expected one of {', '.join(LABELS)}"
+    if not isinstance(files, dict) or len(files) > 32:
+        return "files must be an object of at most 32 names"
+    if not all(isinstance(entry, dict) and isinstance(entry.get("sha256"), str) for entry in files.values()):
+        return "every file needs a sha256"
+    if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
+        return "head.inputs must be a list"
+    bias = head.get("bias")
+    if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
+        return f"head.bias found {bias!r}, expected a width from 1 to 65536"
+    return None
+
+
+def _check_ids(manifest: dict[str, Any], where: Path) -> None:
+    for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        if manifest.get(name) != expected:
+            hint = f"take a bundle of this release, or {EXPORT_HINT}"
+            raise MismatchError(f"{where}: {name}", found=manifest.get(name), expected=expected, hint=hint)
+
+
+def _load_array(data: bytes, name: str) -> Any:
+    try:
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+        raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error

@@ -1,0 +1,103 @@
+"""Everything that the runtime raises on purpose, under the one root that the wire's errors have too.
+
+::
+
+    SkinError
+    ├── ProtocolError          bytes, a file or a device that does not speak this protocol (eitskin_proto)
+    │   ├── MismatchError      made for another protocol_id or grid_id: found, expected, the command that fixes it
+    │   └── FrameError         a published message that is no tactile frame
+    ├── TransportError         the line to the device
+    │   ├── PortMissing        no such port
+    │   ├── PortBusy           another program has it
+    │   ├── PortDenied         no permission
+    │   └── PortLost           it vanished while open
+    ├── HandshakeError         nobody answered, or the answer was a refusal
+    ├── BundleError            a bundle that is damaged or incomplete
+    ├── BadReference           a reference that cannot be used
+    ├── EndpointError          an address that may not or cannot be bound or reached
+    ├── ControlError           the runtime refused a request
+    ├── BudgetError            a latency budget that cannot be met
+    ├── NoFrame                no frame within the time asked for    (also TimeoutError)
+    └── StaleFrame             the newest frame is too old           (also TimeoutError)
+
+Bad arguments are plain ``ValueError``, with the value and the bound.
+"""
+# ruff: noqa: N818 - a lost port is called PortLost; the root already says that it is an error
+
+from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
+
+__all__ = [
+    "BadReference",
+    "BudgetError",
+    "BundleError",
+    "ControlError",
+    "EndpointError",
+    "FrameError",
+    "HandshakeError",
+    "MismatchError",
+    "NoFrame",
+    "PortBusy",
+    "PortDenied",
+    "PortLost",
+    "PortMissing",
+    "ProtocolError",
+    "SkinError",
+    "StaleFrame",
+    "TransportError",
+]
+
+
+class FrameError(ProtocolError):
+    """A published message that is no tactile frame."""
+
+
+class TransportError(SkinError):
+    """The line to the device failed."""
+
+
+class PortMissing(TransportError):
+    """There is no such port."""
+
+
+class PortBusy(TransportError):
+    """Another program has the port."""
+
+
+class PortDenied(TransportError):
+    """The port may not be opened by this user."""
+
+
+class PortLost(TransportError):
+    """The port vanished while it was open."""
+
+
+class HandshakeError(SkinError):
+    """The device did not answer, or refused."""
+
+
+class BundleError(SkinError):
+    """A bundle is damaged, incomplete or unreadable."""
+
+
+class BadReference(SkinError):
+    """A reference cannot be used; the builtin ``ReferenceError`` is about weak references."""
+
+
+class EndpointError(SkinError):
+    """An endpoint may not be used, or cannot be bound or reached."""
+
+
+class ControlError(SkinError):
+    """The runtime refused a control request, or did not answer it."""
+
+
+class BudgetError(SkinError):
+    """A latency budget that no solver of the bundle can meet."""
+
+
+class NoFrame(SkinError, TimeoutError):
+    """No frame came within the time that the subscriber asked for."""
+
+
+class StaleFrame(SkinError, TimeoutError):
+    """A frame came, but it is older than the subscriber allows."""

@@ -1,0 +1,80 @@
+"""Settings of the process that shorten the tail, each asked for by name and each answered with what was got.
+
+None of them is on by default and none fails silently: a robot's integrator must know whether SCHED_FIFO was granted.
+These settings belong to the whole process, so the library never touches them; the ``run`` command does.
+"""
+
+import ctypes
+import gc
+import os
+import resource
+import sys
+from collections.abc import Sequence
+from typing import Final
+
+MCL_CURRENT: Final = 1
+MCL_FUTURE: Final = 2
+
+SWITCH_INTERVAL_S: Final = 5e-4
+"""How long another Python thread may hold the interpreter while the frame loop waits for it; the default is 5 ms."""
+
+
+def schedule_fifo(priority: int) -> str:
+    """Ask for SCHED_FIFO and return what was got.
+
+    Raises:
+        ValueError: The priority is outside what the kernel has.
+    """
+    low, high = os.sched_get_priority_min(os.SCHED_FIFO), os.sched_get_priority_max(os.SCHED_FIFO)
+    if not low <= priority <= high:
+        raise ValueError(f"priority {priority} for SCHED_FIFO is outside {low} to {high}")
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
+    except PermissionError:
+        return (
+            f"SCHED_FIFO {priority}: refused; allow it with 'sudo setcap cap_sys_nice+ep' on the interpreter "
+            "or rtprio in /etc/security/limits.conf"
+        )
+    return f"SCHED_FIFO {priority}: got"
+
+
+def pin(cpus: Sequence[int]) -> str:
+    """Ask to run on some CPUs only and return what was got.
+
+    Raises:
+        ValueError: A CPU does not exist or is not ours.
+    """
+    available = os.sched_getaffinity(0)
+    missing = sorted(set(cpus) - available)
+    if missing or not cpus:
+        raise ValueError(f"CPU {missing or 'list is empty'}: expected some of {sorted(available)}")
+    os.sched_setaffinity(0, cpus)
+    return f"affinity: CPU {', '.join(map(str, sorted(os.sched_getaffinity(0))))}"
+
+
+def lock_memory() -> str:
+    """Ask that no page of this process is ever swapped out, and return what was got."""
+    libc = ctypes.CDLL(None, use_errno=True)
+    if libc.mlockall(MCL_CURRENT | MCL_FUTURE) != 0:
+        reason = os.strerror(ctypes.get_errno())
+        return f"mlockall: refused ({reason}); raise memlock in /etc/security/limits.conf"
+    return "mlockall: got"
+
+
+def more_files() -> str:
+    """Allow as many open files as the kernel lets us, and return how many.
+
+    libzmq aborts the process when an ipc listener runs out of descriptors, so clients must not be able to use them up.
+    """
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    wanted = 65536 if hard == resource.RLIM_INFINITY else min(hard, 65536)
+    if soft != resource.RLIM_INFINITY and soft < wanted:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (wanted, hard))
+    return f"open files: at most {resource.getrlimit(resource.RLIMIT_NOFILE)[0]}"
+
+
+def settle() -> None:
+    """Take everything made so far out of the garbage collector's rounds, and shorten the interpreter's turns."""
+    gc.collect()
+    gc.freeze()
+    sys.setswitchinterval(SWITCH_INTERVAL_S)

@@ -1,0 +1,44 @@
+"""What the runtime needs of a line to a device. Serial ports and USB endpoints fit it; so does a socket in a test.
+
+Nothing above this line knows pyserial or pyusb: an implementation translates its driver's exceptions into the branches
+of :class:`eitskin.errors.TransportError`.
+"""
+
+from typing import Protocol
+
+
+class Transport(Protocol):
+    """A full-duplex byte stream that blocks in ``read`` and can be woken from another thread or a signal handler."""
+
+    @property
+    def name(self) -> str:
+        """What people call this line: ``/dev/ttyACM0``."""
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return whatever has arrived, waiting for the first byte.
+
+        Args:
+            timeout_s: How long to wait; None waits until something comes.
+
+        Returns:
+            At least one byte; or none, after the timeout or ``cancel``.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``.
+
+        Raises:
+            PortLost: The line is gone or takes no bytes.
+        """
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once."""
+
+    def report(self) -> list[str]:
+        """Return what was got of what was asked for, a line for people each."""
+
+    def close(self) -> None:
+        """Give the line back; closing twice is fine."""
