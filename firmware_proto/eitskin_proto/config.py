@@ -191,7 +191,7 @@ class Configuration:
         if rate_millihertz > largest:
             part = "the front end" if front_end <= line else f"a line of {line_bytes_per_s:.0f} bytes/s"
             raise ValueError(
-                f"{what} is {rate_millihertz / 1000:g}, but {part} reaches at most {int(largest) / 1000:g} "
+                f"{what} is {rate_millihertz / 1000!r}, but {part} reaches at most {int(largest) / 1000!r} "
                 f"with {row_count(self.full, drives)} rows of {8 * self.sample_bytes} bits"
             )
 

@@ -52,10 +52,20 @@ class Deframer:
         max_payload: Longest payload accepted; nothing longer is ever buffered.
     """
 
-    __slots__ = ("_flooded", "_limit", "_pending", "_synchronised", "corrupt", "discarded_bytes", "packets")
+    __slots__ = (
+        "_flooded",
+        "_limit",
+        "_max_payload",
+        "_pending",
+        "_synchronised",
+        "corrupt",
+        "discarded_bytes",
+        "packets",
+    )
 
     def __init__(self, max_payload: int = MAX_PAYLOAD) -> None:
-        self._limit = wire_bytes(max_payload) - 1
+        self._max_payload = max_payload
+        self._limit = wire_bytes(max_payload)
         self._pending = b""
         self._flooded = False
         self._synchronised = False
@@ -108,7 +118,7 @@ class Deframer:
         if not packet and not flooded:
             return None  # two delimiters in a row: how a sender makes sure that the line is clean
         payload = None if flooded else _open(packet)
-        if payload is not None:
+        if payload is not None and len(payload) <= self._max_payload:
             self.packets += 1
             return payload
         self.discarded_bytes += len(packet)
