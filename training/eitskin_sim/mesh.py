@@ -1,0 +1,144 @@
+"""A rectangular mesh of biquadratic elements whose lines follow electrodes and touches, and crowd at their edges.
+
+Nodes are numbered along x first; an element's nine nodes in the same order::
+
+    6---7---8        size(x) = min(cap, size_a + GROWTH * (x - a), size_b + GROWTH * (b - x))   between two fixed lines
+    |   |   |
+    3   4   5        lines stand at equal steps of the integral of dx / size, which is known in closed form: the cells
+    |   |   |        form geometric series from both ends, and half the element size halves every cell.
+    0---1---2
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+GROWTH: Final = 0.8
+"""Growth of the element's size per mm of distance from a fixed line; neighbours differ by about exp(0.8) at most."""
+
+MERGE_MM: Final = 1e-6
+"""Fixed lines nearer than this are one line."""
+
+
+@dataclass(frozen=True, slots=True)
+class TensorMesh:
+    """A tensor-product mesh of the flat sheet.
+
+    Args:
+        x_lines_mm: (nx + 1,) ascending.
+        y_lines_mm: (ny + 1,) ascending.
+    """
+
+    x_lines_mm: Array
+    y_lines_mm: Array
+    element_nodes: Index = field(init=False, repr=False)
+    """(n_elements, 9) node numbers; element ey * nx + ex."""
+
+    def __post_init__(self) -> None:
+        for name in ("x_lines_mm", "y_lines_mm"):
+            lines = np.asarray(getattr(self, name), dtype=np.float64)
+            if lines.ndim != 1 or len(lines) < 2 or not np.all(np.diff(lines) > 0.0):
+                raise ValueError(f"{name} must be ascending numbers, at least 2; found shape {lines.shape}")
+            object.__setattr__(self, name, lines)
+        ny, nx = self.shape
+        first = 2 * np.arange(ny)[:, None] * (2 * nx + 1) + 2 * np.arange(nx)
+        local = np.arange(3)[:, None] * (2 * nx + 1) + np.arange(3)
+        object.__setattr__(self, "element_nodes", first.reshape(-1, 1) + local.reshape(1, 9))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Elements along y, elements along x."""
+        return len(self.y_lines_mm) - 1, len(self.x_lines_mm) - 1
+
+    @property
+    def n_elements(self) -> int:
+        """Number of elements."""
+        return self.shape[0] * self.shape[1]
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of nodes."""
+        return (2 * self.shape[0] + 1) * (2 * self.shape[1] + 1)
+
+    @property
+    def sizes_mm(self) -> Array:
+        """(n_elements, 2) width along x and height along y."""
+        dx, dy = np.meshgrid(np.diff(self.x_lines_mm), np.diff(self.y_lines_mm))
+        return np.stack([dx.ravel(), dy.ravel()], axis=-1)
+
+    @property
+    def corners_mm(self) -> Array:
+        """(n_elements, 2) lower left corners."""
+        x, y = np.meshgrid(self.x_lines_mm[:-1], self.y_lines_mm[:-1])
+        return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+    @property
+    def centres_mm(self) -> Array:
+        """(n_elements, 2) middles."""
+        return self.corners_mm + self.sizes_mm / 2
+
+    @property
+    def nodes_mm(self) -> Array:
+        """(n_nodes, 2) positions."""
+        x, y = np.meshgrid(_with_middles(self.x_lines_mm), _with_middles(self.y_lines_mm))
+        return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def _with_middles(lines: Array) -> Array:
+    found = np.empty(2 * len(lines) - 1)
+    found[::2] = lines
+    found[1::2] = (lines[:-1] + lines[1:]) / 2
+    return found
+
+
+def graded_lines(fixed: Sequence[tuple[float, float]], cap_mm: float, density: float = 1.0) -> Array:
+    """Return the lines of a mesh along one direction.
+
+    Args:
+        fixed: Positions that lines must have, each with the element size beside it, mm; the sheet's ends too.
+        cap_mm: The largest element.
+        density: Multiplies the number of elements between fixed lines, without moving those.
+    """
+    positions, sizes = _merged(fixed, cap_mm)
+    lines = [positions[:1]]
+    for a, b, size_a, size_b in zip(positions, positions[1:], sizes, sizes[1:], strict=False):
+        lines.append(_between(float(a), float(b), float(size_a), float(size_b), cap_mm, density))
+    return np.concatenate(lines)
+
+
+def _merged(fixed: Sequence[tuple[float, float]], cap_mm: float) -> tuple[Array, Array]:
+    ordered = sorted(fixed)
+    positions, sizes = [ordered[0][0]], [ordered[0][1]]
+    for position, size in ordered[1:]:
+        if position - positions[-1] <= MERGE_MM:
+            sizes[-1] = min(sizes[-1], size)
+        else:
+            positions.append(position)
+            sizes.append(size)
+    where, size_there = np.array(positions), np.minimum(sizes, cap_mm)
+    spread = size_there[:, None] + GROWTH * np.abs(where[:, None] - where)
+    return where, spread.min(axis=0)
+
+
+def _between(a: float, b: float, size_a: float, size_b: float, cap: float, density: float) -> Array:
+    """Return the lines after ``a`` up to ``b``."""
+    meet = (b - a) / 2 + (size_b - size_a) / (2 * GROWTH)  # where the two ramps cross, measured from a
+    top = min(cap, size_a + GROWTH * meet)
+    ramp_a, ramp_b = np.log(top / size_a) / GROWTH, np.log(top / size_b) / GROWTH
+    length_a, length_b = (top - size_a) / GROWTH, (top - size_b) / GROWTH
+    flat = max((b - a - length_a - length_b) / top, 0.0)
+    total = ramp_a + flat + ramp_b
+    count = max(1, int(np.ceil(total * density - 1e-9)))
+    step = total * np.arange(1, count + 1) / count
+    rising = a + size_a * np.expm1(GROWTH * np.minimum(step, ramp_a)) / GROWTH
+    level = rising + top * np.clip(step - ramp_a, 0.0, flat)
+    falling = b - size_b * np.expm1(GROWTH * (total - np.maximum(step, ramp_a + flat))) / GROWTH
+    lines = np.where(step < ramp_a + flat, level, falling)
+    lines[-1] = b
+    return np.asarray(lines)

@@ -1,0 +1,55 @@
+"""Biquadratic shape functions on the unit square, and Gauss's rule of 3 x 3 points, exact to degree 5."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+
+def _rule() -> tuple[Array, Array]:
+    nodes, weights = np.polynomial.legendre.leggauss(3)
+    return (nodes + 1.0) / 2, weights / 2
+
+
+LINE_POINTS: Final[Array] = _rule()[0]
+"""(3,) on [0, 1]."""
+
+LINE_WEIGHTS: Final[Array] = _rule()[1]
+"""(3,) of sum 1."""
+
+GAUSS: Final[Array] = np.stack(np.meshgrid(LINE_POINTS, LINE_POINTS), axis=-1).reshape(-1, 2)
+"""(9, 2) points, x first."""
+
+WEIGHTS: Final[Array] = np.outer(LINE_WEIGHTS, LINE_WEIGHTS).ravel()
+"""(9,) of sum 1."""
+
+
+def _line_values(t: Array) -> Array:
+    return np.stack([(1.0 - t) * (1.0 - 2.0 * t), 4.0 * t * (1.0 - t), t * (2.0 * t - 1.0)], axis=-1)
+
+
+def _line_slopes(t: Array) -> Array:
+    return np.stack([4.0 * t - 3.0, 4.0 - 8.0 * t, 4.0 * t - 1.0], axis=-1)
+
+
+def values(points: Array) -> Array:
+    """Return the nine shape functions at points (n, 2): (n, 9)."""
+    x, y = _line_values(points[:, 0]), _line_values(points[:, 1])
+    return (y[:, :, None] * x[:, None, :]).reshape(-1, 9)
+
+
+def gradients(points: Array) -> tuple[Array, Array]:
+    """Return the derivatives along x and y on the unit square at points (n, 2): (n, 9) each."""
+    x, y = _line_values(points[:, 0]), _line_values(points[:, 1])
+    dx, dy = _line_slopes(points[:, 0]), _line_slopes(points[:, 1])
+    return (y[:, :, None] * dx[:, None, :]).reshape(-1, 9), (dy[:, :, None] * x[:, None, :]).reshape(-1, 9)
+
+
+def edge_integrals(side: int) -> tuple[Array, Array, Array]:
+    """Return points (3, 2), weights (3,) and shape functions (3, 9) on a side: 0 bottom, 1 right, 2 top, 3 left."""
+    fixed = np.full(3, 0.0 if side in (0, 3) else 1.0)
+    pair = (LINE_POINTS, fixed) if side in (0, 2) else (fixed, LINE_POINTS)
+    points = np.stack(pair, axis=-1)
+    return points, LINE_WEIGHTS, values(points)
