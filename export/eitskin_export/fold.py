@@ -85,7 +85,7 @@ def split(model: VD2T) -> tuple[Geometry, Head]:
     linear = _linear(exact.fusion_cloud.weight * scale[:, None], exact.fusion_cloud.bias * scale + shift)
     kind = PredictedHead if architecture.log_predicted else PlainHead
     head = kind(architecture, voltage, fusion, exact.out)
-    head.register_buffer("unit_of_pixel", exact.unit_of_pixel, persistent=False)
+    head.register_buffer("unit_of_pixel", exact.get_buffer("unit_of_pixel"), persistent=False)
     geometry = Geometry(_folded(exact.cloud), linear, architecture.use_cloud)
     return geometry.float().eval(), head.float().eval()
 

@@ -1,0 +1,144 @@
+from typing import Any
+
+import numpy as np
+import onnx
+import pytest
+import torch
+from torch import nn
+
+from eitskin_export import graphs, parity, quantise
+from eitskin_export.fold import split
+from eitskin_proto.errors import SkinError
+from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.model import VD2T, Architecture
+from eitskin_training.recipes import recipe
+
+
+def trained_looking(architecture: Architecture) -> VD2T:
+    """Return a network whose batch norms have statistics and scales unlike their first ones."""
+    torch.manual_seed(0)
+    model = VD2T(architecture).train()
+    for _ in range(5):
+        model(0.1 * torch.randn(64, 104), torch.randn(64, 3, 30, 45))
+    for module in model.modules():
+        if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
+            nn.init.uniform_(module.weight, 0.5, 1.5)
+            nn.init.uniform_(module.bias, -0.5, 0.5)
+    return model.eval()
+
+
+ARCHITECTURES = {
+    "paper": Architecture(
+        voltage_channel="paper",
+        log_ratio=False,
+        widths=(64, 64, 48),
+        convolutions=(4, 8, 4),
+        cloud_channels=(4, 4),
+        hidden=64,
+        dropout=0.1,
+    ),
+    "residual": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, dropout=0.1),
+    "units": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs=126),
+    "predicted": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True),
+    "no cloud": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, use_cloud=False),
+}
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+def test_folding_batch_norm_changes_nothing(name: str) -> None:
+    model = trained_looking(ARCHITECTURES[name])
+    geometry, head = split(model)
+    for half in (geometry, head):
+        assert not any(isinstance(m, nn.BatchNorm1d | nn.BatchNorm2d | nn.Dropout) for m in half.modules())
+    dv, clouds, predicted = (torch.from_numpy(array) for array in parity.stored_inputs(16))
+    with torch.inference_mode():
+        bias = geometry(clouds)
+        found = head(dv, predicted, bias) if model.architecture.log_predicted else head(dv, bias)
+        exact = model.double()
+        expected = exact.maps(exact(dv.double(), clouds.double(), None, predicted.double()))
+    # float32 sums of some 200 products against float64: 1e-6; a forgotten epsilon of batch norm is 1e-5 and more.
+    np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize("name", ARCHITECTURES)
+def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
+    model = trained_looking(ARCHITECTURES[name])
+    geometry, head = split(model)
+    graph = {"geometry": graphs.geometry_graph(geometry), "head": graphs.head_graph(head)}
+    differences = parity.parity(model, graph["geometry"], graph["head"])
+    assert set(differences) == {"bias", "map"}
+    assert max(differences.values()) < parity.TOLERANCE
+    for content in graph.values():
+        loaded = onnx.load_from_string(content)
+        assert {item.key: item.value for item in loaded.metadata_props} == {
+            "protocol_id": PROTOCOL_ID,
+            "grid_id": GRID_ID,
+        }
+    shapes = {
+        item.name: [d.dim_value for d in item.type.tensor_type.shape.dim]
+        for item in onnx.load_from_string(graph["head"]).graph.input
+    }
+    bias = [1, model.architecture.hidden]
+    expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
+    assert shapes == (expected | {"log_predicted": [1, 104]} if name == "predicted" else expected)
+
+
+def test_parity_fails_for_another_network() -> None:
+    model = trained_looking(ARCHITECTURES["residual"])
+    geometry, head = split(model)
+    with torch.no_grad():
+        model.out.bias += 1e-3
+    with pytest.raises(SkinError, match="differ from the network"):
+        parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
+
+
+def test_a_network_in_training_mode_is_not_exported() -> None:
+    _, head = split(trained_looking(ARCHITECTURES["residual"]))
+    with pytest.raises(SkinError, match="training mode"):
+        graphs.head_graph(head.train())
+
+
+@pytest.mark.parametrize(
+    ("operator", "inputs", "values"),
+    [
+        ("Dropout", ["x"], []),
+        ("BatchNormalization", ["x", "scale", "shift", "mean", "variance"], ["scale", "shift", "mean", "variance"]),
+    ],
+)
+def test_a_graph_with_a_training_layer_is_refused(operator: str, inputs: list[str], values: list[str]) -> None:
+    def tensor(name: str, shape: list[int]) -> Any:
+        return onnx.helper.make_tensor_value_info(name, onnx.TensorProto.FLOAT, shape)
+
+    graph = onnx.helper.make_graph(
+        [onnx.helper.make_node(operator, inputs, ["y"], name="left_over")],
+        "g",
+        [tensor("x", [1, 4])],
+        [tensor("y", [1, 4])],
+        [onnx.numpy_helper.from_array(np.ones(4, dtype=np.float32), name) for name in values],
+    )
+    with pytest.raises(SkinError, match=rf"{operator} \(left_over\)"):
+        graphs.check(onnx.helper.make_model(graph))
+
+
+def test_a_folded_network_that_kept_its_dropout_is_refused_when_exported() -> None:
+    _, head = split(trained_looking(ARCHITECTURES["residual"]))
+    dropout = nn.Dropout(0.5)
+    head.voltage = nn.Sequential(head.voltage, dropout)
+    head.eval()
+    dropout.train()  # what an export in training mode would silently keep
+    with pytest.raises(SkinError, match="Dropout"):
+        graphs.head_graph(head)
+
+
+def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> None:
+    model = trained_looking(recipe("free").architecture)
+    geometry, head = split(model)
+    geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
+    int8 = quantise.int8_head(head_bytes)
+    assert len(int8) < 0.4 * len(head_bytes)
+    error = parity.int8_error(geometry_bytes, head_bytes, int8, *parity.stored_inputs(16))
+    assert 0.0 < error["rms"] < 5e-3
+    kinds = [node.op_type for node in onnx.load_from_string(int8).graph.node]
+    first = next(index for index, kind in enumerate(kinds) if kind in {"Gemm", "MatMul", "MatMulInteger"})
+    assert kinds[first] != "MatMulInteger"
+    assert kinds.count("MatMulInteger") == 4

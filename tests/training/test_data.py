@@ -1,0 +1,81 @@
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin_proto.normalise import relative_change
+from eitskin_training.data import batches, lose_rows, noisy_change, rows_of_electrode
+from eitskin_training.mirror import MIRRORS
+from eitskin_training.recipes import recipe
+
+CHOSEN = replace(recipe("tiny"), lost_rows=0.0, lost_electrode=0.0, noises=("N2",), snr_db=300.0)
+"""Batches without noise to speak of, so that what they hold can be compared."""
+
+
+def test_an_epoch_depends_on_seed_and_number_alone(toy_data: Any) -> None:
+    data = toy_data("area")
+    first, again, later = (list(batches(data, recipe("tiny"), seed=3, epoch=number)) for number in (1, 1, 2))
+    assert all(torch.equal(a.dv, b.dv) and torch.equal(a.labels, b.labels) for a, b in zip(first, again, strict=True))
+    assert not torch.equal(first[0].dv, later[0].dv)
+
+
+def test_a_batch_holds_each_cloud_once_and_the_right_one_for_each_sample(toy_data: Any) -> None:
+    data = toy_data("area", bends=5)
+    flips = 0
+    for batch in batches(data, CHOSEN, seed=0, epoch=1):
+        assert len(batch.clouds) <= 4
+        # The sample's own voltages say which bend and which mirror image it has.
+        for sample in range(5):
+            for mirror in MIRRORS:
+                change = batch.dv[sample].numpy()[mirror.rows]
+                known = relative_change(data.voltages, data.reference)
+                distance = np.abs(known - change).max(axis=1)
+                row = int(distance.argmin())
+                if distance[row] < 1e-5:
+                    break
+            assert distance[row] < 1e-5
+            flips += mirror is not MIRRORS[0]
+            image = mirror.clouds(data.clouds[data.deformation[row]][None])[0]
+            np.testing.assert_array_equal(batch.clouds[batch.which[sample]].numpy(), image)
+            label = data.labels[data.touch_set[row]][mirror.pixels] / 255.0
+            np.testing.assert_allclose(batch.labels[sample].numpy(), label, atol=1e-6)
+    assert flips
+
+
+def test_without_flips_nothing_is_mirrored(toy_data: Any) -> None:
+    data = toy_data("units")
+    known = relative_change(data.voltages, data.reference)
+    for batch in batches(data, replace(CHOSEN, flips=False), seed=0, epoch=1):
+        assert np.abs(known - batch.dv[0].numpy()).max(axis=1).min() < 1e-5
+
+
+@pytest.mark.parametrize("kind", ["N1", "N2", "N3"])
+def test_noise_has_the_level_that_its_definition_states(kind: Any, toy_data: Any) -> None:
+    data = toy_data("units", samples=3000)
+    rows = data.train
+    clean = relative_change(data.voltages[rows], data.reference)
+    error = noisy_change(data, rows, (kind,), 40.0, np.random.default_rng(0)) - clean
+    volts = data.voltages[rows]
+    level = {
+        "N1": np.sqrt(np.mean(clean**2, axis=1, keepdims=True)) * np.ones_like(clean),
+        "N2": np.abs(volts / data.reference),
+        "N3": np.sqrt(np.mean(volts**2, axis=1, keepdims=True)) / np.abs(data.reference),
+    }[kind]
+    # 200,000 draws: the rms of a normal variable is known to 0.2 %; 1 % leaves room for nothing else.
+    assert np.sqrt(np.mean((error / level) ** 2)) == pytest.approx(0.01, rel=0.01)
+
+
+def test_lost_rows_are_zero_and_as_frequent_as_the_recipe_says() -> None:
+    dv = np.ones((4000, 104), dtype=np.float32)
+    lose_rows(dv, replace(recipe("tiny"), lost_rows=0.2, lost_electrode=0.0), np.random.default_rng(0))
+    lost = (dv == 0).sum(axis=1)
+    assert lost.max() == 4
+    assert np.mean(lost > 0) == pytest.approx(0.2, abs=0.02)
+    lose_rows(dv, replace(recipe("tiny"), lost_rows=0.0, lost_electrode=1.0), np.random.default_rng(0))
+    assert (dv == 0).sum(axis=1).min() >= 26
+
+
+def test_an_electrode_takes_26_rows_with_it() -> None:
+    assert [int(rows_of_electrode(electrode).sum()) for electrode in range(16)] == [26] * 16

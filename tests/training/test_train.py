@@ -1,0 +1,137 @@
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_training import curves, train
+from eitskin_training.card import card
+from eitskin_training.recipes import Recipe, recipe
+from eitskin_training.score import correlation, loss_of, score
+
+
+def tiny(labels: str = "area", **changes: Any) -> Recipe:
+    return replace(recipe("tiny"), labels=labels, **changes)
+
+
+def test_a_resumed_run_equals_one_that_never_stopped(toy_data: Any, tmp_path: Path) -> None:
+    data, chosen = toy_data("area"), tiny(epochs=3)
+    whole = train.train(data, chosen, tmp_path / "whole", seed=5)
+    train.train(data, chosen, tmp_path / "parts", seed=5, stop_after=1)
+    parts = train.train(data, chosen, tmp_path / "parts", seed=5, resume=True)
+    assert [epoch.validation_loss for epoch in parts.history] == [epoch.validation_loss for epoch in whole.history]
+    for name, value in whole.model.state_dict().items():
+        assert torch.equal(value, parts.model.state_dict()[name]), name
+
+
+def test_another_seed_gives_another_network(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area")
+    runs = [train.train(data, tiny(epochs=1), tmp_path / str(seed), seed=seed) for seed in (0, 1)]
+    assert not torch.equal(runs[0].model.out.weight, runs[1].model.out.weight)
+
+
+def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area", samples=1500)
+    run = train.train(data, tiny(epochs=12, learning_rate=5e-3), tmp_path)
+    losses = [epoch.validation_loss for epoch in run.history]
+    assert min(losses) < 0.8 * losses[0]
+    content = train.read(tmp_path / "best.pt")
+    kept = train.network(run.recipe, content["weights"])
+    again = score(kept, data, data.validation, run.recipe.noises)
+    assert again.loss == pytest.approx(min(losses), rel=1e-5)
+    assert run.best is not None
+    assert len(content["history"]) == run.best.number
+    assert json.loads((tmp_path / "history.json").read_text())[-1]["number"] == 12
+
+
+def test_a_worse_epoch_does_not_replace_the_best(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area", samples=1500)
+    run = train.train(data, tiny(epochs=4, learning_rate=0.5, schedule="constant", average=0.0), tmp_path)
+    assert run.best is not None
+    assert len(train.read(tmp_path / "best.pt")["history"]) == run.best.number
+    assert run.best.validation_loss == min(epoch.validation_loss for epoch in run.history)
+
+
+def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area")
+    train.train(data, tiny(epochs=1), tmp_path, seed=0)
+    with pytest.raises(SkinError, match="--resume"):
+        train.train(data, tiny(epochs=1), tmp_path, seed=0)
+    with pytest.raises(MismatchError, match="seed: found 0, expected 1"):
+        train.train(data, tiny(epochs=1), tmp_path, seed=1, resume=True)
+    with pytest.raises(MismatchError, match="data digest"):
+        train.train(replace(data, digest="other"), tiny(epochs=1), tmp_path, resume=True)
+
+
+@pytest.mark.parametrize("field", ["protocol_id", "grid_id"])
+def test_data_of_another_protocol_or_grid_is_refused(field: str, toy_data: Any, tmp_path: Path) -> None:
+    with pytest.raises(MismatchError, match=rf"{field}: found 0123, expected .*eitskin dataset"):
+        train.train(replace(toy_data("area"), **{field: "0123"}), tiny(), tmp_path)
+
+
+def test_labels_that_the_recipe_does_not_learn_from_are_refused(toy_data: Any, tmp_path: Path) -> None:
+    with pytest.raises(MismatchError, match="found units, expected area"):
+        train.train(toy_data("units"), tiny(), tmp_path)
+
+
+def test_a_checkpoint_of_another_protocol_or_no_checkpoint_is_refused(tmp_path: Path) -> None:
+    torch.save({"format": 1, "protocol_id": "0123", "grid_id": "4567"}, tmp_path / "best.pt")
+    with pytest.raises(MismatchError, match="protocol_id: found 0123"):
+        train.read(tmp_path / "best.pt")
+    (tmp_path / "best.pt").write_bytes(b"not a checkpoint")
+    with pytest.raises(SkinError, match="no file of a training run"):
+        train.read(tmp_path / "best.pt")
+    with pytest.raises(SkinError, match="eitskin train"):
+        train.read(tmp_path / "missing.pt")
+
+
+def test_a_loss_that_is_no_number_stops_the_run(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area")
+    data.clouds[:] = np.nan
+    with pytest.raises(SkinError, match="not a number"):
+        train.train(data, tiny(epochs=1), tmp_path)
+
+
+def test_the_loss_over_units_equals_the_loss_over_their_pixels(toy_data: Any) -> None:
+    generator = torch.Generator().manual_seed(0)
+    logits = torch.randn(4, 126, generator=generator)
+    labels = (torch.rand(4, 126, generator=generator) < 0.1).float()
+    spread = torch.from_numpy(train.VD2T(recipe("paper").architecture).get_buffer("unit_of_pixel").numpy())
+    torch.testing.assert_close(loss_of(logits, labels), loss_of(logits[:, spread], labels[:, spread]))
+    torch.testing.assert_close(loss_of(logits[:, spread], labels), loss_of(logits[:, spread], labels[:, spread]))
+
+
+def test_the_cycle_rises_then_falls_to_nearly_nothing() -> None:
+    factors = [train.one_cycle(step, steps=200) for step in range(200)]
+    assert max(factors) == pytest.approx(1.0, abs=0.01)
+    assert factors.index(max(factors)) == 10
+    assert factors[0] < 0.1
+    assert factors[-1] < 0.002
+
+
+def test_correlation_is_pearsons_and_zero_for_a_constant_map() -> None:
+    rng = np.random.default_rng(0)
+    maps, truth = rng.random((3, 1350)), rng.random((3, 1350))
+    maps[2] = 0.5
+    expected = [np.corrcoef(maps[i], truth[i])[0, 1] for i in range(2)]
+    np.testing.assert_allclose(correlation(maps, truth), [*expected, 0.0], atol=1e-12)
+
+
+def test_the_card_scores_each_family_under_each_noise(toy_data: Any) -> None:
+    data = toy_data("area")
+    found = card(train.VD2T(recipe("tiny").architecture), data)
+    assert set(found) == {"A"}
+    assert set(found["A"]) == {"N1", "N2", "N3"}
+    assert found["A"]["N1"]["samples"] == len(data.held_out["A"])
+
+
+def test_the_curves_are_drawn_where_matplotlib_is_installed(toy_data: Any, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="the picture is optional")
+    history = [train.Epoch(number, 0.1 / number, 0.12 / number, 0.5, 1.0) for number in (1, 2, 3)]
+    assert curves.draw(history, tmp_path / "curves.png")
+    assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
+    assert not curves.draw([], tmp_path / "none.png")
