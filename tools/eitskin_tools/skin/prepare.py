@@ -1,0 +1,76 @@
+"""A script's keyframes, from the cache or solved now on every core, with a progress bar where someone is watching."""
+
+import os
+import sys
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Protocol
+
+import numpy as np
+from eitskin_sim import keyframes
+from eitskin_sim.keyframes import Keyframes
+from eitskin_sim.scene import Scene
+from eitskin_sim.script import Script
+
+
+def prepare(script: Script, until_s: float, *, workers: int | None = None, cache: bool = True) -> Keyframes:
+    """Return the keyframes with which times up to ``until_s`` can be interpolated.
+
+    Args:
+        script: What to solve.
+        until_s: A looping script needs no more than its period, whatever is asked.
+        workers: Processes; by default one a core.
+        cache: Read and write the user's cache folder.
+    """
+    moments = script.moments(until_s)
+    name = keyframes.digest(moments, keyframes.MODEL)
+    folder = keyframes.cache_folder()
+    found = keyframes.load(name, folder) if cache else None
+    if found is not None:
+        return found
+    scenes = list(dict.fromkeys(moment.scene for moment in moments))
+    solved = dict(zip(scenes, _solve_all(scenes, workers or os.cpu_count() or 1), strict=True))
+    found = Keyframes(
+        np.array([moment.time_s for moment in moments]), np.array([solved[moment.scene] for moment in moments])
+    )
+    if cache:
+        try:
+            keyframes.save(name, found, folder)
+        except OSError as error:
+            print(f"eitskin: keyframes were not kept for the next time: {error}", file=sys.stderr)
+    return found
+
+
+def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
+    with _bar(len(scenes)) as step:
+        if workers == 1 or len(scenes) < 8:
+            results = []
+            for scene in scenes:
+                results.append(keyframes.solve(scene))
+                step()
+            return results
+        with ProcessPoolExecutor(workers) as pool:
+            results = []
+            for voltages in pool.map(keyframes.solve, scenes, chunksize=4):
+                results.append(voltages)
+                step()
+            return results
+
+
+class _Step(Protocol):
+    def __call__(self) -> None: ...
+
+
+@contextmanager
+def _bar(total: int) -> Iterator[_Step]:
+    if not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("solving the script's keyframes", total=total)
+        yield lambda: bar.advance(task)
