@@ -122,7 +122,9 @@ def save(name: str, keyframes: Keyframes, folder: Path) -> None:
             raise
 
 
-def interpolation_error(keyframes: Keyframes, scene_at: Callable[[float], Scene], solve: Solve, times_s: Array) -> Array:
+def interpolation_error(
+    keyframes: Keyframes, scene_at: Callable[[float], Scene], solve: Solve, times_s: Array
+) -> Array:
     """Return the (n, rows) relative error |V - V_solved| / |V_solved| at some times, the middles of steps being the worst."""
     errors = []
     for time_s in times_s:

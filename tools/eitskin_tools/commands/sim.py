@@ -9,7 +9,9 @@ from eitskin_tools.cli import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
-    parser.add_argument("--config", default="paper", metavar="NAME", help="configuration: a shipped name or a TOML file")
+    parser.add_argument(
+        "--config", default="paper", metavar="NAME", help="configuration: a shipped name or a TOML file"
+    )
     parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it a script of 20 s loops")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.add_argument("--seed", type=int, default=0, help="of noise and faults (default 0)")
@@ -20,7 +22,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="flip, drop, garbage, zeros, stall, burst, unplug, reset, saturate, foreign, mute, late, twice; repeatable",
     )  # fmt: skip
     parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
-    parser.add_argument("--clock-us", type=int, default=0, metavar="US", help="device clock at boot; near 2^32 it wraps soon")
+    parser.add_argument(
+        "--clock-us", type=int, default=0, metavar="US", help="device clock at boot; near 2^32 it wraps soon"
+    )
     parser.add_argument("--log", type=Path, metavar="FILE", help="write what happens there, one JSON object a line")
     parser.add_argument("--wire-times", type=Path, metavar="FILE.npy", help="write the host time of every frame there")
     parser.add_argument("--json", action="store_true", help="say port and clock as one JSON object")

@@ -21,4 +21,4 @@ def configuration_for(rate_hz: float, name: str = "paper") -> Configuration:
     for candidate in (asked, replace(asked, frequency_hz=50_000, averages=4, settle_us=40), quick):
         if 1e9 / candidate.scan_us() >= candidate.rate_millihertz:
             return candidate
-    raise ValueError(f"a rate of {rate_hz:g} Hz is too high: the electronics reach {1e6 / quick.scan_us():.0f} Hz")
+    raise ValueError(f"a rate of {rate_hz:g} Hz is too high: the electronics reach {int(1e6 / quick.scan_us())} Hz")

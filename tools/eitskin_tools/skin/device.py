@@ -23,7 +23,7 @@ from eitskin_proto.framing import Deframer, encode
 from eitskin_proto.messages import Ack, Hello
 from eitskin_proto.scan_rows import row_count, table_rows
 
-from eitskin_tools.skin.store import Answer, ConfigurationStore
+from eitskin_tools.skin.store import TRIAL_NS, Answer, ConfigurationStore
 
 FIRMWARE_VERSION: Final = (1, 0, 0)
 """What HELLO says."""
@@ -104,13 +104,20 @@ class VirtualDevice:
         """Between two scans."""
         return 1e12 / self.rate_mHz
 
+    @property
+    def trial_ends_ns(self) -> int:
+        """Host clock at which an unconfirmed configuration is given up; 0 while there is none."""
+        return self._boot_ns + TRIAL_NS if self.store.on_trial else 0
+
     def device_us(self, now_ns: int) -> int:
         """Return the device clock, modulo 2^32."""
         return (now_ns - self.epoch_ns) // 1000 & 0xFFFFFFFF
 
     def receive(self, data: bytes, now_ns: int) -> list[bytes]:
         """Return the packets that answer some bytes from the host."""
-        return [encode(answer.pack()) for payload in self._deframer.feed(data) for answer in self._answer(payload, now_ns)]
+        return [
+            encode(answer.pack()) for payload in self._deframer.feed(data) for answer in self._answer(payload, now_ns)
+        ]
 
     def event(self, code: EventCode, now_ns: int, detail: int = 0) -> bytes:
         """Return the packet of an event."""
@@ -211,6 +218,8 @@ class VirtualDevice:
 
     def _do(self, request: messages.Message, now_ns: int) -> Answer:
         store = self.store
+        if isinstance(request, messages.ConfigBegin) and self.streaming:
+            return Code.STREAMING, 0
         steps: dict[type, Callable[..., Answer]] = {
             messages.Start: self._start,
             messages.Stop: self._stop,

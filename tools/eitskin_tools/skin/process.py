@@ -103,7 +103,9 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
             log.write(json.dumps(event) + "\n")
 
     server = SkinServer(device, port, player, times, write)
-    stack.callback(lambda: write({"event": "stop", "host_ns": perf_counter_ns(), "sent": server.sent, "overruns": port.overruns}))
+    stack.callback(
+        lambda: write({"event": "stop", "host_ns": perf_counter_ns(), "sent": server.sent, "overruns": port.overruns})
+    )
     _announce(options, port, device, script.name)
     return server
 

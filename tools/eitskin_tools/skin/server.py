@@ -87,6 +87,8 @@ class SkinServer:
     def _wait(self, until_ns: int | None) -> None:
         moments = [moment for moment in (until_ns, self._release_ns, self._replug_ns) if moment]
         moments += [due for due, _ in self._late[:1]]
+        if self.device.trial_ends_ns:
+            moments.append(self.device.trial_ends_ns)
         if self.device.streaming:
             moments.append(max(int(self._deadline_ns), self._resume_ns))
         timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
@@ -104,6 +106,8 @@ class SkinServer:
             self._held.clear()
         while self._late and now >= self._late[0][0]:
             self.port.write_all(self._late.pop(0)[1], ANSWER_TIMEOUT_S)
+        if device.trial_ends_ns and now >= device.trial_ends_ns:
+            self._boot(now)
         self._listen(now)
         while device.streaming and self._deadline_ns <= now and self._resume_ns <= now:
             behind = int((now - self._deadline_ns - LATEST_NS) // device.period_ns)

@@ -6,9 +6,9 @@
       lock, erase                          newest                 |
       the other slot                       slot to try            +-- boot without Confirm, or Rollback -> the slot before
 
-A slot is usable if its blob is intact, made for this hardware, and not revoked; the highest generation of these runs. With
-none usable the factory configuration runs, generation 0. Every operation answers (code, detail) and changes nothing
-unless the code is OK.
+The rules are SPEC.md's, section 6: a committed slot runs if it is confirmed, or once on trial; otherwise the other slot if
+that is confirmed, otherwise the factory configuration, generation 0. Every operation answers (code, detail) and changes
+nothing unless the code is OK.
 """
 
 from dataclasses import dataclass
@@ -23,6 +23,9 @@ from eitskin_proto.framing import crc32c
 LOCK_NS: Final = 10_000_000_000
 """A session that is silent for this long loses its lock."""
 
+TRIAL_NS: Final = 30_000_000_000
+"""A device that waits this long for CONFIG_CONFIRM restarts by itself."""
+
 Answer = tuple[Code, int]
 
 
@@ -30,11 +33,14 @@ Answer = tuple[Code, int]
 class _Slot:
     blob: bytes = b""
     generation: int = 0
-    trial: bool = False
-    tried: bool = False
+    committed: bool = False
+    attempted: bool = False
+    confirmed: bool = False
+    revoked: bool = False
 
     def configuration(self) -> Configuration | None:
-        if self.generation == 0:
+        """Return what the slot holds, or None if it does not count."""
+        if not self.committed or self.revoked:
             return None
         try:
             return Configuration.from_blob(self.blob)
@@ -72,23 +78,23 @@ class ConfigurationStore:
     @property
     def on_trial(self) -> bool:
         """Whether the running configuration waits for its confirmation."""
-        return self._running is not None and self._slots[self._running].trial
+        return self._running is not None and not self._slots[self._running].confirmed
 
     def boot(self) -> None:
         """Choose what runs: the newest usable slot, unless its one trial is over."""
         self._session = None
         self.rolled_back = False
         self._running, self.configuration, self.generation = None, self.factory, 0
-        for index in sorted((0, 1), key=lambda i: -self._slots[i].generation):
+        newest = max((0, 1), key=lambda i: self._slots[i].generation if self._slots[i].configuration() else -1)
+        for index in (newest, 1 - newest):
             slot = self._slots[index]
             stored = slot.configuration()
             if stored is None:
                 continue
-            if slot.trial and slot.tried:
-                self._slots[index] = _Slot()
+            if not slot.confirmed and (slot.attempted or index != newest):
                 self.rolled_back = True
                 continue
-            slot.tried = True
+            slot.attempted = True
             self._running, self.configuration, self.generation = index, stored, slot.generation
             return
 
@@ -122,6 +128,8 @@ class ConfigurationStore:
             return Code.BAD_FORMAT, FORMAT
         if request.size > BLOB_BYTES:
             return Code.TOO_LARGE, BLOB_BYTES
+        if request.size < BLOB_BYTES or request.token == 0:
+            return Code.BAD_VALUE, BLOB_BYTES
         if request.name == active.name and request.revision < active.revision and not request.allow_downgrade:
             return Code.DOWNGRADE, active.revision
         self._session = _Session(request.token, request, now_ns)
@@ -133,9 +141,11 @@ class ConfigurationStore:
         session = self._hold(request.token, now_ns)
         if session is None:
             return Code.NO_SESSION, 0
+        if not request.data or len(request.data) % 4:
+            return Code.BAD_VALUE, 4
         slot = self._slots[self._other()]
         repeated = request.offset + len(request.data) == len(slot.blob) and slot.blob.endswith(request.data)
-        if repeated and request.data:
+        if repeated:
             return Code.OK, len(slot.blob)
         if request.offset != len(slot.blob):
             return Code.BAD_OFFSET, len(slot.blob)
@@ -174,7 +184,7 @@ class ConfigurationStore:
             return Code.DIGEST_MISMATCH, session.begin.digest
         slot = self._slots[self._other()]
         slot.generation = max(s.generation for s in self._slots) + 1
-        slot.trial = True
+        slot.committed = True
         return Code.OK, slot.generation
 
     def confirm(self, request: messages.ConfigConfirm, now_ns: int) -> Answer:
@@ -184,7 +194,7 @@ class ConfigurationStore:
         if request.digest != self.configuration.digest:
             return Code.DIGEST_MISMATCH, self.configuration.digest
         if self._running is not None:
-            self._slots[self._running].trial = False
+            self._slots[self._running].confirmed = True
         return Code.OK, self.generation
 
     def rollback(self, request: messages.ConfigRollback, now_ns: int) -> Answer:
@@ -192,19 +202,19 @@ class ConfigurationStore:
         held = self._session
         if held is not None and held.token != request.token and now_ns - held.heard_ns < LOCK_NS:
             return Code.BUSY, (LOCK_NS - (now_ns - held.heard_ns)) // 1_000_000
-        if self._running is None:
+        other = self._slots[self._other()]
+        if self._running is None or other.configuration() is None or not other.confirmed:
             return Code.NO_PREVIOUS, 0
         if request.generation != self.generation:
             return Code.WRONG_GENERATION, self.generation
-        self._slots[self._running] = _Slot()
-        return Code.OK, self._slots[self._other()].generation
+        self._slots[self._running].revoked = True
+        return Code.OK, other.generation
 
     def abort(self, request: messages.ConfigAbort, now_ns: int) -> Answer:
         """Give the lock back; what was written and not committed is gone."""
         if self._hold(request.token, now_ns) is None:
             return Code.NO_SESSION, 0
-        other = self._slots[self._other()]
-        if other.generation == 0:
+        if not self._slots[self._other()].committed:
             self._slots[self._other()] = _Slot()
         self._session = None
         return Code.OK, 0

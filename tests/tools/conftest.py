@@ -1,0 +1,46 @@
+import itertools
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from eitskin_proto import messages
+from eitskin_proto.framing import Deframer, encode
+from eitskin_tools.skin.configure import configuration_for
+from eitskin_tools.skin.device import Identity, VirtualDevice
+
+ROWS_V = np.linspace(-0.1, -0.001, 104)
+
+
+class Ramp:
+    """A source whose voltages say what time they were asked for."""
+
+    def voltages(self, time_s: float) -> np.ndarray:
+        return ROWS_V * (1.0 + time_s)
+
+
+class Host:
+    """The host's end of a virtual device without any line: requests in, messages out, time as an argument."""
+
+    def __init__(self, device: VirtualDevice) -> None:
+        self.device = device
+        self.now_ns = 1_000_000_000
+        self.deframer = Deframer()
+        self.tags = itertools.cycle(range(1, 256))
+
+    def ask(self, request: messages.Message) -> messages.Message:
+        (answer,) = self.send(encode(request.pack()))
+        return answer
+
+    def send(self, data: bytes) -> list[messages.Message]:
+        packets = self.device.receive(b"\0" + data, self.now_ns)
+        return [messages.unpack(payload) for packet in packets for payload in self.deframer.feed(packet)]
+
+    def sweep(self, advance_ns: int = 5_000_000) -> messages.Message:
+        self.now_ns += advance_ns
+        (payload,) = self.deframer.feed(self.device.sweep(self.now_ns))
+        return messages.unpack(payload)
+
+
+@pytest.fixture
+def host() -> Iterator[Host]:
+    yield Host(VirtualDevice(Ramp(), configuration_for(200.0), 1_000_000_000, Identity()))
