@@ -34,6 +34,9 @@ HIDDEN: Final = 32
 FALSE_ALARM_RATE: Final = 0.01
 """Share of untouched frames that may trip the gate."""
 
+STEPS: Final = 3000
+"""Steps of Adam."""
+
 SMALL_TOUCH_PIXELS: Final = 12.0
 """A touch of at most this area, about 11.5 mm square, counts as small."""
 
@@ -88,7 +91,7 @@ def logits(arrays: dict[str, npt.NDArray[np.float32]], dv: npt.NDArray[np.floati
     return np.asarray(np.maximum(x @ arrays["w1"] + arrays["b1"], 0.0) @ arrays["w2"] + arrays["b2"])
 
 
-def fit(data: TrainingData, *, seed: int = 0, steps: int = 3000, batch: int = 512) -> Gate:
+def fit(data: TrainingData, *, seed: int = 0, steps: int = STEPS, batch: int = 512) -> Gate:
     """Train a gate and measure it.
 
     Args:

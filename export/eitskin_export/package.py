@@ -72,6 +72,7 @@ def export(
     *,
     tell: Callable[[str], None] = lambda _: None,
     projector: Callable[[], npt.NDArray[np.float32]] = projection.flat_projection,
+    gate_steps: int = gate.STEPS,
 ) -> dict[str, Any]:
     """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
 
@@ -81,6 +82,7 @@ def export(
         out: The bundle's path.
         tell: Told what is being done.
         projector: Gives the (1350, 104) projection.
+        gate_steps: Steps that the gate is fitted for.
 
     Raises:
         SkinError: The graphs differ from the network, or still hold a training layer.
@@ -93,7 +95,7 @@ def export(
     int8_bytes = quantise.int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     tell("fitting the gate")
-    touch_gate = gate.fit(data, seed=int(found.content["seed"]))
+    touch_gate = gate.fit(data, seed=int(found.content["seed"]), steps=gate_steps)
     tell("scoring on held-out bends")
     metrics = {
         "held_out": card(found.model, data),
@@ -111,6 +113,8 @@ def export(
     }
     facts = _facts(found, data, touch_gate, metrics)
     identity = write(out, files, facts)
+    tell("running it through the runtime's engine")
+    differences = {**differences, "map through the runtime": parity.through_runtime(found.model, out)}
     return {
         "bundle": identity,
         "path": str(out),

@@ -5,6 +5,7 @@ and clouds of bent sheets' size. The network is run whole and unfolded, so foldi
 to account at once.
 """
 
+from pathlib import Path
 from typing import Final
 
 import numpy as np
@@ -12,7 +13,9 @@ import numpy.typing as npt
 import onnxruntime
 import torch
 
-from eitskin_proto.cloud import CLOUD_SHAPE
+from eitskin.bundle import load_bundle
+from eitskin.engine import Buffers, GeometryGraph, engines
+from eitskin_proto.cloud import CLOUD_SHAPE, flat_cloud, network_input
 from eitskin_proto.errors import SkinError
 from eitskin_proto.table import N_ROWS
 from eitskin_training.model import VD2T
@@ -84,6 +87,36 @@ def parity(model: VD2T, geometry: bytes, head: bytes) -> dict[str, float]:
     if not max(differences.values()) < TOLERANCE:
         raise SkinError(f"the exported graphs differ from the network: {differences}, expected under {TOLERANCE:g}")
     return differences
+
+
+def through_runtime(model: VD2T, bundle: Path) -> float:
+    """Return the largest difference between a written bundle's maps, run as the frame loop runs it, and the network's.
+
+    The bundle is read and checked by the runtime's own reader, clouds are in mm and unaligned, and the head is bound to
+    the runtime's fixed memory.
+
+    Raises:
+        SkinError: The map differs by more than ``TOLERANCE``, or the runtime refuses the bundle.
+    """
+    loaded = load_bundle(bundle)
+    geometry_graph, buffers = GeometryGraph(loaded), Buffers(loaded.bias_width)
+    (head,) = (engine for engine in engines(loaded, buffers) if engine.name == "vd2t")
+    dv, _, predicted = stored_inputs(8)
+    rng = np.random.default_rng(9)
+    clouds = [flat_cloud() + 5.0 * rng.standard_normal((3, 1, 1)) * np.sin(flat_cloud()[:1] / 40.0) for _ in dv]
+    largest = 0.0
+    for revision, cloud in enumerate(clouds):
+        buffers.take(geometry_graph.geometry(cloud, predicted[revision], revision))
+        buffers.change[0] = dv[revision]
+        head.infer()
+        one = slice(revision, revision + 1)
+        expected = run_network(model, dv[one], network_input(cloud)[np.newaxis], predicted[one])["map"]
+        largest = max(largest, float(np.abs(buffers.map - expected).max()))
+    if not largest < TOLERANCE:
+        raise SkinError(
+            f"{bundle}: the runtime's map differs from the network's by {largest:g}, expected {TOLERANCE:g}"
+        )
+    return largest
 
 
 def int8_error(

@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.table import N_ROWS
+from eitskin_sim.jacobian import cell_jacobian
+from eitskin_sim.parts import Electrodes, Sheet
 
 FACTOR: Final = 1e-3
 """Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""
@@ -39,8 +41,7 @@ def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.N
 @cache
 def flat_projection(factor: float = FACTOR) -> npt.NDArray[np.float32]:
     """Return the (1350, 104) projection on the flat sheet of the default scene."""
-    from eitskin_sim.jacobian import pixel_jacobian  # noqa: PLC0415 - heavy, and only an export needs it
-
-    from eitskin_sim.scene import Scene  # noqa: PLC0415
-
-    return tikhonov(pixel_jacobian(Scene()), factor)
+    sheet = Sheet()
+    untouched, slope = cell_jacobian(sheet, Electrodes())
+    relative = slope * sheet.conductivity_S_per_m / untouched[:, np.newaxis]
+    return tikhonov(relative, factor)

@@ -1,0 +1,130 @@
+import io
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin.bundle import load_bundle
+from eitskin.gate import Gate
+from eitskin_export import bundle, gate, package, parity, projection
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_training import train
+from eitskin_training.data import TrainingData
+from eitskin_training.recipes import recipe
+
+PROJECTION = np.zeros((1350, 104), dtype=np.float32)
+
+
+@pytest.fixture(scope="module")
+def data(toy_data: Any) -> TrainingData:
+    made: TrainingData = toy_data("area", bends=12, samples=2400)
+    return made
+
+
+@pytest.fixture(scope="module")
+def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("run")
+    train.train(data, replace(recipe("tiny"), epochs=2), folder, seed=3)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
+    out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
+    return out, package.export(package.trained(run), data, out, projector=lambda: PROJECTION, gate_steps=100)
+
+
+def test_the_bundle_is_what_the_runtime_reads(exported: tuple[Path, dict[str, Any]]) -> None:
+    path, result = exported
+    loaded = load_bundle(path)
+    assert loaded.id == result["bundle"]
+    assert loaded.labels == "area"
+    assert not loaded.uses_prediction
+    assert set(loaded.files) == {"geometry.onnx", "head.onnx", "head_int8.onnx", "tikhonov.npy", "gate.npz"}
+    assert result["parity"]["map through the runtime"] < parity.TOLERANCE
+
+
+def test_the_manifest_says_how_the_bundle_was_made(exported: tuple[Path, dict[str, Any]], data: TrainingData) -> None:
+    manifest = load_bundle(exported[0]).manifest
+    assert manifest["seeds"] == {"training": 3, "data": data.seed}
+    assert manifest["data_digest"] == data.digest
+    assert manifest["recipe"]["name"] == "tiny"
+    assert manifest["training"]["seconds"] > 0
+    assert set(manifest["metrics"]["held_out"]["A"]) == {"N1", "N2", "N3"}
+    assert {"rms", "max", "flipped"} == set(manifest["metrics"]["int8"])
+    assert manifest["gate"]["held_out_bends"] == 1
+
+
+def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
+    files, facts = {"a.bin": b"1234", "b.bin": b""}, {"labels": "area"}
+    identities = [bundle.write(tmp_path / name, files, facts) for name in ("one", "two")]
+    assert identities[0] == identities[1]
+    assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
+    with zipfile.ZipFile(tmp_path / "one") as archive:
+        assert all(item.compress_type == zipfile.ZIP_STORED for item in archive.infolist())
+        assert json.loads(archive.read("manifest.json"))["files"]["a.bin"]["bytes"] == 4
+
+
+def test_another_data_set_than_the_run_was_trained_on_is_refused(
+    run: Path, data: TrainingData, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(package, "load", lambda _: replace(data, digest="other"))
+    with pytest.raises(MismatchError, match=r"found other, expected toy; .*--data"):
+        package.data_of(package.trained(run), "somewhere")
+
+
+def test_a_run_of_another_grid_is_refused(run: Path, tmp_path: Path) -> None:
+    content = torch.load(run / "best.pt", weights_only=True)
+    torch.save({**content, "grid_id": "0123"}, tmp_path / "best.pt")
+    with pytest.raises(MismatchError, match="grid_id: found 0123"):
+        package.trained(tmp_path)
+
+
+def test_the_runtimes_gate_agrees_with_the_exported_one(data: TrainingData) -> None:
+    fitted = gate.fit(data, steps=200)
+    with np.load(io.BytesIO(fitted.to_npz()), allow_pickle=False) as archive:
+        runtime_gate = Gate(dict(archive))
+    rng = np.random.default_rng(0)
+    dv = (0.1 * rng.standard_normal((50, 104))).astype(np.float32)
+    expected = gate.logits(fitted.arrays, dv)
+    found = []
+    for row in dv:
+        touched = runtime_gate.touched(row)
+        assert touched == (runtime_gate.logit > runtime_gate.threshold)
+        found.append(runtime_gate.logit)
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
+
+
+def test_the_gate_tells_a_touch_from_a_bend_that_it_never_saw(data: TrainingData) -> None:
+    fitted = gate.fit(data, steps=600)
+    assert fitted.false_alarm_rate <= 0.05
+    assert fitted.missed_rate <= 0.05
+
+
+def test_a_gate_without_bends_to_measure_it_on_is_refused(data: TrainingData) -> None:
+    with pytest.raises(SkinError, match="holds out 0 bends, expected at least 2"):
+        gate.fit(replace(data, held_out={}), steps=1)
+
+
+def test_tikhonov_solves_its_normal_equations() -> None:
+    rng = np.random.default_rng(0)
+    jacobian, dv = rng.standard_normal((104, 1350)), rng.standard_normal(104)
+    found = projection.tikhonov(jacobian, 1e-3).astype(np.float64) @ dv
+    tau = 1e-3 * np.linalg.norm(jacobian, 2) ** 2
+    # The other form of the same solution; float32 rounds the matrix once, to 1e-7 of its largest entries.
+    expected = np.linalg.solve(jacobian.T @ jacobian + tau * np.eye(1350), jacobian.T @ dv)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-5 * np.abs(expected).max())
+    with pytest.raises(ValueError, match="expected more than 0"):
+        projection.tikhonov(jacobian, 0.0)
+
+
+def test_a_projection_of_another_shape_or_with_holes_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"expected \(1350, 104\)"):
+        bundle.projection_bytes(PROJECTION.T)
+    with pytest.raises(ValueError, match="finite"):
+        bundle.projection_bytes(np.full((1350, 104), np.nan))
