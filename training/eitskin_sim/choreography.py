@@ -1,16 +1,19 @@
-"""The demonstration's twenty seconds: which touches come, move and go, and how the sheet bends meanwhile. ::
+"""The demonstration's twenty seconds: which touches come, move and go, and how the sheet bends meanwhile.
+
+::
 
     s     0    2    4    6    8    10   12   14   16   18   20
-    bend  flat......../ rolls, stretches, turns its axis \\...flat
+    bend  flat......../ rolls, stretches, turns its axis ... flat
     touch     AAAAAAAA   CCCCCCCCC    EEEEEE     HHHHHHHH
                 BBBBBBB    DDDDDDDDD    FFFFFFFFF
                                          GGGGGGGG
     pause ^^^         ^^              ^^           ^^      ^^^  nothing touches; once flat, twice bent
 
-Touches lie off every grid, are 10 to 20 mm across and grow a little as they are pressed. Everything between two events is
-smooth, so that a few dozen solves a second describe it (:mod:`eitskin_sim.keyframes`).
+Touches lie off every grid, are 10 to 20 mm across and grow a little as they are pressed. Everything between two events
+is smooth, so that a few dozen solves a second describe it (:mod:`eitskin_sim.keyframes`).
 """
 
+import itertools
 from dataclasses import dataclass, fields
 from typing import Final
 
@@ -122,7 +125,7 @@ def events_s() -> tuple[float, ...]:
 
 
 def _between(path: tuple[tuple[float, float, float], ...], time_s: float) -> tuple[float, float]:
-    for (start, x0, y0), (stop, x1, y1) in zip(path, path[1:], strict=False):
+    for (start, x0, y0), (stop, x1, y1) in itertools.pairwise(path):
         if time_s <= stop:
             share = smooth((time_s - start) / (stop - start))
             return x0 + share * (x1 - x0), y0 + share * (y1 - y0)

@@ -1,18 +1,22 @@
 """Voltages at a few moments, and between them by interpolating their logarithms.
 
-The forward model needs milliseconds, the virtual skin a frame every one to five. Between events the script is smooth, so
-voltages solved every ``STEP_S`` and interpolated in log |V| follow it: a stretch multiplies voltages, which is linear
-there. A moment at which a touch comes or goes is solved twice, just before and just after, and stands twice in the list::
+The forward model needs milliseconds, the virtual skin a frame every one to five. Between events the script is smooth,
+so voltages solved every ``STEP_S`` and interpolated in log |V| follow it: a stretch multiplies voltages, which is
+linear there. A moment at which a touch comes or goes is solved twice, just before and just after, and stands twice in
+the list::
 
     times_s   1.70  1.75  1.80 | 1.80  1.85 ...        searchsorted(side="right") falls between the two
 
-Moments whose scenes are equal are solved once. Solving starts again only where the file of an earlier run is missing.
+Moments whose scenes are equal are solved once. The demonstration's keyframes are shipped with the package, and others are
+kept in the user's cache; both carry a digest of the moments and of the model, so that a script that was changed is solved
+anew.
 """
 
 import hashlib
+import itertools
 import os
 import tempfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -20,6 +24,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.table import TABLE
+from eitskin_sim.bend import metric
+from eitskin_sim.forward import assemble
+from eitskin_sim.laminate import factorise
+from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.scene import Scene, scene_json
 
 Array = npt.NDArray[np.float64]
@@ -27,8 +36,21 @@ Array = npt.NDArray[np.float64]
 STEP_S: Final = 0.05
 """Between two keyframes. The error that this leaves is measured by :func:`interpolation_error`."""
 
+MODEL: Final = "tensor mesh snapped to touches, biquadratic, laminate; 1"
+"""Stands for the forward model in digests; the number grows when its voltages change by more than 1e-3."""
+
+SHIPPED: Final = Path(__file__).with_name("solved")
+"""Keyframes that come with the package."""
+
 Solve = Callable[[Scene], Array]
 """From a scene to its (104,) V."""
+
+
+def solve(scene: Scene) -> Array:
+    """Return the (104,) V of a scene by the forward model."""
+    mesh = scene_mesh(scene)
+    system = assemble(mesh, scene.sheet, scene.electrodes, lambda xy: metric(scene.bend, scene.sheet, xy))
+    return np.asarray(factorise(system, scene.touches).voltages(TABLE) * scene.current_A)
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,9 +87,9 @@ class Keyframes:
 
 
 def moment_times_s(events_s: Sequence[float], until_s: float, step_s: float = STEP_S) -> Array:
-    """Return the times to solve: every event, and evenly at most ``step_s`` apart in between, up to the one past ``until_s``."""
+    """Return the times to solve: every event, and at most ``step_s`` apart, up to the first past ``until_s``."""
     times: list[float] = []
-    for start, stop in zip(events_s, events_s[1:], strict=False):
+    for start, stop in itertools.pairwise(events_s):
         if start > until_s:
             break
         count = max(1, int(np.ceil((stop - start) / step_s - 1e-9)))
@@ -83,15 +105,6 @@ def digest(moments: Sequence[Moment], model: str) -> str:
     return content.hexdigest()[:16]
 
 
-def solve_moments(moments: Sequence[Moment], solve: Solve) -> Iterator[tuple[int, Array]]:
-    """Yield (index, (rows,) V) of every moment, solving equal scenes once."""
-    known: dict[Scene, Array] = {}
-    for index, moment in enumerate(moments):
-        if moment.scene not in known:
-            known[moment.scene] = solve(moment.scene)
-        yield index, known[moment.scene]
-
-
 def cache_folder() -> Path:
     """Return the user's cache folder for keyframes (XDG base directory specification)."""
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "eitskin" / "keyframes"
@@ -101,7 +114,7 @@ def load(name: str, folder: Path) -> Keyframes | None:
     """Return the keyframes of an earlier run, or None where there are none that can be read."""
     try:
         with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
-            return Keyframes(file["times_s"], file["voltages"])
+            return Keyframes(file["times_s"], file["voltages"].astype(np.float64))
     except (OSError, ValueError, KeyError, EOFError):
         return None
 
@@ -115,7 +128,7 @@ def save(name: str, keyframes: Keyframes, folder: Path) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}-", suffix=".npz", delete=False) as file:
         try:
-            np.savez(file, times_s=keyframes.times_s, voltages=keyframes.voltages)
+            np.savez_compressed(file, times_s=keyframes.times_s, voltages=keyframes.voltages.astype(np.float32))
             os.replace(file.name, folder / f"{name}.npz")
         except BaseException:
             os.unlink(file.name)
@@ -125,7 +138,7 @@ def save(name: str, keyframes: Keyframes, folder: Path) -> None:
 def interpolation_error(
     keyframes: Keyframes, scene_at: Callable[[float], Scene], solve: Solve, times_s: Array
 ) -> Array:
-    """Return the (n, rows) relative error |V - V_solved| / |V_solved| at some times, the middles of steps being the worst."""
+    """Return the (n, rows) relative error |V - V_solved| / |V_solved| at some times; middles are worst."""
     errors = []
     for time_s in times_s:
         exact = solve(scene_at(float(time_s)))

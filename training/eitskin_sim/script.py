@@ -1,8 +1,8 @@
 """A scripted scene: what the sheet looks like at every moment, and what a perfect map of it would be.
 
-A script is deterministic in time. The demonstration loops through :mod:`eitskin_sim.choreography`; a scene from a file is
-held still. Both begin flat and untouched, because that is when a reference is captured. Everything that the virtual skin
-measures, the truth that the streamed maps are judged by, and the cloud that a scanner would send follow from
+A script is deterministic in time. The demonstration loops through :mod:`eitskin_sim.choreography`; a scene from a file
+is held still. Both begin flat and untouched, because that is when a reference is captured. Everything that the virtual
+skin measures, the truth that the streamed maps are judged by, and the cloud that a scanner would send follow from
 :meth:`Script.scene_at`.
 """
 
@@ -13,9 +13,10 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from eitskin_proto.grid import pixel_centres_mm
 
+from eitskin_proto.grid import pixel_centres_mm
 from eitskin_sim import choreography, keyframes
+from eitskin_sim.area import area_map
 from eitskin_sim.bend import surface
 from eitskin_sim.keyframes import Keyframes, Moment
 from eitskin_sim.scene import Scene, load_scene
@@ -23,7 +24,7 @@ from eitskin_sim.scene import Scene, load_scene
 CURRENT_A: Final = 1e-3
 """What the electronics drive: the "paper" configuration's 1 mA."""
 
-ELEMENT_MM: Final = 1.8
+ELEMENT_MM: Final = 2.7
 """Element size of the keyframes' mesh; no data set is generated on this one."""
 
 
@@ -49,8 +50,6 @@ class Script:
 
     def truth_at(self, time_s: float) -> npt.NDArray[np.float32]:
         """Return the (30, 45) map of how much of each pixel is touched, 0 to 1."""
-        from eitskin_sim.area import area_map
-
         return np.asarray(area_map(self.scene_at(time_s).touches), dtype=np.float32)
 
     def cloud_at(self, time_s: float, rng: np.random.Generator | None = None) -> npt.NDArray[np.float64]:

@@ -19,7 +19,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="KIND[@START][/EVERY][:AMOUNT]",
-        help="flip, drop, garbage, zeros, stall, burst, unplug, reset, saturate, foreign, mute, late, twice; repeatable",
+        help="repeatable; KIND: flip drop garbage zeros stall burst unplug reset saturate foreign mute late twice",
     )  # fmt: skip
     parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
     parser.add_argument(

@@ -4,8 +4,8 @@ Bytes go in, packets come out; time is an argument, so that tests need no clock.
 
     receive(bytes, now_ns) -> packets that answer            sweep(now_ns) -> the packet of one scan
 
-The device's clock starts at boot and wraps at 2^32 microseconds. The *script's* time starts at the first START after the
-process began, and a reset of the device does not turn it back: the world outside the skin does not reboot.
+The device's clock starts at boot and wraps at 2^32 microseconds. The *script's* time starts at the first START after
+the process began, and a reset of the device does not turn it back: the world outside the skin does not reboot.
 """
 
 from collections.abc import Callable
@@ -14,6 +14,7 @@ from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
+
 from eitskin_proto import hardware, messages
 from eitskin_proto.codes import Code, EventCode, FrameFlag, HelloFlag, MessageType, Mode
 from eitskin_proto.config import Configuration
@@ -22,7 +23,6 @@ from eitskin_proto.frames import Frame, full_scale, quantise
 from eitskin_proto.framing import Deframer, encode
 from eitskin_proto.messages import Ack, Hello
 from eitskin_proto.scan_rows import row_count, table_rows
-
 from eitskin_tools.skin.store import TRIAL_NS, Answer, ConfigurationStore
 
 FIRMWARE_VERSION: Final = (1, 0, 0)

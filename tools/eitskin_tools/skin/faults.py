@@ -4,10 +4,10 @@ A fault is written ``KIND[@START][/EVERY][:AMOUNT]``, times in seconds since the
 
     flip@2:3        three bits of the packet after 2 s          garbage@2:500   500 random bytes before a packet
     drop@2/0.1:10   ten bytes lost, every 0.1 s from 2 s on     zeros@2:3       three delimiters between packets
-    stall@2:0.5     no scan for 0.5 s                           burst@2:0.2     the line holds 0.2 s back, then all at once
+    stall@2:0.5     no scan for 0.5 s                           burst@2:0.2     holds 0.2 s back, then sends it
     unplug@2:0.5    the cable is out for 0.5 s                  reset@2         reboots in the middle of a packet
     saturate@2:5    five rows at full scale for one scan        twice@2:1       every answer comes twice for 1 s
-    foreign         HELLO names another protocol_id             mute@0:1  late@0:0.5   answers: none for 1 s; late by 0.5 s
+    foreign         HELLO names another protocol_id             mute@0:1  late@0:0.5   no answer for 1 s; late ones
 
 Everything random comes from a seed, so that a run can be repeated.
 """

@@ -1,4 +1,7 @@
-"""A script's keyframes, from the cache or solved now on every core, with a progress bar where someone is watching."""
+"""A script's keyframes: shipped, cached, or solved now on every core, with a progress bar where someone is watching.
+
+After a change of the demonstration or the forward model, ``python -m eitskin_tools.skin.prepare`` solves what is shipped.
+"""
 
 import os
 import sys
@@ -8,6 +11,7 @@ from contextlib import contextmanager
 from typing import Protocol
 
 import numpy as np
+
 from eitskin_sim import keyframes
 from eitskin_sim.keyframes import Keyframes
 from eitskin_sim.scene import Scene
@@ -26,7 +30,7 @@ def prepare(script: Script, until_s: float, *, workers: int | None = None, cache
     moments = script.moments(until_s)
     name = keyframes.digest(moments, keyframes.MODEL)
     folder = keyframes.cache_folder()
-    found = keyframes.load(name, folder) if cache else None
+    found = (keyframes.load(name, folder) or _shipped(script)) if cache else None
     if found is not None:
         return found
     scenes = list(dict.fromkeys(moment.scene for moment in moments))
@@ -40,6 +44,23 @@ def prepare(script: Script, until_s: float, *, workers: int | None = None, cache
         except OSError as error:
             print(f"eitskin: keyframes were not kept for the next time: {error}", file=sys.stderr)
     return found
+
+
+def _shipped(script: Script) -> Keyframes | None:
+    """Return the package's keyframes of a script, if they are of this script as it is now."""
+    if not np.isfinite(script.period_s):
+        return None
+    return keyframes.load(keyframes.digest(script.moments(script.period_s), keyframes.MODEL), keyframes.SHIPPED)
+
+
+def ship(script: Script) -> str:
+    """Solve a script's whole period, put it where the package ships it from, and return its digest."""
+    name = keyframes.digest(script.moments(script.period_s), keyframes.MODEL)
+    found = prepare(script, script.period_s, cache=False)
+    for stale in keyframes.SHIPPED.glob("*.npz"):
+        stale.unlink()
+    keyframes.save(name, found, keyframes.SHIPPED)
+    return name
 
 
 def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
@@ -74,3 +95,9 @@ def _bar(total: int) -> Iterator[_Step]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task("solving the script's keyframes", total=total)
         yield lambda: bar.advance(task)
+
+
+if __name__ == "__main__":
+    from eitskin_sim.script import demonstration
+
+    print(ship(demonstration()))

@@ -1,7 +1,8 @@
-"""The process of the virtual skin: prepares its script, opens its port, says where it is, and serves until it is told to stop.
+"""The process of the virtual skin: prepares its script, opens its port, says where it is, and serves.
 
-The first line on standard output is the port's path, or one JSON object that also holds the host time at which the device
-clock showed 0. Everything that happens later goes to the log file, one JSON object a line: boot, start, fault, plug, stop.
+The first line on standard output is the port's path, or one JSON object that also holds the host time at which the
+device clock showed 0. Everything that happens later goes to the log file, one JSON object a line: boot, start, fault,
+plug, stop.
 """
 
 import json
@@ -83,7 +84,6 @@ def serve(options: Options) -> int:
 
 def _build(options: Options, stack: ExitStack) -> SkinServer:
     from eitskin_sim.script import demonstration, from_scene
-
     from eitskin_tools.skin.prepare import prepare
 
     configuration = configuration_for(options.rate_hz, options.configuration)

@@ -1,12 +1,12 @@
 """The loop of the virtual skin's process: scans at absolute deadlines, answers in between, faults at their moments.
 
-The n-th scan after START ends at start + n * period, however late the one before it was, so the rate does not drift. A scan
-that the process could not make in time is made late, with the device time at which it was due; what is more than
+The n-th scan after START ends at start + n * period, however late the one before it was, so the rate does not drift. A
+scan that the process could not make in time is made late, with the device time at which it was due; what is more than
 ``LATEST_NS`` behind is skipped and counted as dropped by the device. The loop waits in ``select`` and nowhere else.
 
-``wire_ns[sequence % len(wire_ns)]`` takes the host clock just before the one system call that puts a frame's bytes on the
-wire: the moment from which latency is counted. The call itself (about 10 us for a pseudo-terminal) is therefore counted
-too.
+``wire_ns[sequence % len(wire_ns)]`` takes the host clock just before the one system call that puts a frame's bytes on
+the wire: the moment from which latency is counted. The call itself (about 10 us for a pseudo-terminal) is therefore
+counted too.
 """
 
 import select
@@ -17,8 +17,8 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-from eitskin_proto.codes import EventCode
 
+from eitskin_proto.codes import EventCode
 from eitskin_tools.skin.device import VirtualDevice
 from eitskin_tools.skin.faults import Fault, FaultPlayer
 from eitskin_tools.skin.pty import PtyPort

@@ -4,11 +4,11 @@
 
     Begin(token) -> Write ... -> Verify -> Commit -> Restart -> [trial] -> Confirm
       lock, erase                          newest                 |
-      the other slot                       slot to try            +-- boot without Confirm, or Rollback -> the slot before
+      the other slot                       slot to try            +-- boot without Confirm -> the slot before
 
-The rules are SPEC.md's, section 6: a committed slot runs if it is confirmed, or once on trial; otherwise the other slot if
-that is confirmed, otherwise the factory configuration, generation 0. Every operation answers (code, detail) and changes
-nothing unless the code is OK.
+The rules are SPEC.md's, section 6: a committed slot runs if it is confirmed, or once on trial; otherwise the other
+slot if that is confirmed, otherwise the factory configuration, generation 0. Every operation answers (code, detail)
+and changes nothing unless the code is OK.
 """
 
 from dataclasses import dataclass
