@@ -1,8 +1,8 @@
 """Turns dV into a map: the network's head, its int8 twin, or one matrix; all read and write the same fixed memory.
 
 :class:`Buffers` is made once. Every engine is bound to it, so that a frame costs one call and no array. The geometry
-graph is not part of the loop: :class:`GeometryGraph` runs when a cloud arrives, in the thread that brought it, and yields a
-:class:`Geometry` that the frame loop copies in between two frames. ::
+graph is not part of the loop: :class:`GeometryGraph` runs when a cloud arrives, in the thread that brought it, and
+yields a :class:`Geometry` that the frame loop copies in between two frames. ::
 
     cloud --GeometryGraph--> Geometry(bias, log_predicted) --Buffers.take--> bias, log_predicted
     dV ----------------------------------------------------------> change --Engine.infer--> map
@@ -12,7 +12,7 @@ ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinn
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,9 +24,6 @@ from eitskin_proto.cloud import flat_cloud, network_input
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
-
-RATIO_FLOOR: Final = 1e-3
-"""|V_pred| / |V0| is cut off here before the logarithm, as in training."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,7 +154,7 @@ class GeometryGraph:
 
         Args:
             cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
-            log_predicted: (104,) of :func:`log_ratio`; None for zeros.
+            log_predicted: (104,) of :func:`eitskin.prediction.log_ratio`; None for zeros.
             revision: Number of this cloud.
 
         Raises:
@@ -171,34 +168,6 @@ class GeometryGraph:
         if log_predicted is not None:
             predicted[0] = log_predicted
         return Geometry(bias, predicted, revision)
-
-
-def log_ratio(predicted: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    """Return (104,) log |V_pred| / |V0|, cut off below at log 1e-3, and 0 where the reference is 0.
-
-    Args:
-        predicted: (104,) V, untouched, of the deformed sheet, by the forward model.
-        reference: (104,) V, untouched, of the flat sheet: the model's own, or the captured one.
-
-    Raises:
-        ValueError: A shape is wrong, or a predicted voltage is not finite.
-    """
-    numerator, denominator = (np.asarray(values, dtype=np.float64) for values in (predicted, reference))
-    for name, values in (("predicted", numerator), ("reference", denominator)):
-        if values.shape != (N_ROWS,):
-            raise ValueError(f"{name} voltages have shape {values.shape}, expected ({N_ROWS},)")
-        bad = np.flatnonzero(~np.isfinite(values))
-        if bad.size:
-            raise ValueError(f"{name}[{bad[0]}] is {values[bad[0]]}, expected a finite number of volts")
-    usable = denominator != 0.0
-    ratio = np.abs(numerator) / np.abs(np.where(usable, denominator, 1.0))
-    if float(ratio.max(initial=0.0, where=usable)) > 1 / RATIO_FLOOR:
-        worst = int(np.argmax(np.where(usable, ratio, 0.0)))
-        raise ValueError(
-            f"predicted[{worst}] is {ratio[worst]:.3g} times the reference, expected at most {1 / RATIO_FLOOR:.0f} times; "
-            "give both for the same current"
-        )
-    return np.asarray(np.where(usable, np.log(np.maximum(ratio, RATIO_FLOOR)), 0.0), dtype=np.float32)
 
 
 def engines(bundle: Bundle, buffers: Buffers) -> list[Engine]:

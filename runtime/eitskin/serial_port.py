@@ -6,6 +6,7 @@ last byte. (``read(size)`` waits for a timeout, ``read_until`` reads byte by byt
 
 import errno
 import os
+import re
 import select
 import termios
 from contextlib import suppress
@@ -58,6 +59,9 @@ class SerialPort:
             with suppress(OSError):
                 ioctl(self._fd, termios.TIOCEXCL)
         self._low_latency = self._ask_low_latency()
+        clocked = re.match(r"/dev/tty(USB|S|AMA)\d", os.path.realpath(port))
+        self.line_bytes_per_s = baud // 10 if clocked else 0
+        """Ten bits a byte on a real UART; USB ACM ports and pseudo-terminals have no baud rate."""
 
     def _ask_low_latency(self) -> str:
         try:

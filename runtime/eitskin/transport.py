@@ -14,6 +14,10 @@ class Transport(Protocol):
     def name(self) -> str:
         """What people call this line: ``/dev/ttyACM0``."""
 
+    @property
+    def line_bytes_per_s(self) -> int:
+        """What the line carries; 0 where no baud rate limits it."""
+
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return whatever has arrived, waiting for the first byte.
 

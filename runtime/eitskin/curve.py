@@ -1,0 +1,160 @@
+"""CURVE keys: who a TCP endpoint talks to, and encryption on the way.
+
+A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroMQ's own. ::
+
+    DIR/server.key_secret     the runtime's, mode 0600
+    DIR/server.key            for subscribers: whom to trust
+    DIR/clients/NAME.key      public keys that may connect; nobody else may
+    DIR/client.key_secret     a first client's own key, to be carried to its machine
+
+The runtime only lets in clients whose public key is in ``clients``: knowing the server's key is not enough.
+"""
+
+import os
+import threading
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from zmq import auth
+
+from eitskin.errors import EndpointError
+
+DOMAIN: Final = "eitskin"
+"""What the runtime's sockets call themselves when they ask who may enter."""
+
+
+@dataclass(frozen=True, slots=True)
+class ServerKeys:
+    """The runtime's keys and who may connect."""
+
+    public: bytes
+    secret: bytes
+    clients: Path
+    """Folder of public keys."""
+
+    def apply(self, socket: Any) -> None:
+        """Make a ZeroMQ socket a CURVE server; before it is bound."""
+        socket.curve_publickey = self.public
+        socket.curve_secretkey = self.secret
+        socket.curve_server = True
+        socket.zap_domain = DOMAIN.encode()
+
+
+@dataclass(frozen=True, slots=True)
+class ClientKeys:
+    """A client's own keys and the server that it trusts."""
+
+    public: bytes
+    secret: bytes
+    server: bytes
+
+    def apply(self, socket: Any) -> None:
+        """Make a ZeroMQ socket a CURVE client; before it connects."""
+        socket.curve_publickey = self.public
+        socket.curve_secretkey = self.secret
+        socket.curve_serverkey = self.server
+
+
+def make_keys(folder: str | Path) -> list[Path]:
+    """Make a server's and a first client's keys and return the files.
+
+    Raises:
+        EndpointError: There are keys already; they are not overwritten.
+    """
+    where = Path(folder)
+    if (where / "server.key_secret").exists():
+        raise EndpointError(f"{where} holds keys already; name another folder, or remove them")
+    clients = where / "clients"
+    before = os.umask(0o077)
+    try:
+        clients.mkdir(parents=True, exist_ok=True)
+        names = (*auth.create_certificates(where, "server"), *auth.create_certificates(where, "client"))
+    finally:
+        os.umask(before)
+    (where / "client.key").rename(clients / "client.key")
+    return [path if path.exists() else clients / path.name for path in map(Path, names)]
+
+
+def load_server_keys(folder: str | Path) -> ServerKeys:
+    """Return the runtime's keys.
+
+    Raises:
+        EndpointError: They are missing, unreadable, or readable by others.
+    """
+    where = Path(folder)
+    secret_file = where / "server.key_secret"
+    public, secret = _certificate(secret_file)
+    if secret_file.stat().st_mode & 0o077:
+        raise EndpointError(f"{secret_file} can be read by others; run: chmod 600 {secret_file}")
+    clients = where / "clients"
+    if not clients.is_dir() or not any(clients.glob("*.key")):
+        raise EndpointError(f"{clients} holds no client's public key, so that nobody could connect; put NAME.key there")
+    return ServerKeys(public, secret, clients)
+
+
+def load_client_keys(server_key: str | Path, client_secret: str | Path) -> ClientKeys:
+    """Return a client's keys.
+
+    Args:
+        server_key: The file server.key of the runtime.
+        client_secret: The client's own key_secret file.
+
+    Raises:
+        EndpointError: A file is missing or no key.
+    """
+    public, secret = _certificate(Path(client_secret))
+    try:
+        server, _ = auth.load_certificate(server_key)
+    except (OSError, ValueError) as error:
+        raise EndpointError(f"{server_key} is no CURVE key: {error}") from error
+    return ClientKeys(public, secret, server)
+
+
+class Doorkeeper:
+    """Admits the clients whose keys are in the folder; ZeroMQ asks it once a connection (ZAP, RFC 27).
+
+    Args:
+        context: The ZeroMQ context whose sockets it guards.
+        keys: The runtime's.
+    """
+
+    def __init__(self, context: Any, keys: ServerKeys) -> None:
+        self._authenticator = auth.Authenticator(context)
+        self._authenticator.configure_curve(domain=DOMAIN, location=str(keys.clients))
+        self._authenticator.start()
+        self._stopping = threading.Event()
+        self._thread = threading.Thread(target=self._serve, name="eitskin-curve", daemon=True)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        socket = self._authenticator.zap_socket
+        while not self._stopping.is_set():
+            if socket.poll(200):
+                # The questions come from libzmq itself; a malformed one would be a fault here, not of a client.
+                _answer(self._authenticator, socket.recv_multipart())
+
+    def stop(self) -> None:
+        """Admit nobody any more."""
+        self._stopping.set()
+        self._thread.join()
+        self._authenticator.stop()
+
+
+def _answer(authenticator: auth.Authenticator, question: list[bytes]) -> None:
+    handling = authenticator.handle_zap_message(question)
+    with suppress(StopIteration):  # a coroutine that never waits: one step runs it to its end
+        handling.send(None)
+
+
+def _certificate(path: Path) -> tuple[bytes, bytes]:
+    try:
+        public, secret = auth.load_certificate(path)
+    except (OSError, ValueError) as error:
+        raise EndpointError(
+            f"{path} is no CURVE key ({error}); 'eitskin doctor --make-curve-keys DIR' makes keys"
+        ) from error
+    if secret is None:
+        raise EndpointError(f"{path} holds no secret key; expected a file that ends in .key_secret")
+    return public, secret

@@ -1,0 +1,306 @@
+"""A tactile frame: what is published, byte by byte, and what a subscriber gets.
+
+On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fields). The publisher keeps one such
+message in memory: everything that changes with each frame has a fixed width and stands first, so that it is
+overwritten in place and the time of publishing can be stamped last. Only the texts at the end vary in length. ::
+
+    v n seq device_us host_ns{..} age_us touched gate cloud weak_rows counts{..} shape map | solver skipped events ids
+
+A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
+"""
+
+import struct
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import FrameError
+from eitskin_proto.grid import GRID_SHAPE, N_PIXELS
+
+VERSION: Final = 1
+"""Of the message; a subscriber refuses another one."""
+
+STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
+"""The end of each stage is stamped with ``perf_counter_ns``; read is when the last byte was in hand."""
+
+COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
+"""Totals since the runtime started."""
+
+MAP_BYTES: Final = 4 * N_PIXELS
+
+LARGEST_MESSAGE: Final = 16384
+"""Bytes; a frame has about 6000."""
+
+MAX_TEXTS: Final = 16
+MAX_TEXT: Final = 128
+"""How many skips or events a frame may name, and how long each may be."""
+
+
+@lru_cache(maxsize=1)
+def host_id() -> str:
+    """Return what tells this boot of this machine from others: stamps compare only within it."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()[:36]
+    except OSError:
+        return "unknown"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One tactile frame, as a subscriber sees it."""
+
+    map: npt.NDArray[np.float32]
+    """(30, 45) read-only: touched area fraction, or touch probability, of each pixel; row 0 at y = 0."""
+    touched: bool
+    """What the gate says; an untouched frame's map is 0."""
+    sequence: int
+    """Of the device, unwrapped; a gap is a frame lost before the runtime."""
+    number: int
+    """Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber."""
+    device_us: int
+    """Device clock at the end of the scan, unwrapped past 2^32."""
+    host_ns: Mapping[str, int]
+    """``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``."""
+    received_ns: int
+    """``perf_counter_ns`` of this machine when the frame was taken from the socket."""
+    age_us: int
+    """From the scan to publishing, against the fastest frame seen."""
+    solver: str
+    """``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed."""
+    skipped: tuple[str, ...]
+    """What was left out, and why: ``inference:untouched``."""
+    events: tuple[str, ...]
+    """What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``, ``lost``."""
+    gate: float
+    """The gate's logit; compare it with the bundle's threshold."""
+    cloud: int
+    """Revision of the cloud in use; 0 is the flat sheet."""
+    weak_rows: int
+    """Rows of the reference that carry no information; their dV is 0."""
+    counts: Mapping[str, int]
+    """Totals of the runtime: ``COUNTS``."""
+    configuration: str
+    """Name and digest of the device's active configuration."""
+    bundle: str
+    """Id of the bundle."""
+    serial_number: str
+    """Of the device."""
+    run: str
+    """Differs after each start of the runtime."""
+    same_host: bool
+    """Whether the runtime runs on this machine, so that its stamps compare with ours."""
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since the scan, as of now; on another machine the time on the network is not seen."""
+        since_ns = time.perf_counter_ns() - (self.host_ns["publish"] if self.same_host else self.received_ns)
+        return self.age_us * 1e-6 + max(since_ns, 0) * 1e-9
+
+    @property
+    def latency_s(self) -> float:
+        """Seconds from the last byte on the wire to this process; on another machine up to publishing only."""
+        end_ns = self.received_ns if self.same_host else self.host_ns["publish"]
+        return (end_ns - self.host_ns["read"]) * 1e-9
+
+    def stages_us(self) -> dict[str, float]:
+        """Return how long each stage took, ``deliver`` being the way from the publisher to this process."""
+        stamps = [self.host_ns[stage] for stage in STAGES]
+        spans = {stage: (end - start) / 1000 for stage, start, end in zip(STAGES[1:], stamps, stamps[1:], strict=False)}
+        if self.same_host:
+            spans["deliver"] = (self.received_ns - stamps[-1]) / 1000
+        return spans
+
+
+class FramePacker:
+    """One message in memory, overwritten for each frame.
+
+    Args:
+        configuration: Name and digest of the device's configuration.
+        bundle: Id.
+        serial_number: Of the device.
+        run: Differs after each start.
+    """
+
+    __slots__ = ("_buffer", "_constant", "_end", "_map", "_slots", "_tail_at", "_tails", "_view")
+
+    _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
+
+    def __init__(self, *, configuration: str, bundle: str, serial_number: str, run: str) -> None:
+        head = bytearray()
+        self._slots: dict[str, tuple[struct.Struct, int]] = {}
+
+        def key(name: str) -> None:
+            head.extend(msgpack.packb(name))
+
+        def slot(name: str, kind: str) -> None:
+            code, layout, width = self._KINDS[kind]
+            head.append(code)
+            self._slots[name] = (struct.Struct(layout), len(head) - (width == 0))
+            head.extend(bytes(width))
+
+        constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
+        self._constant: dict[str, object] = {**constant, "host": host_id()}
+        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate", "f"),
+                 ("cloud", "u"), ("weak_rows", "u"))  # fmt: skip
+        head += b"\xde" + struct.pack(">H", 1 + len(plain) + 4 + 3 + len(self._constant))
+        key("v")
+        head.append(VERSION)
+        for name, kind in plain:
+            key(name)
+            slot(name, kind)
+        for group, names in (("host_ns", STAGES), ("counts", COUNTS)):
+            key(group)
+            head.append(0x80 | len(names))
+            for name in names:
+                key(name)
+                slot(name, "u")
+        head += msgpack.packb("shape") + msgpack.packb(list(GRID_SHAPE)) + msgpack.packb("map")
+        head += b"\xc5" + struct.pack(">H", MAP_BYTES)
+        map_at = len(head)
+        self._tail_at = map_at + MAP_BYTES
+        self._buffer = bytearray(head) + bytes(LARGEST_MESSAGE - len(head))
+        self._view = memoryview(self._buffer)
+        self._map = self._view[map_at : self._tail_at]
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...]], bytes] = {}
+        self._end = self._tail_at
+
+    def put(self, name: str, value: float) -> None:
+        """Overwrite one number: of ``STAGES``, ``COUNTS``, or n, seq, device_us, age_us, gate, cloud, weak_rows."""
+        layout, at = self._slots[name]
+        layout.pack_into(self._buffer, at, value)
+
+    def put_touched(self, touched: bool) -> None:
+        """Overwrite the gate's answer."""
+        self._buffer[self._slots["touched"][1]] = 0xC3 if touched else 0xC2
+
+    def put_map(self, values: memoryview) -> None:
+        """Copy the map.
+
+        Args:
+            values: 5400 bytes, float32 little-endian.
+        """
+        self._map[:] = values
+
+    def put_texts(self, solver: str, skipped: tuple[str, ...], events: tuple[str, ...]) -> None:
+        """Replace the texts; recurring combinations are kept ready."""
+        wanted = (solver, skipped, events)
+        tail = self._tails.get(wanted)
+        if tail is None:
+            content = {
+                "solver": solver,
+                "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
+                "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
+                **self._constant,
+            }
+            tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
+            if len(self._tails) < 256:  # bounded, since events can combine in many ways
+                self._tails[wanted] = tail
+        self._end = self._tail_at + len(tail)
+        self._view[self._tail_at : self._end] = tail
+
+    def message(self) -> memoryview:
+        """Return the message as it stands; the next ``put`` changes it."""
+        return self._view[: self._end]
+
+
+def unpack_frame(message: bytes, received_ns: int) -> Frame:
+    """Return the frame of a published message.
+
+    Args:
+        message: Of any origin.
+        received_ns: When it was taken from the socket.
+
+    Raises:
+        FrameError: It is no frame, or one of another version.
+    """
+    fields = _strict_map(message)
+    if fields.get("v") != VERSION:
+        raise FrameError(f"frame version: found {fields.get('v')!r}, expected {VERSION}; use the runtime's release")
+    shape = fields.get("shape")
+    if shape != list(GRID_SHAPE):
+        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected {list(GRID_SHAPE)}")
+    raw = fields.get("map")
+    if not isinstance(raw, bytes) or len(raw) != MAP_BYTES:
+        raise FrameError(f"frame map: expected {MAP_BYTES} bytes")
+    values = np.frombuffer(raw, dtype="<f4").reshape(GRID_SHAPE)  # of immutable bytes: read-only
+    if not np.isfinite(values).all():
+        raise FrameError("frame map: holds values that are not finite")
+    if not isinstance(fields.get("touched"), bool):
+        raise FrameError("frame touched: expected true or false")
+    gate = fields.get("gate")
+    if not isinstance(gate, float):
+        raise FrameError("frame gate: expected a float")
+    return Frame(
+        map=values,
+        touched=fields["touched"],
+        sequence=_count(fields, "seq"),
+        number=_count(fields, "n"),
+        device_us=_count(fields, "device_us"),
+        host_ns=_counts(fields, "host_ns", STAGES),
+        received_ns=received_ns,
+        age_us=_count(fields, "age_us"),
+        solver=_text(fields, "solver"),
+        skipped=_texts(fields, "skipped"),
+        events=_texts(fields, "events"),
+        gate=gate,
+        cloud=_count(fields, "cloud"),
+        weak_rows=_count(fields, "weak_rows"),
+        counts=_counts(fields, "counts", COUNTS),
+        configuration=_text(fields, "configuration"),
+        bundle=_text(fields, "bundle"),
+        serial_number=_text(fields, "serial"),
+        run=_text(fields, "run"),
+        same_host=_text(fields, "host") == host_id(),
+    )
+
+
+def _strict_map(message: bytes) -> dict[str, Any]:
+    if len(message) > LARGEST_MESSAGE:
+        raise FrameError(f"a message of {len(message)} bytes is no frame; expected at most {LARGEST_MESSAGE}")
+    try:
+        fields = msgpack.unpackb(
+            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=MAP_BYTES, max_array_len=MAX_TEXTS,
+            max_map_len=64, max_ext_len=0,
+        )  # fmt: skip
+    except (
+        Exception
+    ) as error:  # msgpack's exceptions have no common base: ValueError, StackError, UnicodeDecodeError, ...
+        raise FrameError(f"a message of {len(message)} bytes is no frame ({type(error).__name__})") from error
+    if not isinstance(fields, dict):
+        raise FrameError(f"a message is no frame: found {type(fields).__name__}, expected a map")
+    return fields
+
+
+def _count(fields: Mapping[str, Any], name: str) -> int:
+    value = fields.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise FrameError(f"frame {name}: found {str(value)[:40]}, expected a count")
+    return value
+
+
+def _counts(fields: Mapping[str, Any], name: str, keys: tuple[str, ...]) -> dict[str, int]:
+    value = fields.get(name)
+    if not isinstance(value, dict):
+        raise FrameError(f"frame {name}: expected a map of {', '.join(keys)}")
+    return {key: _count(value, key) for key in keys}
+
+
+def _text(fields: Mapping[str, Any], name: str) -> str:
+    value = fields.get(name)
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        raise FrameError(f"frame {name}: expected a text of at most {MAX_TEXT} characters")
+    return value
+
+
+def _texts(fields: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    value = fields.get(name)
+    if not isinstance(value, list) or not all(isinstance(text, str) and len(text) <= MAX_TEXT for text in value):
+        raise FrameError(f"frame {name}: expected a list of short texts")
+    return tuple(value)

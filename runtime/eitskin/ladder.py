@@ -1,0 +1,85 @@
+"""A latency budget as a contract: what is given up when the machine is too slow, and when it is taken back.
+
+::
+
+    level 0      1           2 (last engine)   3
+    vd2t    ->   vd2t-int8 -> tikhonov     ->  tikhonov, and of several waiting frames only the newest
+
+An overrun goes down one level at once. Going up takes a while of frames that use less than half of the budget, and
+twice as long each time that going up led straight to another overrun, so that the ladder does not flutter.
+"""
+
+from typing import Final
+
+HOLD_FRAMES: Final = 100
+"""Easy frames before the first attempt to go up: half a second at 200 frames/s."""
+
+LONGEST_HOLD: Final = 6400
+"""Half a minute."""
+
+EASY: Final = 0.5
+"""A frame that took less than this part of the budget is easy."""
+
+
+class Ladder:
+    """Follows the latency of frames against a budget.
+
+    Args:
+        budget_ns: From read to publish; None for no budget, which stays on level 0.
+        engines: How many there are.
+    """
+
+    __slots__ = ("_easy", "_hold", "_last", "_risen", "budget_ns", "level", "overruns")
+
+    def __init__(self, budget_ns: int | None, engines: int) -> None:
+        if budget_ns is not None and budget_ns <= 0:
+            raise ValueError(f"a budget of {budget_ns} ns is not positive")
+        self.budget_ns = budget_ns
+        self.level = 0
+        self.overruns = 0
+        """Frames over budget so far."""
+        self._last = engines  # one beyond the last engine: drop stale input
+        self._easy = 0
+        self._hold = HOLD_FRAMES
+        self._risen = False
+
+    @property
+    def engine(self) -> int:
+        """Which engine computes the next frame."""
+        return min(self.level, self._last - 1)
+
+    @property
+    def drops_stale(self) -> bool:
+        """Whether only the newest of several waiting frames is computed."""
+        return self.level == self._last
+
+    def judge(self, elapsed_ns: int, *, inferred: bool) -> bool:
+        """Return whether a frame overran the budget, and move for the next one.
+
+        Args:
+            elapsed_ns: From read to publish.
+            inferred: An engine ran; a frame without inference says nothing about the room for a slower engine.
+        """
+        budget_ns = self.budget_ns
+        if budget_ns is None:
+            return False
+        if elapsed_ns > budget_ns:
+            self.overruns += 1
+            if self._risen:
+                self._hold = min(2 * self._hold, LONGEST_HOLD)
+            self._risen = False
+            self._easy = 0
+            self.level = min(self.level + 1, self._last)
+        elif elapsed_ns < EASY * budget_ns and (inferred or self.drops_stale):
+            self._easy += 1
+            if self._easy >= self._hold:
+                self._rise()
+        return elapsed_ns > budget_ns
+
+    def _rise(self) -> None:
+        self._easy = 0
+        if self.level == 0:
+            self._hold, self._risen = HOLD_FRAMES, False  # the top was held: the next fall is a new matter
+        else:
+            self.level -= 1
+            self._risen = True

@@ -1,0 +1,154 @@
+"""``for frame in eitskin.subscribe(endpoint): frame.map``: frames as they come, newest first or all of them.
+
+``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
+frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
+"""
+
+import time
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zmq
+
+from eitskin.curve import ClientKeys
+from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
+from eitskin.frame import LARGEST_MESSAGE, Frame, unpack_frame
+
+MODES: Final = ("latest", "all")
+
+QUEUE_FRAMES: Final = 2000
+"""Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
+
+
+class Subscription:
+    """An open subscription: iterate it, or call ``next_frame``; leave it with ``close`` or as a context manager.
+
+    Args:
+        endpoint: Where the runtime publishes.
+        mode: ``latest`` or ``all``.
+        timeout_s: How long to wait for a frame; None waits for ever.
+        max_age_s: Oldest frame that is good enough; None takes any.
+        keys: CURVE keys for TCP beyond loopback.
+
+    Raises:
+        ValueError: A bound is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of the endpoint.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        mode: str = "latest",
+        timeout_s: float | None = None,
+        max_age_s: float | None = None,
+        keys: ClientKeys | None = None,
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode {mode!r} does not exist; expected one of {', '.join(MODES)}")
+        for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
+            if value is not None and not value > 0:
+                raise ValueError(f"{name} is {value}, expected more than 0")
+        self._timeout_ms = -1 if timeout_s is None else max(1, round(timeout_s * 1000))
+        self._max_age_s = max_age_s
+        self.endpoint = endpoint
+        self.received = 0
+        """Frames taken so far."""
+        self.lost = 0
+        """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
+        self.rejected = 0
+        """Messages that were no frames."""
+        self._run = ""
+        self._number = 0
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket: Any = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
+        self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
+        if mode == "latest":
+            self._socket.setsockopt(zmq.CONFLATE, 1)
+        if keys is not None:
+            keys.apply(self._socket)
+        try:
+            self._socket.connect(endpoint)
+        except zmq.ZMQError as error:
+            self.close()
+            raise EndpointError(f"{endpoint} cannot be connected to: {error.strerror}") from error
+        self._socket.setsockopt(zmq.SUBSCRIBE, b"")
+
+    def next_frame(self) -> Frame:
+        """Return the next frame, waiting for it.
+
+        Raises:
+            NoFrame: None came within ``timeout_s``.
+            StaleFrame: One came, but it is older than ``max_age_s``.
+        """
+        deadline_ns = time.perf_counter_ns() + self._timeout_ms * 1_000_000
+        while True:
+            left_ms = -1
+            if self._timeout_ms >= 0:
+                left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
+            if not self._socket.poll(left_ms):
+                raise NoFrame(
+                    f"no frame from {self.endpoint} within {self._timeout_ms / 1000:g} s; is the runtime running?"
+                )
+            message = self._socket.recv()
+            try:
+                frame = unpack_frame(message, time.perf_counter_ns())
+            except FrameError:
+                self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+                continue
+            self._count(frame)
+            age_s = frame.age_s
+            if self._max_age_s is not None and age_s > self._max_age_s:
+                raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
+            return frame
+
+    def _count(self, frame: Frame) -> None:
+        if frame.run == self._run and frame.number > self._number:
+            self.lost += frame.number - self._number - 1
+        self._run, self._number = frame.run, frame.number
+        self.received += 1
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Frame:
+        return self.next_frame()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the socket back; closing twice is fine."""
+        self._socket.close(0)
+        self._context.term()
+
+
+def subscribe(
+    endpoint: str,
+    mode: str = "latest",
+    *,
+    timeout_s: float | None = None,
+    max_age_s: float | None = None,
+    keys: ClientKeys | None = None,
+) -> Subscription:
+    """Return an open subscription to a runtime's frames, to be iterated.
+
+    Args:
+        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``.
+        mode: ``latest`` for a control loop, ``all`` for a recorder.
+        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`; None waits for ever.
+        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
+        keys: CURVE keys for TCP beyond loopback.
+
+    Raises:
+        ValueError: A bound is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of the endpoint.
+    """
+    return Subscription(endpoint, mode=mode, timeout_s=timeout_s, max_age_s=max_age_s, keys=keys)
