@@ -195,11 +195,11 @@ class Configuration:
                 f"with {row_count(self.full, drives)} rows of {8 * self.sample_bytes} bits"
             )
 
-    def scan_us(self, drives: int | None = None) -> float:
-        """Return how long the front end takes for one scan."""
+    def scan_us(self, drives: int | None = None) -> int:
+        """Return how long the front end takes for one scan; periods are rounded up to whole microseconds a drive."""
         can = hardware.by_id(self.hardware_id)
         count = drive_count(self.full, self.drives if drives is None else drives)
-        return can.scan_overhead_us + count * (self.settle_us + self.averages * 1e6 / self.frequency_hz)
+        return can.scan_overhead_us + count * (self.settle_us + -(-self.averages * 1_000_000 // self.frequency_hz))
 
 
 def largest_line_rate_hz(rows: int, sample_bytes: int, line_bytes_per_s: float) -> float:

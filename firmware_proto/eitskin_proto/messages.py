@@ -239,7 +239,7 @@ class Hello(_Packed):
     generation: int
     """Counts committed configurations; 0 for the one built into the firmware."""
     configuration_name: str
-    rate_mHz: int  # noqa: N815 (millihertz)
+    rate_mHz: int
     """Frames in 1000 s that the active mode aims at."""
     rows: int
     """Rows of a frame in the active mode."""

@@ -1,0 +1,260 @@
+#include "host.h"
+
+#include <string.h>
+
+#include "eit_device.h"
+
+#define SLOT_WORDS ((EIT_SLOT_BYTES + 3u) / 4u)
+#define LINE_BYTES 65536u
+
+struct eit_host {
+    struct eit_device device;
+    struct eit_port port;
+    struct eit_identity identity;
+    uint32_t now_us;
+    uint32_t slots[2][SLOT_WORDS];
+    uint32_t changes;
+    uint32_t cut_at;
+    uint32_t seed;
+    int dead;
+    uint32_t restarts;
+    int wants_restart;
+    int front_end_fails;
+    uint8_t present_drive;
+    int32_t counts[EIT_ELECTRODES][EIT_PAIRS];
+    uint16_t saturated[EIT_ELECTRODES];
+    size_t line_capacity;
+    size_t sent;
+    uint8_t line[LINE_BYTES];
+};
+
+static uint32_t now_us(void *ctx)
+{
+    return ((struct eit_host *)ctx)->now_us;
+}
+
+static bool write_line(void *ctx, const uint8_t *packet, size_t length)
+{
+    struct eit_host *host = ctx;
+
+    if (host->dead || host->sent + length > host->line_capacity) {
+        return false;
+    }
+    memcpy(host->line + host->sent, packet, length);
+    host->sent += length;
+    return true;
+}
+
+static uint32_t noise(uint32_t *state)
+{
+    *state ^= *state << 13;
+    *state ^= *state >> 17;
+    *state ^= *state << 5;
+    return *state;
+}
+
+/* Returns the bits of a change that happen: all of them, or some if this change is the one that the cut interrupts. */
+static uint32_t happens(struct eit_host *host)
+{
+    uint32_t state = host->seed | 1u;
+
+    host->changes++;
+    if (host->cut_at == 0 || host->changes != host->cut_at) {
+        return 0xffffffffu;
+    }
+    host->dead = 1;
+    if (host->seed == 0) {
+        return 0; /* cut just before */
+    }
+    if (host->seed == 1) {
+        return 0xffffffffu; /* cut just after */
+    }
+    for (unsigned i = 0; i < 8u; i++) {
+        (void)noise(&state);
+    }
+    return noise(&state);
+}
+
+static void storage_read(void *ctx, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
+{
+    const struct eit_host *host = ctx;
+
+    for (size_t i = 0; i < length; i++) {
+        const size_t at = offset + i;
+
+        out[i] = (uint8_t)((host->slots[slot][at / 4u] >> (8u * (at % 4u))) & 0xffu);
+    }
+}
+
+static enum eit_status storage_erase(void *ctx, uint8_t slot)
+{
+    struct eit_host *host = ctx;
+
+    for (size_t i = 0; i < SLOT_WORDS; i++) {
+        if (host->dead) {
+            return EIT_STORAGE;
+        }
+        host->slots[slot][i] |= happens(host);
+    }
+    return host->dead ? EIT_STORAGE : EIT_OK;
+}
+
+static enum eit_status storage_program(void *ctx, uint8_t slot, uint32_t offset, uint32_t word)
+{
+    struct eit_host *host = ctx;
+
+    if (host->dead) {
+        return EIT_STORAGE;
+    }
+    host->slots[slot][offset / 4u] &= word | ~happens(host);
+    return host->dead ? EIT_STORAGE : EIT_OK;
+}
+
+static enum eit_status drive(void *ctx, uint8_t number, const struct eit_config *config)
+{
+    struct eit_host *host = ctx;
+
+    (void)config;
+    host->present_drive = number;
+    return host->front_end_fails ? EIT_FRONT_END : EIT_OK;
+}
+
+static enum eit_status measure(void *ctx, const struct eit_config *config, int32_t counts[EIT_PAIRS],
+                               uint16_t *saturated)
+{
+    struct eit_host *host = ctx;
+
+    (void)config;
+    memcpy(counts, host->counts[host->present_drive], sizeof host->counts[0]);
+    *saturated = host->saturated[host->present_drive];
+    return host->front_end_fails ? EIT_FRONT_END : EIT_OK;
+}
+
+static double volts_per_count(void *ctx, const struct eit_config *config)
+{
+    (void)ctx;
+    return 1.0 / 1073741824.0 / config->gain;
+}
+
+static void restart(void *ctx)
+{
+    ((struct eit_host *)ctx)->wants_restart = 1;
+}
+
+size_t eit_host_bytes(void)
+{
+    return sizeof(struct eit_host);
+}
+
+void eit_host_init(struct eit_host *host)
+{
+    static const uint8_t serial[16] = "HOST-0001";
+
+    memset(host, 0, sizeof *host);
+    memset(host->slots, 0xff, sizeof host->slots);
+    memcpy(host->identity.serial_number, serial, sizeof serial);
+    host->identity.firmware_version[0] = 1;
+    host->identity.line_bytes_per_s = 92160;
+    host->line_capacity = LINE_BYTES;
+    host->port.ctx = host;
+    host->port.now_us = now_us;
+    host->port.write = write_line;
+    host->port.storage_read = storage_read;
+    host->port.storage_erase = storage_erase;
+    host->port.storage_program = storage_program;
+    host->port.drive = drive;
+    host->port.measure = measure;
+    host->port.volts_per_count = volts_per_count;
+    host->port.restart = restart;
+    eit_host_boot(host);
+}
+
+/* The cut is over with the boot after it, unless the test arms another: `changes` has passed `cut_at`. */
+void eit_host_boot(struct eit_host *host)
+{
+    host->dead = 0;
+    host->wants_restart = 0;
+    eit_device_boot(&host->device, &host->port, &host->identity);
+}
+
+void eit_host_receive(struct eit_host *host, const uint8_t *data, size_t length)
+{
+    if (!host->dead) {
+        eit_device_receive(&host->device, data, length);
+    }
+}
+
+void eit_host_run(struct eit_host *host, uint32_t duration_us, uint32_t step_us)
+{
+    uint32_t left_us = duration_us;
+
+    for (;;) {
+        uint32_t step = left_us < step_us ? left_us : step_us;
+
+        if (host->dead) {
+            return;
+        }
+        eit_device_poll(&host->device);
+        if (host->wants_restart) {
+            host->restarts++;
+            eit_host_boot(host);
+        }
+        if (left_us == 0) {
+            return;
+        }
+        host->now_us += step;
+        left_us -= step;
+    }
+}
+
+size_t eit_host_take(struct eit_host *host, uint8_t *out, size_t capacity)
+{
+    const size_t taken = host->sent < capacity ? host->sent : capacity;
+
+    memcpy(out, host->line, taken);
+    memmove(host->line, host->line + taken, host->sent - taken);
+    host->sent -= taken;
+    return taken;
+}
+
+void eit_host_set_line(struct eit_host *host, size_t capacity)
+{
+    host->line_capacity = capacity < LINE_BYTES ? capacity : LINE_BYTES;
+}
+
+void eit_host_cut(struct eit_host *host, uint32_t at, uint32_t seed)
+{
+    host->cut_at = at == 0 ? 0 : host->changes + at;
+    host->seed = seed;
+}
+
+uint32_t eit_host_changes(const struct eit_host *host)
+{
+    return host->changes;
+}
+
+int eit_host_is_dead(const struct eit_host *host)
+{
+    return host->dead;
+}
+
+uint32_t eit_host_restarts(const struct eit_host *host)
+{
+    return host->restarts;
+}
+
+void eit_host_set_counts(struct eit_host *host, const int32_t *counts, const uint16_t *saturated)
+{
+    memcpy(host->counts, counts, sizeof host->counts);
+    memcpy(host->saturated, saturated, sizeof host->saturated);
+}
+
+void eit_host_set_front_end(struct eit_host *host, int fails)
+{
+    host->front_end_fails = fails;
+}
+
+void eit_host_set_clock(struct eit_host *host, uint32_t now)
+{
+    host->now_us = now;
+}
