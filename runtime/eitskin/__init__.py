@@ -1,1 +1,101 @@
-"""eitskin: the runtime of a soft electronic skin, without torch."""
+"""The runtime of an electronic skin: voltages in, tactile maps out.
+
+::
+
+    for frame in eitskin.subscribe("ipc:///run/user/1000/eitskin/frames"):
+        frame.map          # (30, 45) float32
+
+Names are imported when they are first used: a subscriber loads ZeroMQ and numpy, but neither ONNX Runtime nor
+pyserial.
+"""
+
+import importlib
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from eitskin.bundle import Bundle, load_bundle
+    from eitskin.control import request, send_cloud
+    from eitskin.curve import ClientKeys, load_client_keys, make_keys
+    from eitskin.errors import (
+        BadReference,
+        BudgetError,
+        BundleError,
+        ControlError,
+        EndpointError,
+        FrameError,
+        HandshakeError,
+        MismatchError,
+        NoFrame,
+        PortBusy,
+        PortDenied,
+        PortLost,
+        PortMissing,
+        ProtocolError,
+        SkinError,
+        StaleFrame,
+        TransportError,
+    )
+    from eitskin.frame import Frame
+    from eitskin.reference import Reference
+    from eitskin.skin import Skin
+    from eitskin.subscription import Subscription, subscribe
+
+__all__ = [
+    "BadReference",
+    "BudgetError",
+    "Bundle",
+    "BundleError",
+    "ClientKeys",
+    "ControlError",
+    "EndpointError",
+    "Frame",
+    "FrameError",
+    "HandshakeError",
+    "MismatchError",
+    "NoFrame",
+    "PortBusy",
+    "PortDenied",
+    "PortLost",
+    "PortMissing",
+    "ProtocolError",
+    "Reference",
+    "Skin",
+    "SkinError",
+    "StaleFrame",
+    "Subscription",
+    "TransportError",
+    "load_bundle",
+    "load_client_keys",
+    "make_keys",
+    "request",
+    "send_cloud",
+    "subscribe",
+]
+
+_HOMES: Final = {
+    "Bundle": "bundle",
+    "ClientKeys": "curve",
+    "Frame": "frame",
+    "Reference": "reference",
+    "Skin": "skin",
+    "Subscription": "subscription",
+    "load_bundle": "bundle",
+    "load_client_keys": "curve",
+    "make_keys": "curve",
+    "request": "control",
+    "send_cloud": "control",
+    "subscribe": "subscription",
+}
+"""Where each public name lives; the errors live in ``errors``."""
+
+
+def __getattr__(name: str) -> object:
+    if name not in __all__:
+        raise AttributeError(f"module 'eitskin' has no attribute {name!r}")
+    found = getattr(importlib.import_module(f"eitskin.{_HOMES.get(name, 'errors')}"), name)
+    globals()[name] = found
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

@@ -4,7 +4,7 @@ On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fie
 message in memory: everything that changes with each frame has a fixed width and stands first, so that it is
 overwritten in place and the time of publishing can be stamped last. Only the texts at the end vary in length. ::
 
-    v n seq device_us host_ns{..} age_us touched gate cloud weak_rows counts{..} shape map | solver skipped events ids
+    v n seq device_us host_ns{..} age_us touched gate_logit cloud weak_rows counts{..} shape map | solver skipped events ids
 
 A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
 """
@@ -78,7 +78,7 @@ class Frame:
     """What was left out, and why: ``inference:untouched``."""
     events: tuple[str, ...]
     """What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``, ``lost``."""
-    gate: float
+    gate_logit: float
     """The gate's logit; compare it with the bundle's threshold."""
     cloud: int
     """Revision of the cloud in use; 0 is the flat sheet."""
@@ -147,7 +147,7 @@ class FramePacker:
 
         constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
         self._constant: dict[str, object] = {**constant, "host": host_id()}
-        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate", "f"),
+        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
                  ("cloud", "u"), ("weak_rows", "u"))  # fmt: skip
         head += b"\xde" + struct.pack(">H", 1 + len(plain) + 4 + 3 + len(self._constant))
         key("v")
@@ -172,7 +172,7 @@ class FramePacker:
         self._end = self._tail_at
 
     def put(self, name: str, value: float) -> None:
-        """Overwrite one number: of ``STAGES``, ``COUNTS``, or n, seq, device_us, age_us, gate, cloud, weak_rows."""
+        """Overwrite one number: of ``STAGES``, ``COUNTS``, or n, seq, device_us, age_us, gate_logit, cloud, weak_rows."""
         layout, at = self._slots[name]
         layout.pack_into(self._buffer, at, value)
 
@@ -234,9 +234,9 @@ def unpack_frame(message: bytes, received_ns: int) -> Frame:
         raise FrameError("frame map: holds values that are not finite")
     if not isinstance(fields.get("touched"), bool):
         raise FrameError("frame touched: expected true or false")
-    gate = fields.get("gate")
-    if not isinstance(gate, float):
-        raise FrameError("frame gate: expected a float")
+    gate_logit = fields.get("gate_logit")
+    if not isinstance(gate_logit, float):
+        raise FrameError("frame gate_logit: expected a float")
     return Frame(
         map=values,
         touched=fields["touched"],
@@ -249,7 +249,7 @@ def unpack_frame(message: bytes, received_ns: int) -> Frame:
         solver=_text(fields, "solver"),
         skipped=_texts(fields, "skipped"),
         events=_texts(fields, "events"),
-        gate=gate,
+        gate_logit=gate_logit,
         cloud=_count(fields, "cloud"),
         weak_rows=_count(fields, "weak_rows"),
         counts=_counts(fields, "counts", COUNTS),

@@ -12,8 +12,8 @@ import numpy.typing as npt
 from eitskin_proto.normalise import inverse_reference
 from eitskin_proto.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 
-LARGEST_CHANGE: Final = 1e30
-"""dV beyond this would not survive float32; it never comes from a working front end."""
+LARGEST_CHANGE: Final = 1e6
+"""Strong rows are above 1e-4 of the largest, so that no working front end can change one by more than 1e4."""
 
 
 class Normaliser:
@@ -23,12 +23,24 @@ class Normaliser:
         volts_per_count: V, of HELLO.
     """
 
-    __slots__ = ("_exact", "_half", "_inverse", "_offset", "_other", "_size", "voltages", "volts_per_count")
+    __slots__ = (
+        "_exact",
+        "_half",
+        "_inverse",
+        "_offset",
+        "_other",
+        "_size",
+        "voltages",
+        "volts_per_count",
+        "weak_count",
+    )
 
     def __init__(self, volts_per_count: float) -> None:
         self.volts_per_count = volts_per_count
         self.voltages = np.zeros(N_ROWS)
         """(104,) V of the last frame."""
+        self.weak_count = 0
+        """Rows of the reference that carry no information."""
         self._inverse = np.zeros(N_ROWS)
         self._offset = np.zeros(N_ROWS)
         self._exact = np.zeros(N_ROWS)
@@ -47,6 +59,7 @@ class Normaliser:
         """
         self._inverse[:] = inverse_reference(reference)
         self._offset[:] = self._inverse != 0.0
+        self.weak_count = N_ROWS - int(self._offset.sum())
 
     def load(self, counts: npt.NDArray[np.int32]) -> None:
         """Fill ``voltages``.
@@ -58,13 +71,13 @@ class Normaliser:
             # mode="clip" writes straight into out; the indices are constants and in range
             np.take(counts, ROW_IN_FULL, out=self._half, mode="clip")
             np.take(counts, RECIPROCAL_IN_FULL, out=self._other, mode="clip")
-            np.add(self._half, self._other, out=self.voltages)
+            np.add(self._half, self._other, out=self.voltages, dtype=np.float64)  # int32 would overflow
             np.multiply(self.voltages, 0.5 * self.volts_per_count, out=self.voltages)
         else:
             np.multiply(counts, self.volts_per_count, out=self.voltages)
 
     def change_into(self, out: npt.NDArray[np.float32]) -> bool:
-        """Write dV of ``voltages`` and return whether all of it is finite.
+        """Write dV of ``voltages`` and return whether all of it is plausible.
 
         Args:
             out: (104,); left as it was if not.

@@ -9,7 +9,7 @@ frame that is not fit to publish is withheld, with a reason and a count:
 ``duplicate``         the same sequence number again
 ``configuration``     made under another generation than HELLO named
 ``partial``           an idle scan of some drives only
-``not_finite``        dV or the map is not finite
+``implausible``       dV is not finite or beyond 1e6, or the map is not finite
 ``stale``             over budget, and a newer frame was waiting
 ====================  ===============================================================
 """
@@ -35,7 +35,7 @@ from eitskin_proto.messages import Hello
 from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.unwrap import StreamCounter
 
-REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "not_finite", "stale")
+REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "stale")
 """Why frames are withheld."""
 
 READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
@@ -74,6 +74,8 @@ class Pipeline:
         self.normaliser = Normaliser(hello.volts_per_count)
         self.generation = hello.generation
         """Of the configuration that frames must carry."""
+        self.generation_differs = False
+        """A frame carried another one: the device must be asked what it runs now."""
         self.withheld = dict.fromkeys(REASONS, 0)
         """Frames that were not fit to publish."""
         self.stamps = [0] * len(STAGES)
@@ -121,6 +123,12 @@ class Pipeline:
         """Whether this frame's map is all zero because nothing was computed."""
         return self.solver == "none"
 
+    def greet(self, hello: Hello) -> None:
+        """Take over what a device said after it was greeted anew."""
+        self.generation = hello.generation
+        self.generation_differs = False
+        self.normaliser.volts_per_count = hello.volts_per_count
+
     def use_reference(self, reference: Reference) -> None:
         """Normalise against a reference from the next frame on."""
         self.normaliser.use(reference.voltages_V)
@@ -151,6 +159,7 @@ class Pipeline:
         elif step.lost:
             self.events = ("lost",)
         if view.generation != self.generation:
+            self.generation_differs = True
             return self._withhold("configuration")
         if view.drives != ALL_DRIVES:
             return self._withhold("partial")
@@ -176,7 +185,7 @@ class Pipeline:
             self.buffers.take(geometry)
             self.events += ("cloud",)
         if not self.normaliser.change_into(self._change):
-            return self._withhold("not_finite")
+            return self._withhold("implausible")
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
         if gate is not None:
@@ -193,7 +202,7 @@ class Pipeline:
             engine.infer()
             np.isfinite(self._map, out=self._finite)
             if not self._finite.all():
-                return self._withhold("not_finite")
+                return self._withhold("implausible")
             self.solver = engine.name
             self.skipped = COMPUTED if geometry is None else COMPUTED_NEW
         stamps[INFER] = time.perf_counter_ns()

@@ -144,8 +144,8 @@ class ReferenceBuilder:
         largest = float(np.abs(self._mean).max())
         if not largest >= SMALLEST_V:
             raise BadReference(
-                f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: check "
-                "that the electrodes are connected"
+                f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
+                "check that the electrodes are connected"
             )
         usable = ~weak_rows(self._mean)
         variation = float(np.median(spread[usable] / np.abs(self._mean[usable])))

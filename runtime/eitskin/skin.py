@@ -1,0 +1,403 @@
+"""A skin, opened: ``for frame in skin.frames()`` in this process, or the source of what ``eitskin run`` publishes.
+
+Opening does everything that may fail early, in the order in which it is cheapest to fail: bundle, port, handshake,
+solvers. Then the stream runs, and the loop blocks in the transport's ``read`` and nowhere else. Clouds, new references
+and ``stop`` may come from other threads at any time; the loop picks them up between two frames.
+"""
+
+import secrets
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin import reference as references
+from eitskin.bundle import Bundle, load_bundle
+from eitskin.device import Device
+from eitskin.engine import GeometryGraph
+from eitskin.errors import BadReference, SkinError
+from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
+from eitskin.pipeline import PACK, PUBLISH, Pipeline
+from eitskin.prediction import log_ratio
+from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.serial_port import DEFAULT_BAUD, SerialPort
+from eitskin.stats import Statistics
+from eitskin.transport import Transport
+from eitskin_proto.codes import MessageType
+from eitskin_proto.messages import Event
+
+CAPTURE_S = 30.0
+"""How long capturing a reference may take before it is given up, beyond what its frames take."""
+
+
+class Skin:
+    """An open skin; leave it with ``close`` or as a context manager.
+
+    Args:
+        port: A serial port's path, or an open transport, which is then closed with the skin.
+        bundle: A bundle, or its path; None takes the shipped one.
+        reference: A reference, or its path; None if it will be captured.
+        budget_ms: From read to publish; None for no budget.
+        baud: Bits per second on a real UART.
+
+    Raises:
+        BundleError: The bundle cannot be used.
+        TransportError: The port is missing, busy, denied or lost.
+        HandshakeError: The device does not answer, or measures in a way that cannot be used.
+        MismatchError: Bundle, device or reference belong to another protocol, grid, device or configuration.
+        BadReference: The reference's file cannot be used.
+        BudgetError: No solver meets the budget.
+        ValueError: The budget is not positive.
+    """
+
+    def __init__(
+        self,
+        port: str | Transport,
+        *,
+        bundle: Bundle | str | Path | None = None,
+        reference: Reference | str | Path | None = None,
+        budget_ms: float | None = None,
+        baud: int = DEFAULT_BAUD,
+    ) -> None:
+        if budget_ms is not None and not 0 < budget_ms < 1e6:
+            raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
+        self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle)
+        loaded = references.load(reference) if isinstance(reference, str | Path) else reference
+        self.transport: Transport = SerialPort(port, baud) if isinstance(port, str) else port
+        try:
+            self.device = Device(self.transport)
+            if loaded is not None:
+                loaded.check(self.device.hello)
+            budget_ns = None if budget_ms is None else round(budget_ms * 1e6)
+            self.pipeline = Pipeline(self.bundle, self.device.hello, budget_ns)
+            self._geometry = GeometryGraph(self.bundle)
+            self.pipeline.buffers.take(self._geometry.geometry(None, None, 0))
+            self.reference: Reference | None = None
+            self.reference_file: Path | None = None
+            """Where a reference that is captured on request is stored as well."""
+            if loaded is not None:
+                self._use(loaded)
+            self.device.start()
+        except BaseException:
+            self.transport.close()
+            raise
+        self.statistics = Statistics()
+        self.recoveries = 0
+        """How often the device was greeted anew after silence or a reset."""
+        self.published = 0
+        """Frames packed so far."""
+        self._revision = 0
+        self._lock = threading.Lock()
+        self._stopping = False
+        self._closed = False
+        self._heard_ns = time.perf_counter_ns()
+        self._pending_events: tuple[str, ...] = ()
+        self._capture: _Capture | None = None
+        self.packer = FramePacker(
+            configuration=self.device.configuration,
+            bundle=self.bundle.id,
+            serial_number=self.device.hello.serial_number,
+            run=secrets.token_hex(4),
+        )
+
+    # -- reference -----------------------------------------------------------------------------------------------------
+
+    def capture_reference(self, frames: int = DEFAULT_FRAMES) -> Reference:
+        """Take the mean of the next frames as the reference, and return it; the sheet must be flat and untouched.
+
+        Args:
+            frames: How many.
+
+        Raises:
+            BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+            PortLost: The port vanished.
+            ValueError: Fewer than 2 frames.
+        """
+        builder = ReferenceBuilder(frames)
+        rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
+        until_ns = time.perf_counter_ns() + int((CAPTURE_S + frames / rate_hz) * 1e9)
+        for _ in self._accepted(until_ns):
+            if self._fit_for_reference() and builder.add(self.pipeline.normaliser.voltages):
+                found = builder.finish(self.device.hello)
+                self._use(found)
+                return found
+        if self._stopping:
+            raise BadReference("stopped while the reference was captured")
+        raise BadReference(f"only {builder.taken} of {frames} frames for the reference came; is the device streaming?")
+
+    def recapture(self, frames: int) -> dict[str, object]:
+        """Capture a new reference while frames go on, from another thread; return what was captured.
+
+        Raises:
+            BadReference: As in :meth:`capture_reference`; the old reference stays.
+        """
+        capture = _Capture(ReferenceBuilder(frames))
+        self._capture = capture
+        rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
+        if not capture.done.wait(CAPTURE_S + frames / rate_hz):
+            self._capture = None
+            raise BadReference(f"only {capture.builder.taken} of {frames} frames for the reference came")
+        if capture.error is not None:
+            raise capture.error
+        assert self.reference is not None
+        return {"frames": frames, "weak_rows": self.reference.weak.tolist()}
+
+    def _fit_for_reference(self) -> bool:
+        return "saturated" not in self.pipeline.events
+
+    def _use(self, found: Reference) -> None:
+        self.pipeline.use_reference(found)
+        self.reference = found
+
+    def _feed_capture(self, capture: "_Capture") -> None:
+        if not self._fit_for_reference() or not capture.builder.add(self.pipeline.normaliser.voltages):
+            return
+        self._capture = None
+        try:
+            found = capture.builder.finish(self.device.hello)
+            if self.reference_file is not None:
+                references.save(found, self.reference_file)
+            self._use(found)
+            self.pipeline.events += ("reference",)
+        except SkinError as error:
+            capture.error = error
+        capture.done.set()
+
+    # -- cloud ---------------------------------------------------------------------------------------------------------
+
+    def set_cloud(
+        self,
+        cloud: npt.ArrayLike | None,
+        predicted: npt.ArrayLike | None = None,
+        predicted_flat: npt.ArrayLike | None = None,
+    ) -> int:
+        """Use a scanned surface from the next frame on, and return its revision; may be called from any thread.
+
+        The geometry graph runs here, in the caller's thread: frames do not wait for it.
+
+        Args:
+            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            predicted: (104,) V, what the forward model says of this surface untouched.
+            predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the reference.
+
+        Raises:
+            ValueError: The cloud or the voltages are malformed; with the value and the bound.
+            BadReference: There is a prediction, but nothing to hold it against.
+        """
+        ratio: npt.NDArray[np.float32] | None = None
+        if predicted is not None:
+            against = predicted_flat
+            if against is None:
+                if self.reference is None:
+                    raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
+                against = self.reference.voltages_V
+            ratio = log_ratio(predicted, against)
+            if self.reference is not None:
+                ratio[self.reference.weak] = 0.0
+        with self._lock:
+            geometry = self._geometry.geometry(cloud, ratio, self._revision + 1)
+            self._revision += 1
+            self.pipeline.use_geometry(geometry)
+            return geometry.revision
+
+    # -- frames --------------------------------------------------------------------------------------------------------
+
+    def frames(self, *, timeout_s: float | None = None) -> Iterator[Frame]:
+        """Yield frames as they come, in this process; each owns its map.
+
+        Args:
+            timeout_s: End after so long; None goes on until ``stop``.
+
+        Raises:
+            BadReference: There is no reference yet.
+            PortLost: The port vanished.
+            HandshakeError: The device fell silent and does not answer, or came back as another one.
+        """
+        until_ns = None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)
+        for _ in self.readings(lambda: True, until_ns):
+            message = bytes(self.pack())
+            self.finish()
+            yield unpack_frame(message, time.perf_counter_ns())
+
+    def readings(self, wanted: Callable[[], bool], until_ns: int | None = None) -> Iterator[None]:
+        """Yield whenever the pipeline holds a frame that is fit to publish; it is overwritten by the next.
+
+        Args:
+            wanted: Asked once a frame: does anybody take it?
+            until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stop``.
+        """
+        if self.reference is None:
+            raise BadReference(
+                "there is no reference: call capture_reference() with the sheet flat and untouched, or open the skin "
+                "with reference=FILE"
+            )
+        for _ in self._accepted(until_ns):
+            capture = self._capture
+            if capture is not None:
+                self._feed_capture(capture)
+            if self.pipeline.compute(wanted()):
+                yield
+
+    def pack(self) -> memoryview:
+        """Return the message of the frame that the pipeline holds, with publishing stamped as now."""
+        pipeline, packer, stamps = self.pipeline, self.packer, self.pipeline.stamps
+        self.published += 1
+        packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
+        packer.put("n", self.published)
+        packer.put("seq", pipeline.sequence)
+        packer.put("device_us", pipeline.device_us)
+        packer.put("gate_logit", pipeline.gate_logit)
+        packer.put("cloud", pipeline.buffers.revision)
+        packer.put("weak_rows", pipeline.normaliser.weak_count)
+        packer.put("lost", pipeline.counter.lost)
+        packer.put("corrupt", self.device.deframer.corrupt)
+        packer.put("withheld", sum(pipeline.withheld.values()))
+        packer.put_touched(pipeline.touched)
+        stamps[PACK] = time.perf_counter_ns()
+        pipeline.judge(stamps[PACK])
+        packer.put("overrun", pipeline.ladder.overruns)
+        packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events)
+        for index in range(PUBLISH):
+            packer.put(STAGES[index], stamps[index])
+        stamps[PUBLISH] = time.perf_counter_ns()
+        packer.put(STAGES[PUBLISH], stamps[PUBLISH])
+        packer.put("age_us", max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000))
+        return packer.message()
+
+    def finish(self) -> None:
+        """Take note of the frame in the statistics; after it was handed over."""
+        pipeline = self.pipeline
+        pipeline.stamps[PUBLISH] = time.perf_counter_ns()
+        self.statistics.add(pipeline.stamps, pipeline.solver, pipeline.touched, pipeline.skipped, pipeline.events)
+
+    def _accepted(self, until_ns: int | None) -> Iterator[None]:
+        """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``."""
+        device, pipeline = self.device, self.pipeline
+        self._heard_ns = time.perf_counter_ns()
+        while not self._stopping:
+            wait_s = device.silence_s
+            if until_ns is not None:
+                wait_s = min(wait_s, (until_ns - time.perf_counter_ns()) * 1e-9)
+                if wait_s <= 0:
+                    return
+            payloads = device.payloads(wait_s)
+            read_ns = time.perf_counter_ns()
+            if not payloads:
+                self._look_after(read_ns)
+                continue
+            self._heard_ns = read_ns
+            newest = self._skip_stale(payloads) if pipeline.ladder.drops_stale else payloads
+            for payload in newest:
+                if payload[0] != MessageType.FRAME:
+                    self._take_note(payload)
+                elif pipeline.accept(payload, read_ns):
+                    if self._pending_events:
+                        pipeline.events += self._pending_events
+                        self._pending_events = ()
+                    yield
+                    if self._stopping:
+                        return
+            if pipeline.generation_differs:
+                self._recover()
+
+    def _skip_stale(self, payloads: list[bytes]) -> list[bytes]:
+        """Return what to compute when time is short: of all frames that wait, the newest."""
+        while more := self.device.payloads(0.0):
+            payloads += more
+            if len(payloads) > 64:
+                break  # a device faster than this loop; the rest is stale next time
+        for payload in payloads[:-1]:
+            if payload[0] == MessageType.FRAME:
+                self.pipeline.discard(payload)
+            else:
+                self._take_note(payload)
+        return payloads[-1:]
+
+    def _look_after(self, now_ns: int) -> None:
+        if not self._stopping and (now_ns - self._heard_ns) * 1e-9 >= self.device.silence_s:
+            self._recover()
+
+    def _recover(self) -> None:
+        self.device.recover()
+        self.recoveries += 1
+        self.pipeline.greet(self.device.hello)
+        self._pending_events = (*self._pending_events, "recovered")
+        self._heard_ns = time.perf_counter_ns()
+
+    def _take_note(self, payload: bytes) -> None:
+        if payload[0] == MessageType.EVENT and len(payload) == Event.LAYOUT.size and len(self._pending_events) < 8:
+            self._pending_events = (*self._pending_events, f"device:{Event.unpack(payload).text.lower()}")
+
+    # -- state ---------------------------------------------------------------------------------------------------------
+
+    def status(self) -> dict[str, Any]:
+        """Return counters and ids; may be called from any thread."""
+        pipeline, found = self.pipeline, self.reference
+        return {
+            "frames": self.statistics.frames,
+            "published": self.published,
+            "lost": pipeline.counter.lost,
+            "corrupt": self.device.deframer.corrupt,
+            "withheld": sum(pipeline.withheld.values()),
+            "withheld_by_reason": dict(pipeline.withheld),
+            "resets": pipeline.counter.resets,
+            "recoveries": self.recoveries,
+            "overruns": pipeline.ladder.overruns,
+            "level": pipeline.ladder.level,
+            "cloud": pipeline.buffers.revision,
+            "clock_drift_ppm": round(pipeline.clock.drift_ppm, 3),
+            "serial_number": self.device.hello.serial_number,
+            "configuration": self.device.configuration,
+            "bundle": self.bundle.id,
+            "reference_utc": found.captured_utc if found else "",
+            "weak_rows": found.weak.tolist() if found else [],
+        }
+
+    def summary(self) -> dict[str, Any]:
+        """Return the statistics and the state as one flat object for ``--json``."""
+        return {**self.status(), **self.statistics.summary()}
+
+    @property
+    def stopping(self) -> bool:
+        """Whether ``stop`` was called."""
+        return self._stopping
+
+    def stop(self) -> None:
+        """End the loops soon; may be called from any thread and from a signal handler."""
+        self._stopping = True
+        self.transport.cancel()
+
+    def close(self) -> None:
+        """Stop the device and give the port back; closing twice is fine."""
+        if self._closed:
+            return
+        self._closed = True
+        self._stopping = True
+        with suppress(SkinError):  # the port may be gone; then there is nothing to stop
+            self.device.stop()
+        self.transport.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+class _Capture:
+    """A reference that another thread asked for and waits for."""
+
+    __slots__ = ("builder", "done", "error")
+
+    def __init__(self, builder: ReferenceBuilder) -> None:
+        self.builder = builder
+        self.done = threading.Event()
+        self.error: SkinError | None = None

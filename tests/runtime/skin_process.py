@@ -1,0 +1,60 @@
+"""A virtual skin for the runtime's tests: the real state machine, pty and faults, with made-up voltages instead of physics.
+
+Takes one JSON object as its argument, prints the port's path, serves until it is terminated.
+"""
+
+import json
+import sys
+from time import perf_counter_ns
+
+import numpy as np
+
+from eitskin_proto.ids import PROTOCOL_ID
+from eitskin_proto.table import N_ROWS
+from eitskin_tools.skin.configure import configuration_for
+from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.faults import FOREIGN_ID, FaultPlayer, parse
+from eitskin_tools.skin.pty import PtyPort
+from eitskin_tools.skin.server import SkinServer
+
+
+def untouched():
+    """Return (104,) V that span a factor of 477 with both signs, as a sheet's do."""
+    rows = np.arange(N_ROWS)
+    return np.where(rows % 3, -1.0, 1.0) * 1e-3 * 477.0 ** (-rows / (N_ROWS - 1))
+
+
+class MadeUp:
+    """Voltages whose relative change is a fixed pattern times an amount, over given intervals."""
+
+    def __init__(self, touches, noise, dead_rows):
+        self.touches, self.noise = touches, noise
+        self.base = untouched()
+        self.base[dead_rows] = 0.0
+        self.pattern = np.cos(np.arange(N_ROWS))
+        self.rng = np.random.default_rng(7)
+
+    def voltages(self, time_s):
+        amount = sum(amount for start, end, amount in self.touches if start <= time_s < end)
+        return self.base * (1 + amount * self.pattern + self.noise * self.rng.standard_normal(N_ROWS))
+
+
+def main(options):
+    player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
+    source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
+    configuration = configuration_for(options.get("rate_hz", 200.0), options.get("configuration", "paper"))
+    identity = Identity(
+        options.get("serial_number", "VIRTUAL-0001"), FOREIGN_ID if player.foreign else PROTOCOL_ID, options.get("first_us", 0)
+    )
+    port = PtyPort()
+    device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
+    device.sequence = options.get("sequence", 0)
+    print(port.path, flush=True)
+    try:
+        SkinServer(device, port, player).run(perf_counter_ns() + int(60e9))
+    finally:
+        port.close()
+
+
+if __name__ == "__main__":
+    main(json.loads(sys.argv[1]) if len(sys.argv) > 1 else {})

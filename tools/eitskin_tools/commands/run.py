@@ -1,0 +1,144 @@
+"""``eitskin run``: read a skin, publish frames, take control requests, until told to stop.
+
+Standard error says what was got, line by line, and then ``ready ...``; standard output stays empty but for the one
+object of ``--json`` at the end.
+"""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.cli import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", required=True, help="serial port of the skin")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of area labels)")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
+    parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference; default: capture one now")
+    parser.add_argument("--reference-frames", type=int, metavar="N", default=100, help="frames of a captured one")
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
+    parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
+    parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
+    parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
+    _check(arguments)
+    # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from eitskin import realtime
+    from eitskin.skin import Skin
+
+    with contextlib.ExitStack() as stack:
+        _say(realtime.more_files())
+        if arguments.affinity:
+            _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
+        keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
+        skin = stack.enter_context(
+            Skin(
+                arguments.port,
+                bundle=arguments.bundle,
+                reference=arguments.reference,
+                budget_ms=arguments.budget_ms,
+                **keywords,
+            )
+        )
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: skin.stop())
+        _report(skin)
+        if arguments.sched_fifo is not None:
+            _say(realtime.schedule_fifo(arguments.sched_fifo))
+        if arguments.mlock:
+            _say(realtime.lock_memory())
+        _serve(skin, arguments, stack)
+        if arguments.json:
+            print(json.dumps(skin.summary()))
+        else:
+            _say(_closing(skin.summary()))
+    return 0
+
+
+def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack) -> None:
+    from eitskin import endpoints, realtime
+    from eitskin.control import ControlServer
+    from eitskin.curve import load_server_keys
+    from eitskin.errors import BadReference
+    from eitskin.publish import Publisher
+    from eitskin.serve import serve
+
+    keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
+    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
+    stack.callback(publisher.close)
+    control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
+    stack.callback(control.close)
+    if skin.reference is None:
+        _say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        try:
+            skin.capture_reference(arguments.reference_frames)
+        except BadReference:
+            if skin.stopping:
+                return
+            raise
+    for line in skin.reference.report():
+        _say(line)
+    realtime.settle()
+    print(f"ready publishing on {publisher.endpoint} control {control.endpoint}", file=sys.stderr, flush=True)
+    until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
+    serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
+    for name, least in bounds.items():
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
+    for name in ("seconds", "budget_ms"):
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < 1e9:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+    if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
+        raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+
+
+def _report(skin: Any) -> None:
+    hello = skin.device.hello
+    for line in skin.transport.report():
+        _say(line)
+    version = ".".join(map(str, hello.firmware_version))
+    _say(
+        f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
+        f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
+    )
+    solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.engine_ns.items())
+    _say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
+    gate = skin.bundle.manifest.get("gate") or {}
+    _say(f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle")
+
+
+def _closing(summary: dict[str, Any]) -> str:
+    latency = summary["latency_us"]
+    return (
+        f"{summary['frames']} frames at {summary['rate_hz']:.1f}/s, {summary['lost']} lost, "
+        f"{summary['corrupt']} corrupt, {summary['withheld']} withheld, read to publish {latency['p50']:.0f} us p50, "
+        f"{latency['p99']:.0f} p99, {latency['max']:.0f} max"
+    )
+
+
+def _say(line: str) -> None:
+    print(f"eitskin run: {line}", file=sys.stderr, flush=True)
