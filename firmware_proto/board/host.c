@@ -2,6 +2,7 @@
 
 #include <string.h>
 
+#include "eit_bytes.h"
 #include "eit_device.h"
 
 #define SLOT_WORDS ((EIT_SLOT_BYTES + 3u) / 4u)
@@ -257,4 +258,20 @@ void eit_host_set_front_end(struct eit_host *host, int fails)
 void eit_host_set_clock(struct eit_host *host, uint32_t now)
 {
     host->now_us = now;
+}
+
+size_t eit_host_feed(struct eit_deframer *deframer, const uint8_t *data, size_t length, uint8_t *out, size_t capacity)
+{
+    size_t used = 0;
+
+    for (size_t i = 0; i < length; i++) {
+        size_t payload;
+
+        if (eit_deframer_push(deframer, data[i], &payload) == EIT_OK && payload + 2u <= capacity - used) {
+            eit_put16(out + used, (uint16_t)payload);
+            memcpy(out + used + 2u, deframer->buffer, payload);
+            used += payload + 2u;
+        }
+    }
+    return used;
 }

@@ -9,6 +9,7 @@
 #include <stddef.h>
 #include <stdint.h>
 
+struct eit_deframer;
 struct eit_host;
 
 size_t eit_host_bytes(void);
@@ -48,5 +49,9 @@ void eit_host_set_counts(struct eit_host *host, const int32_t *counts, const uin
 void eit_host_set_front_end(struct eit_host *host, int fails);
 
 void eit_host_set_clock(struct eit_host *host, uint32_t now_us);
+
+/* Push bytes through a deframer; writes each payload as u16 length and bytes. Returns the bytes written; payloads that do
+ * not fit into capacity are left out. */
+size_t eit_host_feed(struct eit_deframer *deframer, const uint8_t *data, size_t length, uint8_t *out, size_t capacity);
 
 #endif

@@ -135,12 +135,11 @@ static void stand_still(void)
 /* Change one word as far as the power lasts: `wanted` is what it should become. */
 static void change(volatile uint32_t *word, uint32_t wanted)
 {
-    const uint32_t before = *word;
-    uint32_t mask = 0xffffffffu;
-
     POWER[1] = POWER[1] + 1u;
     if (POWER[1] == POWER[0]) {
+        const uint32_t before = *word;
         uint32_t state = POWER[2];
+        uint32_t mask;
 
         for (unsigned i = 0; i < 8u && state > 1u; i++) {
             state ^= state << 13;
@@ -334,9 +333,11 @@ void reset(void)
 {
     const uint32_t *from = data_source;
 
+    /* cppcheck-suppress comparePointers ; the linker makes both ends of one section */
     for (uint32_t *to = data_start; to < data_end; to++, from++) {
         *to = *from;
     }
+    /* cppcheck-suppress comparePointers ; likewise */
     for (uint32_t *to = bss_start; to < bss_end; to++) {
         *to = 0;
     }

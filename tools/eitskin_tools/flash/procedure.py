@@ -1,0 +1,240 @@
+"""Show, write, verify and roll back a device's configuration, so that it always runs the old one or the new one.
+
+::
+
+    check on the host -> begin -> chunks -> verify -> read back -> commit -> restart -> hello -> confirm
+    ------ the old configuration is untouched ------------------>| on trial ----------------->| the new one
+
+Whatever fails before ``confirm``, the device goes back by itself: at the next boot, or after 30 s on trial.
+"""
+
+import secrets
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass, fields
+from typing import Final
+
+from eitskin.errors import SkinError, TransportError
+from eitskin.transport import Transport
+from eitskin_proto import messages
+from eitskin_proto.codes import Code, HelloFlag, Slot
+from eitskin_proto.config import BLOB_BYTES, FORMAT, Configuration
+from eitskin_proto.hardware import KNOWN
+from eitskin_tools.flash.exchange import Exchange, Refused, Silent
+
+BOOT_TIMEOUT_S: Final = 10.0
+"""A device that has not come back by then is reported; it goes back to the old configuration by itself."""
+
+Progress = Callable[[str, int, int], None]
+"""Called with the step's name, the steps done and their number."""
+
+
+class FlashError(SkinError):
+    """Flashing failed; the text says which configuration the device is left with."""
+
+
+@dataclass(frozen=True, slots=True)
+class Stored:
+    """A configuration as a device holds it."""
+
+    configuration: Configuration
+    generation: int
+
+
+@dataclass(frozen=True, slots=True)
+class Shown:
+    """What a device says about itself and its configurations."""
+
+    hello: messages.Hello
+    active: Stored
+    other: Stored | None
+    """What a rollback would return to; None if there is nothing."""
+
+
+def read_stored(exchange: Exchange, slot: int) -> tuple[int, bytes]:
+    """Return generation and blob of a slot.
+
+    Raises:
+        Refused: Nothing is stored there.
+    """
+    blob, generation = b"", 0
+    while len(blob) < BLOB_BYTES:
+        piece = exchange.read(slot, len(blob), min(messages.CHUNK_BYTES, BLOB_BYTES - len(blob)))
+        blob, generation = blob + piece.data, piece.generation
+    return generation, blob
+
+
+def show(exchange: Exchange) -> Shown:
+    """Return what the device runs, and what it could go back to."""
+    hello = exchange.hello()
+    generation, blob = read_stored(exchange, Slot.ACTIVE)
+    other = None
+    with suppress(Refused):
+        other_generation, other_blob = read_stored(exchange, Slot.OTHER)
+        other = Stored(Configuration.from_blob(other_blob), other_generation)
+    return Shown(hello, Stored(Configuration.from_blob(blob), generation), other)
+
+
+def differences(old: Configuration, new: Configuration) -> list[tuple[str, object, object]]:
+    """Return (field, old, new) of every field that differs."""
+    pairs = [(field.name, getattr(old, field.name), getattr(new, field.name)) for field in fields(Configuration)]
+    return [(name, a, b) for name, a, b in pairs if a != b]
+
+
+def check(hello: messages.Hello, configuration: Configuration) -> None:
+    """Refuse what this device cannot run.
+
+    Raises:
+        FlashError: Made for other hardware.
+        ValueError: A value or a rate that electronics or line cannot reach; the largest that works is given.
+    """
+    if configuration.hardware_id != hello.hardware_id:
+        names = [KNOWN[i].name if i in KNOWN else f"0x{i:08x}" for i in (configuration.hardware_id, hello.hardware_id)]
+        raise FlashError(
+            f"configuration {configuration.name!r} is for {names[0]}, the device is {names[1]}: nothing was written"
+        )
+    configuration.check(hello.line_bytes_per_s)
+
+
+def write(
+    exchange: Exchange,
+    configuration: Configuration,
+    *,
+    allow_downgrade: bool = False,
+    progress: Progress = lambda step, done, total: None,
+    reopen: Callable[[], Transport] | None = None,
+) -> Stored:
+    """Flash a configuration and return it as the device holds it afterwards.
+
+    Args:
+        exchange: An open line to the device.
+        configuration: What to write.
+        allow_downgrade: Write even a lower revision of the same name.
+        progress: Told about every step.
+        reopen: Opens the line again if it vanishes with the restart.
+
+    Raises:
+        FlashError: It failed; the text says what the device is left with.
+        Refused: The device refused before anything changed.
+    """
+    hello = exchange.hello()
+    check(hello, configuration)
+    if hello.flags & HelloFlag.STREAMING:
+        exchange.command(messages.Stop)
+    blob, token = configuration.to_blob(), secrets.randbelow(0xFFFFFFFF) + 1
+    pieces = range(0, len(blob), messages.CHUNK_BYTES)
+    total = len(pieces) + 6
+    progress("begin", 0, total)
+    exchange.command(
+        messages.ConfigBegin, token=token, size=len(blob), digest=configuration.digest, format=FORMAT,
+        hardware_id=configuration.hardware_id, revision=configuration.revision, name=configuration.name,
+        allow_downgrade=int(allow_downgrade),
+    )  # fmt: skip
+    try:
+        for number, at in enumerate(pieces):
+            progress("write", 1 + number, total)
+            exchange.command(messages.ConfigWrite, token=token, offset=at, data=blob[at : at + messages.CHUNK_BYTES])
+        progress("verify", total - 5, total)
+        exchange.command(messages.ConfigVerify, token=token)
+        _, read_back = read_stored(exchange, Slot.OTHER)
+        if read_back != blob:
+            raise FlashError("what the device stored differs from what was sent")
+        progress("commit", total - 4, total)
+        generation = exchange.command(messages.ConfigCommit, token=token, digest=configuration.digest).detail
+    except SkinError as error:
+        with suppress(SkinError):
+            exchange.command(messages.ConfigAbort, token=token)
+        raise FlashError(f"{error}; the device keeps its old configuration") from error
+    progress("restart", total - 3, total)
+    exchange.command(messages.Restart, token=token)
+    _confirm(exchange, generation, configuration.digest, progress, total, reopen)
+    return Stored(configuration, generation)
+
+
+def _confirm(
+    exchange: Exchange,
+    generation: int,
+    digest: int,
+    progress: Progress,
+    total: int,
+    reopen: Callable[[], Transport] | None,
+) -> None:
+    progress("boot", total - 2, total)
+    hello = wait_for_boot(exchange, generation, reopen)
+    if (hello.generation, hello.configuration_digest) != (generation, digest):
+        raise FlashError(
+            f"the device came back with generation {hello.generation} ({hello.configuration_name!r}), expected "
+            f"{generation}: it rolled back to its old configuration"
+        )
+    progress("confirm", total - 1, total)
+    try:
+        exchange.command(messages.ConfigConfirm, generation=generation, digest=digest)
+    except SkinError as error:
+        raise FlashError(f"{error}; the device goes back to its old configuration by itself within 30 s") from error
+    progress("done", total, total)
+
+
+def wait_for_boot(exchange: Exchange, generation: int, reopen: Callable[[], Transport] | None = None) -> messages.Hello:
+    """Return the HELLO of a device that was told to restart.
+
+    A HELLO of before the restart still shows the old generation; it is asked again until the generation is the
+    expected one or the device says that it gave a trial up.
+
+    Raises:
+        FlashError: It does not come back.
+    """
+    deadline_s = time.perf_counter() + BOOT_TIMEOUT_S
+    last: messages.Hello | None = None
+    while time.perf_counter() < deadline_s:
+        try:
+            last = exchange.hello(attempts=1)
+        except Silent:
+            continue
+        except TransportError:
+            if reopen is None:
+                raise
+            time.sleep(0.1)  # a USB port takes a moment to come back; nothing can be waited on meanwhile
+            with suppress(TransportError):
+                exchange.replace(reopen())
+            continue
+        if last.generation == generation or last.flags & HelloFlag.ROLLED_BACK:
+            return last
+        exchange.transport.read(0.05)  # let it finish: it restarts within 20 ms of its answer
+    if last is not None:
+        return last
+    raise FlashError(
+        f"{exchange.transport.name} did not come back within {BOOT_TIMEOUT_S:.0f} s of the restart; switch it off and "
+        "on: it then runs the old or the new configuration"
+    )
+
+
+def verify(exchange: Exchange, configuration: Configuration) -> list[tuple[str, object, object]]:
+    """Return what differs between the device's active configuration and a file's: nothing if they agree."""
+    exchange.hello()
+    _, blob = read_stored(exchange, Slot.ACTIVE)
+    return differences(Configuration.from_blob(blob), configuration)
+
+
+def rollback(exchange: Exchange, reopen: Callable[[], Transport] | None = None) -> messages.Hello:
+    """Return to the configuration from before and return the HELLO of then.
+
+    Raises:
+        FlashError: There is none, or the device did not come back.
+    """
+    shown = show(exchange)
+    if shown.hello.flags & HelloFlag.STREAMING:
+        exchange.command(messages.Stop)
+    token = secrets.randbelow(0xFFFFFFFF) + 1
+    try:
+        exchange.command(messages.ConfigRollback, token=token, generation=shown.hello.generation)
+    except Refused as error:
+        if error.ack.code == Code.NO_PREVIOUS:
+            raise FlashError("there is no earlier configuration to roll back to; the active one stays") from error
+        raise
+    exchange.command(messages.Restart, token=token)
+    expected = shown.other.generation if shown.other else 0
+    hello = wait_for_boot(exchange, expected, reopen)
+    if hello.generation != expected:
+        raise FlashError(f"the device came back with generation {hello.generation}, expected {expected}")
+    return hello
