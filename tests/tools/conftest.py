@@ -1,8 +1,8 @@
 import itertools
-from collections.abc import Iterator
 
 import numpy as np
 import pytest
+
 from eitskin_proto import messages
 from eitskin_proto.framing import Deframer, encode
 from eitskin_tools.skin.configure import configuration_for
@@ -42,5 +42,5 @@ class Host:
 
 
 @pytest.fixture
-def host() -> Iterator[Host]:
-    yield Host(VirtualDevice(Ramp(), configuration_for(200.0), 1_000_000_000, Identity()))
+def host() -> Host:
+    return Host(VirtualDevice(Ramp(), configuration_for(200.0), 1_000_000_000, Identity()))

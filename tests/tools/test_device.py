@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+
 from eitskin_proto import messages as m
 from eitskin_proto.codes import Code, FrameFlag, HelloFlag, Mode
 from eitskin_proto.config import Configuration

@@ -41,8 +41,8 @@ def area_map(touches: Sequence[Touch]) -> Array:
 
 def shape_map(shape: Shape) -> Array:
     """Return the (30, 45) share of each pixel that one shape covers."""
-    x: Array = np.arange(GRID_SHAPE[1] + 1) * PITCH_MM
-    y: Array = np.arange(GRID_SHAPE[0] + 1) * PITCH_MM
+    x = np.arange(GRID_SHAPE[1] + 1, dtype=np.float64) * np.float64(PITCH_MM)
+    y = np.arange(GRID_SHAPE[0] + 1, dtype=np.float64) * np.float64(PITCH_MM)
     match shape:
         case Rect():
             wide = np.diff(np.clip(x, shape.x0_mm, shape.x1_mm))

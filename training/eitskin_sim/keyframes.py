@@ -7,9 +7,9 @@ the list::
 
     times_s   1.70  1.75  1.80 | 1.80  1.85 ...        searchsorted(side="right") falls between the two
 
-Moments whose scenes are equal are solved once. The demonstration's keyframes are shipped with the package, and others are
-kept in the user's cache; both carry a digest of the moments and of the model, so that a script that was changed is solved
-anew.
+Moments whose scenes are equal are solved once. The demonstration's keyframes are shipped with the package, and others
+are kept in the user's cache; both carry a digest of the moments and of the model, so that a script that was changed is
+solved anew.
 """
 
 import hashlib
@@ -27,16 +27,19 @@ import numpy.typing as npt
 from eitskin_proto.table import TABLE
 from eitskin_sim.bend import metric
 from eitskin_sim.forward import assemble
-from eitskin_sim.laminate import factorise
+from eitskin_sim.cut import factorise
 from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.scene import Scene, scene_json
 
 Array = npt.NDArray[np.float64]
 
 STEP_S: Final = 0.05
-"""Between two keyframes. The error that this leaves is measured by :func:`interpolation_error`."""
+"""Between two keyframes at most. The error that this leaves is measured by :func:`interpolation_error`."""
 
-MODEL: Final = "tensor mesh snapped to touches, biquadratic, laminate; 1"
+LEAST_STEPS: Final = 6
+"""Between two events at least: a touch that is being pressed changes faster than anything else."""
+
+MODEL: Final = "tensor mesh snapped to touches, biquadratic, kinked; 2"
 """Stands for the forward model in digests; the number grows when its voltages change by more than 1e-3."""
 
 SHIPPED: Final = Path(__file__).with_name("solved")
@@ -75,11 +78,11 @@ class Keyframes:
         times = self.times_s
         right = int(np.searchsorted(times, time_s, side="right"))
         if right == 0 or right == len(times):
-            return self.voltages[min(right, len(times) - 1)].copy()
+            return np.array(self.voltages[min(right, len(times) - 1)])
         start, stop = self.voltages[right - 1], self.voltages[right]
         share = (time_s - times[right - 1]) / (times[right] - times[right - 1])
         if share == 0.0:
-            return start.copy()
+            return np.array(start)
         ratio = stop / start
         if np.all(ratio > 0.0):
             return np.asarray(start * ratio**share)
@@ -92,7 +95,7 @@ def moment_times_s(events_s: Sequence[float], until_s: float, step_s: float = ST
     for start, stop in itertools.pairwise(events_s):
         if start > until_s:
             break
-        count = max(1, int(np.ceil((stop - start) / step_s - 1e-9)))
+        count = max(LEAST_STEPS, int(np.ceil((stop - start) / step_s - 1e-9)))
         times.extend(np.linspace(start, stop, count + 1).tolist())
     return np.array(times)
 

@@ -14,11 +14,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.grid import pixel_centres_mm
 from eitskin_sim import choreography, keyframes
 from eitskin_sim.area import area_map
-from eitskin_sim.bend import surface
 from eitskin_sim.keyframes import Keyframes, Moment
+from eitskin_sim.scanned import scanned_cloud
 from eitskin_sim.scene import Scene, load_scene
 
 CURRENT_A: Final = 1e-3
@@ -59,9 +58,7 @@ class Script:
             time_s: Since the start.
             rng: Source of the scanner's noise; None for a perfect scanner.
         """
-        scene = self.scene_at(time_s)
-        points = surface(scene.bend, scene.sheet, pixel_centres_mm().reshape(-1, 2))
-        return np.asarray(points.T.reshape(3, *pixel_centres_mm().shape[:2]))
+        return np.asarray(scanned_cloud(self.scene_at(time_s).bend, rng), dtype=np.float64)
 
     def moments(self, until_s: float, step_s: float = keyframes.STEP_S) -> list[Moment]:
         """Return the keyframes to solve so that times up to ``until_s`` can be interpolated."""

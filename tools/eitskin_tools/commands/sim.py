@@ -1,6 +1,7 @@
 """``eitskin sim``: a virtual skin behind a pseudo-terminal."""
 
 import argparse
+import os
 from pathlib import Path
 
 from eitskin_tools.cli import UsageError
@@ -32,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve until stopped."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
     from eitskin_tools.skin.faults import parse
     from eitskin_tools.skin.process import Options, serve
 

@@ -21,6 +21,7 @@ from eitskin_proto.config import Configuration
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import Frame, full_scale, quantise
 from eitskin_proto.framing import Deframer, encode
+from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_proto.messages import Ack, Hello
 from eitskin_proto.scan_rows import row_count, table_rows
 from eitskin_tools.skin.store import TRIAL_NS, Answer, ConfigurationStore
@@ -47,8 +48,8 @@ class Identity:
     """What makes this skin different from others."""
 
     serial_number: str = "VIRTUAL-0001"
-    protocol_id: str | None = None
-    """Another than this installation's, to play a foreign device."""
+    protocol_id: str = PROTOCOL_ID
+    """Another than this installation's plays a foreign device."""
     first_us: int = 0
     """What the device clock shows at boot; near 2^32 it wraps soon."""
 
@@ -169,7 +170,6 @@ class VirtualDevice:
     def hello(self, now_ns: int, tag: int = 0) -> Hello:
         """Return what the device says about itself."""
         store, configuration = self.store, self.store.configuration
-        foreign = {"protocol_id": self.identity.protocol_id} if self.identity.protocol_id else {}
         return Hello(
             firmware_version=FIRMWARE_VERSION,
             hardware_id=hardware.EITSKIN_16.id,
@@ -191,7 +191,7 @@ class VirtualDevice:
             | (HelloFlag.IDLE if self._idle else 0),
             uptime_ms=(now_ns - self._boot_ns) // 1_000_000 & 0xFFFFFFFF,
             tag=tag,
-            **foreign,
+            protocol_id=self.identity.protocol_id,
         )
 
     def _answer(self, payload: bytes, now_ns: int) -> list[messages.Message]:

@@ -1,12 +1,14 @@
 """A script's keyframes: shipped, cached, or solved now on every core, with a progress bar where someone is watching.
 
-After a change of the demonstration or the forward model, ``python -m eitskin_tools.skin.prepare`` solves what is shipped.
+After a change of the demonstration or the forward model, ``python -m eitskin_tools.skin.prepare`` solves what is
+shipped.
 """
 
+import multiprocessing
 import os
+import signal
 import sys
 from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
 from typing import Protocol
 
@@ -71,12 +73,18 @@ def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
                 results.append(keyframes.solve(scene))
                 step()
             return results
-        with ProcessPoolExecutor(workers) as pool:
+        with multiprocessing.Pool(workers, _default_signals) as pool:  # leaving the block terminates them, done or not
             results = []
-            for voltages in pool.map(keyframes.solve, scenes, chunksize=4):
+            for voltages in pool.imap(keyframes.solve, scenes, chunksize=4):
                 results.append(voltages)
                 step()
             return results
+
+
+def _default_signals() -> None:
+    """Let a worker die of SIGTERM, and leave SIGINT to its parent."""
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 class _Step(Protocol):

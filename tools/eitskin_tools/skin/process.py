@@ -16,6 +16,7 @@ from time import perf_counter_ns
 from types import FrameType
 from typing import Any
 
+from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_tools.skin.configure import configuration_for
 from eitskin_tools.skin.device import Identity, VirtualDevice
 from eitskin_tools.skin.faults import FOREIGN_ID, Fault, FaultPlayer
@@ -95,7 +96,7 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
     log = stack.enter_context(options.log.open("w", buffering=1)) if options.log else None
     times = wire_times(options.wire_times, WIRE_CAPACITY) if options.wire_times else None
     port = stack.enter_context(PtyPort())
-    identity = Identity(options.serial_number, FOREIGN_ID if player.foreign else None, options.first_us)
+    identity = Identity(options.serial_number, FOREIGN_ID if player.foreign else PROTOCOL_ID, options.first_us)
     device = VirtualDevice(ScriptSource(script, solved, noise), configuration, perf_counter_ns(), identity)
 
     def write(event: dict[str, Any]) -> None:

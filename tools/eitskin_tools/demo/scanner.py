@@ -1,0 +1,107 @@
+"""The scanner's process: tells the runtime how the sheet is bent, while it runs, as a robot's camera would.
+
+Every period it takes the cloud of the script's moment, as a scanner gives it, and sends it over the control endpoint.
+Where the bundle asks for it, the forward model's prediction of the untouched voltages goes with the cloud. The process
+is nice: what it computes must not cost the stream its time.
+"""
+
+import argparse
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from types import FrameType
+from typing import Final
+
+import numpy as np
+
+import eitskin
+from eitskin_tools.demo.events import script_start
+
+NICENESS: Final = 10
+"""Of this process; see nice(2)."""
+
+
+class _Stopped(BaseException):
+    """The demonstration is over."""
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)
+    raise _Stopped
+
+
+def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool) -> None:
+    """Send clouds until the process is stopped.
+
+    Args:
+        control: Endpoint of the runtime.
+        log: Of the virtual skin; says when the script began.
+        rate_hz: Clouds a second.
+        scene: What the virtual skin holds, or None for the demonstration.
+        seed: Of the scanner's noise.
+        predict: Send the predicted voltages too.
+
+    Raises:
+        SkinError: The runtime refuses a cloud.
+    """
+    from eitskin_sim.script import demonstration, from_scene
+
+    script = demonstration() if scene is None else from_scene(scene)
+    rng = np.random.default_rng(seed)
+    start_ns = script_start(log)["host_ns"]
+    period_ns = round(1e9 / rate_hz)
+    due_ns = time.perf_counter_ns()
+    last: object = None
+    while True:
+        time_s = (time.perf_counter_ns() - start_ns) * 1e-9
+        bend = script.scene_at(time_s).bend
+        if bend != last:  # a sheet that does not move needs no new cloud
+            last = bend
+            cloud = script.cloud_at(time_s, rng)
+            predicted, flat = _predicted(cloud) if predict else (None, None)
+            print(json.dumps({"time_s": time_s, "cloud": _send(control, cloud, predicted, flat)}), flush=True)
+        due_ns += period_ns
+        behind_ns = time.perf_counter_ns() - due_ns
+        if behind_ns > 0:
+            due_ns += behind_ns // period_ns * period_ns
+        else:
+            time.sleep(-behind_ns * 1e-9)
+
+
+def _predicted(cloud: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    from eitskin_sim.predict import predict_voltages, predicted_flat
+
+    return predict_voltages(cloud), predicted_flat()
+
+
+def _send(control: str, cloud: np.ndarray, predicted: np.ndarray | None, flat: np.ndarray | None) -> int:
+    return eitskin.send_cloud(control, cloud, predicted=predicted, predicted_flat=flat)
+
+
+def main() -> int:
+    """Run the scanner's process."""
+    parser = argparse.ArgumentParser(description="Send clouds of the bending sheet.")
+    parser.add_argument("control")
+    parser.add_argument("log", type=Path)
+    parser.add_argument("--rate", type=float, default=4.0)
+    parser.add_argument("--scene", type=Path)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--predict", action="store_true")
+    arguments = parser.parse_args()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop)
+    os.nice(NICENESS)
+    try:
+        scan(arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict)
+    except _Stopped:
+        return 0
+    except (eitskin.SkinError, OSError, ValueError) as error:
+        print(error, file=sys.stderr)
+        return 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

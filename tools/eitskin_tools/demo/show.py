@@ -1,0 +1,203 @@
+"""The demonstration itself: starts the processes, draws while they run, and says in the end how it went.
+
+::
+
+    sim  --pty-->  run  --ipc-->  subscriber --> record.npz --+
+     |              ^                                          +--> summary
+     +-- log, wire times      scanner --clouds--> control      |
+     +---------------------------------------------------------+
+
+Nothing is left behind: the processes end in order, the sockets and files lie in one temporary folder that is removed.
+"""
+
+import json
+import sys
+import tempfile
+import time
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin_proto.errors import SkinError
+from eitskin_tools.demo.children import Child, family
+from eitskin_tools.demo.events import script_start
+from eitskin_tools.demo.recorder import Record
+from eitskin_tools.demo.score import accuracy, timing
+
+START_S: Final = 120.0
+"""How long solving a script's keyframes may take, which happens once after it changed."""
+
+READY_S: Final = 30.0
+"""How long the runtime may take for handshake and reference."""
+
+CLOUDS_HZ: Final = 4.0
+"""Clouds a second, as a robot's camera would give."""
+
+
+@dataclass(frozen=True, slots=True)
+class Options:
+    """What the demonstration is like."""
+
+    seconds: float = 20.0
+    rate_hz: float = 200.0
+    bundle: Path | None = None
+    scene: Path | None = None
+    noise: str = "N2"
+    seed: int = 0
+    draw: bool = False
+    record: Path | None = None
+    """Keep the record there."""
+    picture: Path | None = None
+    """Draw a frame of the run there."""
+
+
+def demonstrate(options: Options) -> dict[str, Any]:
+    """Run the demonstration and return its summary.
+
+    Raises:
+        SkinError: A process died, with what it said last.
+        TimeoutError: A process was not ready in time.
+    """
+    with tempfile.TemporaryDirectory(prefix="eitskin-demo-") as name:
+        folder = Path(name)
+        publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
+        log, wire, record = folder / "skin.log", folder / "wire.npy", folder / "record.npz"
+        with family() as children:
+            start = _start(options, folder, publish, control, children)
+            _watch(options, publish, log, children)
+            skin, runtime, subscriber = children[:3]
+            subscriber.wait(10.0)
+            if subscriber.status != 0:
+                subscriber.check()
+            runtime.stop()
+            skin.stop()
+            spoken = _last_object(runtime)
+        found = Record.load(record)
+        summary = timing(found, np.load(wire, mmap_mode="r"))
+        summary |= asdict(accuracy(found, _script(options), script_start(log)["device_us"]))
+        summary |= {
+            "sent": _sent(log),
+            "late_subscriber": found.late,
+            "withheld": found.withheld,
+            "runtime_lost": spoken.get("lost"),
+            "start_s": round(start, 2),
+            "noise": options.noise,
+            "bundle": str(options.bundle) if options.bundle else "shipped",
+        }
+        if options.record:
+            options.record.write_bytes(record.read_bytes())
+        return summary
+
+
+def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> float:
+    """Start everything; return how many seconds it took until the first frame arrived."""
+    begin = time.monotonic()
+    # The skin outlives the demonstration by this much if nobody stops it; it never has to.
+    longest = options.seconds + START_S + READY_S
+    scene = ["--scene", str(options.scene)] if options.scene else []
+    skin = Child(
+        "sim", "eitskin_tools.cli",
+        ["sim", "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
+         f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
+    )  # fmt: skip
+    children.append(skin)
+    port = json.loads(skin.line(skin.out, "{", START_S))["port"]
+    bundle = ["--bundle", str(options.bundle)] if options.bundle else []
+    runtime = Child(
+        "run", "eitskin_tools.cli",
+        ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *bundle], folder,
+    )  # fmt: skip
+    children.append(runtime)
+    capacity = int(options.seconds * options.rate_hz * 1.1) + 1000
+    subscriber = Child(
+        "subscriber", "eitskin_tools.demo.recorder",
+        [publish, str(folder / "record.npz"), f"--seconds={options.seconds}", f"--capacity={capacity}"], folder,
+    )  # fmt: skip
+    children.append(subscriber)
+    runtime.line(runtime.err, "ready ", READY_S, [skin, subscriber])
+    predict = ["--predict"] if _uses_prediction(options.bundle) else []
+    scanner = Child(
+        "scanner", "eitskin_tools.demo.scanner",
+        [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", f"--seed={options.seed}", *scene, *predict], folder,
+    )  # fmt: skip
+    children.append(scanner)
+    subscriber.line(subscriber.out, "first", READY_S, [skin, runtime, scanner])
+    return time.monotonic() - begin
+
+
+def _watch(options: Options, publish: str, log: Path, children: list[Child]) -> None:
+    """Wait for the subscriber to finish; draw meanwhile; stop early on Ctrl-C."""
+    end = time.monotonic() + options.seconds + READY_S
+    try:
+        if options.draw:
+            from eitskin_tools.demo.live import live
+
+            live(publish, _script(options), script_start(log)["device_us"], lambda: _going_on(children, end))
+            return
+        while _going_on(children, end):
+            time.sleep(0.05)
+    except KeyboardInterrupt:
+        children[2].stop()
+
+
+def _going_on(children: list[Child], end: float) -> bool:
+    skin, runtime, subscriber, scanner = children
+    if subscriber.status == 0:
+        return False
+    for child in (subscriber, runtime, skin, scanner):
+        child.check()
+    if time.monotonic() > end:
+        raise SkinError("the stream went on without the subscriber's clock; stop the demonstration and try again")
+    return True
+
+
+def _script(options: Options) -> Any:
+    from eitskin_sim.script import demonstration, from_scene
+
+    return demonstration() if options.scene is None else from_scene(options.scene)
+
+
+def _uses_prediction(bundle: Path | None) -> bool:
+    from eitskin.bundle import load_bundle
+
+    return bool(load_bundle(bundle).uses_prediction)
+
+
+def _last_object(child: Child) -> dict[str, Any]:
+    try:
+        found = json.loads(child.out.read_text() or "{}")
+    except json.JSONDecodeError as error:
+        raise SkinError(f"{child.name} did not end its output with one JSON object: {error}") from error
+    return found if isinstance(found, dict) else {}
+
+
+def _sent(log: Path) -> int | None:
+    from eitskin_tools.demo.events import read_log
+
+    return next((int(event["sent"]) for event in read_log(log) if event["event"] == "stop"), None)
+
+
+def print_summary(summary: dict[str, Any]) -> None:
+    """Print a summary for people."""
+    latency, stages = summary["latency_us"], summary["stages_us"]
+
+    def ms(value: float) -> str:
+        return f"{value / 1000:.2f}"
+
+    out = sys.stdout
+    print(f"{summary['frames']} frames at {summary['rate_hz']:g} frames/s; {summary['lost']} lost, "
+          f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
+    print(f"wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, max {ms(latency['max'])} ms",
+          file=out)  # fmt: skip
+    parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
+    print(f"stages, us p50/p99: {parts}", file=out)
+    if summary["cc_median"] is not None:
+        split = [f"{name} {summary[key]:.3f}" for name, key in (("flat", "cc_median_flat"), ("bent", "cc_median_bent"))
+                 if summary[key] is not None]  # fmt: skip
+        print(f"correlation with the truth: median {summary['cc_median']:.3f} over {summary['scored']} touched frames "
+              f"({', '.join(split)})", file=out)  # fmt: skip
+    gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
+            ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
+    print(f"gate: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)
