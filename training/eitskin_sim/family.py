@@ -6,9 +6,10 @@
     A       seven parameters, each drawn by itself from the bounds below
     B       A, and two bumps of 6 mm, inwards or outwards, sigma 12 to 25 mm
 
-A network that sees only the paper's path falls from CC 0.98 to 0.77 on A, and its cloud channel stays idle; so A is what
-one trains on and B is kept for tests. Draws are scaled: in three of ten the whole deformation is multiplied by a uniform
-amplitude, and one in forty is exactly flat, since a skin is often nearly flat. A draw that folds is drawn again.
+A network that sees only the paper's path falls from CC 0.98 to 0.77 on A, and its cloud channel stays idle; so A is
+what one trains on and B is kept for tests. Draws are scaled: in three of ten the whole deformation is multiplied by a
+uniform amplitude, and one in forty is exactly flat, since a skin is often nearly flat. A draw that folds is drawn
+again.
 """
 
 from collections.abc import Iterator
@@ -100,7 +101,7 @@ def _sequence(family: Family, generator: np.random.Generator) -> Iterator[Bend]:
 def _draw(family: Family, generator: np.random.Generator) -> Bend:
     values = {name: float(generator.uniform(*bounds)) for name, bounds in BOUNDS.items()}
     kind, amplitude = generator.random(2)
-    bend = Bend(**values)
+    bend = replace(Bend(), **values)
     if family == "B":
         bend = replace(bend, bumps_mm=(_bump(generator), _bump(generator)))
     if kind < FLAT:

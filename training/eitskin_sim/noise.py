@@ -62,4 +62,4 @@ def add_noise(
 
 
 def _rms(rows: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    return np.sqrt(np.mean(np.square(rows), axis=-1, keepdims=True))
+    return np.asarray(np.sqrt(np.mean(np.square(rows), axis=-1, keepdims=True)))

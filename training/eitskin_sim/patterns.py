@@ -2,7 +2,8 @@
 
 A touch set is a row of 126 bits, bit ``row * 14 + column`` for unit (column, row), and is stored as 16 packed bytes.
 The paper's sets are every single unit, every square of 2x2 to 9x9 units, and random sets of two to four (section V.A).
-They hold no bar, no L and nothing of five separate pieces, which is where networks trained on them fail. The richer sets
+They hold no bar, no L and nothing of five separate pieces, which is where networks trained on them fail. The richer
+sets
 are pieces of random kind at random places ::
 
     unit  #    bar  ####    rectangle  ###    L  #      T  ###    several pieces  #   ##

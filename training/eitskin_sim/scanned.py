@@ -19,7 +19,9 @@ NOISE_MM: Final = 0.1
 """Resolution of the scan (paper section IV.A), taken as the noise of every coordinate."""
 
 
-def scanned_cloud(bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM) -> npt.NDArray[np.float32]:
+def scanned_cloud(
+    bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM
+) -> npt.NDArray[np.float32]:
     """Return the (3, 30, 45) mm cloud of a bend.
 
     Args:

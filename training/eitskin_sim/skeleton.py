@@ -1,6 +1,7 @@
 """A bent sheet cut along the borders of its 126 units, each unit condensed onto what it shares with others.
 
-Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What remains
+Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What
+remains
 is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
 
     +-----o-----o-----+      o  lines between units: 1,500 nodes of 5,900 at the default size
@@ -9,8 +10,9 @@ is the skeleton: nodes on the lines between units, and the sixteen electrodes. :
     o o o o o o o o o o      S = sum over units of S_u(sigma_u), exactly
     |  .  o  .  o  .  |
 
-Mesh lines stand on the units' borders, so a touched unit has its true outline. A contact may lie on two units; its electrode
-is then in both. A face contact's conductance depends on the conductivity above it, and so comes with each unit's S_u.
+Mesh lines stand on the units' borders, so a touched unit has its true outline. A contact may lie on two units; its
+electrode is then in both. A face contact's conductance depends on the conductivity above it, and so comes with each
+unit's S_u.
 """
 
 from collections.abc import Sequence
@@ -130,9 +132,7 @@ def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[flo
     return [_condense(unit, parts, system, place, conductivities) for unit in range(N_UNITS)]
 
 
-def _condense(
-    unit: int, parts: UnitMesh, system: System, place: Index, conductivities: Sequence[float]
-) -> Condensed:
+def _condense(unit: int, parts: UnitMesh, system: System, place: Index, conductivities: Sequence[float]) -> Condensed:
     elements = np.flatnonzero(parts.unit_of_element == unit)
     nodes = np.unique(parts.mesh.element_nodes[elements])
     pieces = np.flatnonzero(np.isin(system.contacts.element, elements))

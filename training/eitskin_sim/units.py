@@ -1,7 +1,8 @@
 """Exact voltages of sets of touched units at one bend, thousands a second.
 
 Touching unit u adds D_u = S_u(touched) - S_u(background) to the skeleton's stiffness (:mod:`eitskin_sim.skeleton`), and
-D_u = L_u L_u^T has rank b - 1 with b about 30. With G the skeleton's inverse and E the electrodes, Woodbury's identity gives
+D_u = L_u L_u^T has rank b - 1 with b about 30. With G the skeleton's inverse and E the electrodes, Woodbury's
+identity gives
 
     U = G_EE - W^T (1 + L^T G L)^-1 W,     L = [L_u for every touched u],   W = L^T G_E
 
@@ -64,7 +65,7 @@ class UnitGenerator:
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
-        return to_voltages(self._at_terminals[None])[0]
+        return np.asarray(to_voltages(self._at_terminals[None])[0])
 
     def voltages(self, units: npt.NDArray[np.bool_]) -> Array:
         """Return the (n, 104) V under 1 A of (n, 126) touch sets.
@@ -127,7 +128,7 @@ class UnitGenerator:
     def _outlined(self, units: Index) -> Array:
         """Return the (104,) V of one set of many units, condensed onto what it shares with the rest."""
         region = self._region(tuple(int(unit) for unit in units))
-        return to_voltages(self.updated(region.dofs, region.schur[1] - region.schur[0])[None])[0]
+        return np.asarray(to_voltages(self.updated(region.dofs, region.schur[1] - region.schur[0])[None])[0])
 
     def _region(self, units: tuple[int, ...]) -> Condensed:
         """Return a set of units condensed as one, from its two halves; halves that recur are made once."""
