@@ -34,7 +34,7 @@ BOUNDS: Final[dict[str, tuple[float, float]]] = {
     "stretch_across": (0.92, 1.12),
     "nonuniformity": (-0.15, 0.15),
 }
-"""Uniform and independent draws of family A, in the order they are drawn."""
+"""Uniform and independent draws of family A, in the order of :class:`Bend`, which is the order they are drawn in."""
 
 SCALED: Final = 0.3
 """Share of draws that are multiplied by an amplitude from 0 to 1."""
@@ -99,9 +99,9 @@ def _sequence(family: Family, generator: np.random.Generator) -> Iterator[Bend]:
 
 
 def _draw(family: Family, generator: np.random.Generator) -> Bend:
-    values = {name: float(generator.uniform(*bounds)) for name, bounds in BOUNDS.items()}
+    angle, axis, skew, twist, along, across, uneven = (float(generator.uniform(*bounds)) for bounds in BOUNDS.values())
     kind, amplitude = generator.random(2)
-    bend = replace(Bend(), **values)
+    bend = Bend(angle, axis, skew, twist, along, across, uneven)
     if family == "B":
         bend = replace(bend, bumps_mm=(_bump(generator), _bump(generator)))
     if kind < FLAT:
