@@ -57,6 +57,8 @@ class Device:
     def __init__(self, transport: Transport) -> None:
         self.transport = transport
         self.deframer = Deframer()
+        self.read_ns = 0
+        """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
         self._early: list[bytes] = []
         self._tag = 0
         self.hello = self._handshake()
@@ -84,8 +86,11 @@ class Device:
         """
         if self._early:
             early, self._early = self._early, []
+            self.read_ns = time.perf_counter_ns()
             return early
-        return self.deframer.feed(self.transport.read(timeout_s))
+        data = self.transport.read(timeout_s)
+        self.read_ns = time.perf_counter_ns()
+        return self.deframer.feed(data)
 
     def start(self) -> None:
         """Start streaming; what was sent before is thrown away.

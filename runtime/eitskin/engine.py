@@ -12,7 +12,7 @@ ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinn
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +24,10 @@ from eitskin_proto.cloud import flat_cloud, network_input
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
+
+
+SMALLEST_MAP: Final = 1e-12
+"""A projection below this is zero, not something to scale up."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +117,7 @@ class HeadEngine:
 
 
 class ProjectionEngine:
-    """Tikhonov for the flat sheet: one matrix times dV, cut off at zero.
+    """Tikhonov for the flat sheet: one matrix times dV, cut off at zero and scaled to 1.
 
     Args:
         bundle: Where the matrix is.
@@ -129,9 +133,12 @@ class ProjectionEngine:
         self._map = buffers.map[0]
 
     def infer(self) -> None:
-        """Fill the map; conductivity only rises under a touch, so what is negative becomes 0."""
+        """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""
         np.matmul(self._matrix, self._change, out=self._map)
         np.maximum(self._map, 0.0, out=self._map)
+        largest = float(self._map.max())
+        if largest > SMALLEST_MAP:
+            np.divide(self._map, largest, out=self._map)
 
 
 class GeometryGraph:

@@ -287,7 +287,7 @@ class Skin:
                 if wait_s <= 0:
                     return
             payloads = device.payloads(wait_s)
-            read_ns = time.perf_counter_ns()
+            read_ns = device.read_ns
             if not payloads:
                 self._look_after(read_ns)
                 continue

@@ -1,0 +1,115 @@
+"""Fixtures of the runtime's tests: a virtual skin in its own process, the tiny bundle, and a runtime around them."""
+
+import json
+import subprocess
+import sys
+import threading
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.bundle import load_bundle
+from eitskin.control import ControlServer
+from eitskin.publish import Publisher
+from eitskin.serve import serve
+from eitskin.skin import Skin
+from eitskin_proto.messages import Hello
+
+HERE = Path(__file__).parent
+TINY = HERE.parent / "golden" / "tiny.eitskin"
+
+
+@contextmanager
+def _virtual_skin(**options):
+    process = subprocess.Popen(
+        [sys.executable, str(HERE / "skin_process.py"), json.dumps(options)], stdout=subprocess.PIPE, text=True
+    )
+    try:
+        yield process.stdout.readline().strip()
+    finally:
+        process.kill()
+        process.wait()
+        process.stdout.close()
+
+
+@pytest.fixture
+def virtual_skin():
+    """Return a context manager that runs a virtual skin and gives its port."""
+    return _virtual_skin
+
+
+@pytest.fixture(scope="session")
+def tiny_path():
+    return TINY
+
+
+@pytest.fixture(scope="session")
+def tiny():
+    return load_bundle(TINY)
+
+
+@pytest.fixture
+def hello():
+    return Hello(
+        firmware_version=(1, 0, 0),
+        hardware_id=1,
+        serial_number="TEST-1",
+        configuration_digest=0xABCD,
+        generation=0,
+        configuration_name="paper",
+        rate_mHz=200_000,
+        rows=104,
+        sample_bytes=4,
+        volts_per_count=1e-9,
+    )
+
+
+@pytest.fixture
+def counts():
+    """Return (104,) counts of an untouched sheet, spanning a factor of 400, both signs."""
+    size = np.geomspace(4e6, 1e4, 104)
+    return (size * np.where(np.arange(104) % 3, -1, 1)).astype(np.int32)
+
+
+class Running:
+    """A runtime in a thread of this process, with its endpoints."""
+
+    def __init__(self, skin, publisher, control):
+        self.skin, self.publisher, self.control = skin, publisher, control
+        self.error = None
+        self.thread = threading.Thread(target=self._serve)
+        self.thread.start()
+
+    def _serve(self):
+        try:
+            serve(self.skin, self.publisher)
+        except Exception as error:  # shown by the test that joins
+            self.error = error
+
+    def stop(self):
+        self.skin.stop()
+        self.thread.join(10)
+        assert not self.thread.is_alive()
+
+
+@contextmanager
+def _running(port, folder, **options):
+    with Skin(port, bundle=TINY, **options) as skin:
+        skin.capture_reference(20)
+        publisher = Publisher(f"ipc://{folder}/frames")
+        control = ControlServer(f"ipc://{folder}/control", skin)
+        runtime = Running(skin, publisher, control)
+        try:
+            yield runtime
+        finally:
+            runtime.stop()
+            control.close()
+            publisher.close()
+
+
+@pytest.fixture
+def running():
+    """Return a context manager that runs a runtime on a port, with endpoints in a folder."""
+    return _running
