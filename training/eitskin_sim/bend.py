@@ -13,6 +13,7 @@ angle, axis and skew leave the metric of (1) exactly as it is. A layer that keep
 K = sigma t0 g^-1 in flat coordinates, and so such a bend changes no voltage, to the last bit.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -63,6 +64,11 @@ def metric(bend: Bend, sheet: Sheet, xy_mm: Array) -> Array:
         shrink = np.eye(2) - height[:, None, None] * shape
         first = np.swapaxes(shrink, 1, 2) @ first @ shrink + slope[:, :, None] * slope[:, None, :]
     return np.stack([first[:, 0, 0], first[:, 0, 1], first[:, 1, 1]], axis=-1)
+
+
+def bend_metric(bend: Bend, sheet: Sheet) -> Callable[[Array], Array]:
+    """Return the metric of a bend as a function of flat points alone."""
+    return lambda xy_mm: metric(bend, sheet, xy_mm)
 
 
 def _stretch_x(bend: Bend, sheet: Sheet, x_mm: Array) -> tuple[Array, Array]:

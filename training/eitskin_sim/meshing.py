@@ -5,6 +5,7 @@ The size that a person names is the spacing of nodes in the open sheet; a biquad
 so elements there are twice as large.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -50,7 +51,7 @@ def electrode_lines(sheet: Sheet, electrodes: Electrodes) -> tuple[Fixed, Fixed]
     return x, y
 
 
-def touch_lines(touches: tuple[Touch, ...]) -> tuple[Fixed, Fixed]:
+def touch_lines(touches: Sequence[Touch]) -> tuple[Fixed, Fixed]:
     """Return the lines (position, size) along x and along y that the touches ask for."""
     x: Fixed = []
     y: Fixed = []
@@ -76,10 +77,11 @@ def scene_mesh(scene: Scene) -> TensorMesh:
     density = REFERENCE_MM / scene.element_size_mm
     length, width = scene.sheet.size_mm
     return TensorMesh(
-        graded_lines(_on_sheet(x + touch_x, length), CAP_MM, density),
-        graded_lines(_on_sheet(y + touch_y, width), CAP_MM, density),
+        graded_lines(on_sheet(x + touch_x, length), CAP_MM, density),
+        graded_lines(on_sheet(y + touch_y, width), CAP_MM, density),
     )
 
 
-def _on_sheet(fixed: Fixed, extent: float) -> Fixed:
+def on_sheet(fixed: Fixed, extent: float) -> Fixed:
+    """Return the lines with those beyond the sheet's ends moved onto them."""
     return [(min(max(position, 0.0), extent), size) for position, size in fixed]
