@@ -24,12 +24,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.table import TABLE
-from eitskin_sim.bend import metric
-from eitskin_sim.forward import assemble
-from eitskin_sim.cut import factorise
-from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.scene import Scene, scene_json
+from eitskin_sim.solve import solve_scene
 
 Array = npt.NDArray[np.float64]
 
@@ -51,9 +47,7 @@ Solve = Callable[[Scene], Array]
 
 def solve(scene: Scene) -> Array:
     """Return the (104,) V of a scene by the forward model."""
-    mesh = scene_mesh(scene)
-    system = assemble(mesh, scene.sheet, scene.electrodes, lambda xy: metric(scene.bend, scene.sheet, xy))
-    return np.asarray(factorise(system, scene.touches).voltages(TABLE) * scene.current_A)
+    return solve_scene(scene).voltages
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,6 +126,7 @@ def save(name: str, keyframes: Keyframes, folder: Path) -> None:
     with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}-", suffix=".npz", delete=False) as file:
         try:
             np.savez_compressed(file, times_s=keyframes.times_s, voltages=keyframes.voltages.astype(np.float32))
+            os.chmod(file.name, 0o644)
             os.replace(file.name, folder / f"{name}.npz")
         except BaseException:
             os.unlink(file.name)

@@ -31,11 +31,10 @@ def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool])
 
 
 def _title(script: Any, time_s: float) -> str:
-    bend = script.scene_at(time_s).bend
-    touches = len(script.scene_at(time_s).touches)
-    shape = "flat" if bend == type(bend)() else (
-        f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}, stretched {100 * (bend.stretch_along - 1):.1f} %"
-    )  # fmt: skip
+    scene = script.scene_at(time_s)
+    bend, touches = scene.bend, len(scene.touches)
+    turned = f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}"
+    shape = "flat" if bend == type(bend)() else f"{turned}, stretched {100 * (bend.stretch_along - 1):.1f} %"
     return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {touches} touch{'' if touches == 1 else 'es'}"
 
 

@@ -97,10 +97,11 @@ def main() -> int:
     try:
         scan(arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict)
     except _Stopped:
-        return 0
+        pass
     except (eitskin.SkinError, OSError, ValueError) as error:
         print(error, file=sys.stderr)
         return 1
+    return 0
 
 
 if __name__ == "__main__":

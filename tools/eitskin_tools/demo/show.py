@@ -10,6 +10,7 @@
 Nothing is left behind: the processes end in order, the sockets and files lie in one temporary folder that is removed.
 """
 
+import importlib.util
 import json
 import sys
 import tempfile
@@ -19,9 +20,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
-from eitskin_tools.demo.children import Child, family
+from eitskin_tools.demo.children import GRACE_S, Child, family
 from eitskin_tools.demo.events import script_start
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
@@ -53,8 +55,26 @@ class Options:
     """Draw a frame of the run there."""
 
 
-def demonstrate(options: Options) -> dict[str, Any]:
-    """Run the demonstration and return its summary.
+@dataclass(frozen=True, slots=True, eq=False)
+class Streamed:
+    """A stream that has ended, from both of its ends."""
+
+    record: Record
+    """What the subscriber noted."""
+    wire_ns: npt.NDArray[np.int64]
+    """When each sequence number went onto the wire."""
+    start_us: int
+    """Device clock when the script began."""
+    sent: int | None
+    """Frames that the virtual skin sent."""
+    runtime: dict[str, Any]
+    """The runtime's own summary."""
+    start_s: float
+    """From nothing to the first frame."""
+
+
+def stream(options: Options) -> Streamed:
+    """Run all processes for a time and return what was streamed.
 
     Raises:
         SkinError: A process died, with what it said last.
@@ -63,32 +83,46 @@ def demonstrate(options: Options) -> dict[str, Any]:
     with tempfile.TemporaryDirectory(prefix="eitskin-demo-") as name:
         folder = Path(name)
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
-        log, wire, record = folder / "skin.log", folder / "wire.npy", folder / "record.npz"
+        log, record = folder / "skin.log", folder / "record.npz"
         with family() as children:
-            start = _start(options, folder, publish, control, children)
+            start_s = _start(options, folder, publish, control, children)
             _watch(options, publish, log, children)
             skin, runtime, subscriber = children[:3]
-            subscriber.wait(10.0)
-            if subscriber.status != 0:
+            if subscriber.wait(GRACE_S) != 0:
                 subscriber.check()
             runtime.stop()
             skin.stop()
             spoken = _last_object(runtime)
-        found = Record.load(record)
-        summary = timing(found, np.load(wire, mmap_mode="r"))
-        summary |= asdict(accuracy(found, _script(options), script_start(log)["device_us"]))
-        summary |= {
-            "sent": _sent(log),
-            "late_subscriber": found.late,
-            "withheld": found.withheld,
-            "runtime_lost": spoken.get("lost"),
-            "start_s": round(start, 2),
-            "noise": options.noise,
-            "bundle": str(options.bundle) if options.bundle else "shipped",
-        }
         if options.record:
             options.record.write_bytes(record.read_bytes())
-        return summary
+        found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
+        return Streamed(found, wire_ns, script_start(log)["device_us"], _sent(log), spoken, start_s)
+
+
+def demonstrate(options: Options) -> dict[str, Any]:
+    """Run the demonstration and return its summary; draw a picture of it where one is asked for.
+
+    Raises:
+        SkinError: A process died, with what it said last.
+        TimeoutError: A process was not ready in time.
+    """
+    streamed = stream(options)
+    script = script_of(options)
+    if options.picture:
+        from eitskin_tools.plots import picture
+
+        picture(streamed.record, script, streamed.start_us, options.picture)
+    return {
+        **timing(streamed.record, streamed.wire_ns),
+        **asdict(accuracy(streamed.record, script, streamed.start_us)),
+        "sent": streamed.sent,
+        "late_subscriber": streamed.record.late,
+        "withheld": streamed.record.withheld,
+        "runtime_lost": streamed.runtime.get("lost"),
+        "start_s": round(streamed.start_s, 2),
+        "noise": options.noise,
+        "bundle": str(options.bundle) if options.bundle else "shipped",
+    }
 
 
 def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> float:
@@ -134,7 +168,7 @@ def _watch(options: Options, publish: str, log: Path, children: list[Child]) -> 
         if options.draw:
             from eitskin_tools.demo.live import live
 
-            live(publish, _script(options), script_start(log)["device_us"], lambda: _going_on(children, end))
+            live(publish, script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
             return
         while _going_on(children, end):
             time.sleep(0.05)
@@ -153,7 +187,8 @@ def _going_on(children: list[Child], end: float) -> bool:
     return True
 
 
-def _script(options: Options) -> Any:
+def script_of(options: Options) -> Any:
+    """Return the script that the virtual skin plays."""
     from eitskin_sim.script import demonstration, from_scene
 
     return demonstration() if options.scene is None else from_scene(options.scene)
@@ -162,7 +197,7 @@ def _script(options: Options) -> Any:
 def _uses_prediction(bundle: Path | None) -> bool:
     from eitskin.bundle import load_bundle
 
-    return bool(load_bundle(bundle).uses_prediction)
+    return bool(load_bundle(bundle).uses_prediction) and importlib.util.find_spec("eitskin_sim.predict") is not None
 
 
 def _last_object(child: Child) -> dict[str, Any]:
