@@ -91,11 +91,12 @@ static enum eit_status storage_erase(void *ctx, uint8_t slot)
 {
     struct eit_host *host = ctx;
 
+    /* No order of the words is promised by real storage: even seeds go up, odd ones down. */
     for (size_t i = 0; i < SLOT_WORDS; i++) {
         if (host->dead) {
             return EIT_STORAGE;
         }
-        host->slots[slot][i] |= happens(host);
+        host->slots[slot][host->seed % 2u == 0 ? i : SLOT_WORDS - 1u - i] |= happens(host);
     }
     return host->dead ? EIT_STORAGE : EIT_OK;
 }

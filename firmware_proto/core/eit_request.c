@@ -251,6 +251,7 @@ static struct answer config_confirm(struct eit_device *device, const uint8_t *pa
 static struct answer config_rollback(struct eit_device *device, const uint8_t *payload, uint32_t now_us)
 {
     struct answer lock;
+    enum eit_status status;
 
     if (device->streaming) {
         return answer(EIT_CODE_STREAMING, 0);
@@ -263,15 +264,24 @@ static struct answer config_rollback(struct eit_device *device, const uint8_t *p
         return lock;
     }
     device->begun = false;
-    return answer(code_of(eit_store_revoke(&device->store)), device->store.generation);
+    status = eit_store_revoke(&device->store);
+    if (status != EIT_OK) {
+        device->token = 0;
+    }
+    return answer(code_of(status), device->store.generation);
 }
 
 static struct answer restart(struct eit_device *device, const uint8_t *payload, uint32_t now_us)
 {
     const uint32_t left_ms = lock_left_ms(device, now_us);
+    const uint32_t token = eit_get32(payload + EIT_RESTART_TOKEN);
 
-    if (left_ms != 0 && eit_get32(payload + EIT_RESTART_TOKEN) != device->token) {
+    if (left_ms != 0 && token != device->token) {
         return answer(EIT_CODE_BUSY, left_ms);
+    }
+    /* A session's RESTART that is asked again after the restart, because its answer was lost, must not end the trial. */
+    if (left_ms == 0 && token != 0) {
+        return answer(EIT_CODE_NO_SESSION, 0);
     }
     device->streaming = false;
     device->restarting = true;

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import PortLost
 from eitskin_tools.faults.firmware import build
 
 OK: Final = 0
@@ -151,10 +152,21 @@ class HostDevice:
         """What people call this line."""
         return "the host model of the device"
 
+    @property
+    def line_bytes_per_s(self) -> int:
+        """No limit of its own; the device's HELLO names one."""
+        return 0
+
     def read(self, timeout_s: float | None = None) -> bytes:
-        """Let the device work until it says something, or until the timeout has passed on its clock."""
+        """Let the device work until it says something, or until the timeout has passed on its clock.
+
+        Raises:
+            PortLost: The power was cut.
+        """
         left_us = 1_000_000 if timeout_s is None else round(timeout_s * 1e6)
         while True:
+            if self.dead:
+                raise PortLost(f"{self.name} has no power")
             data = self.take()
             if data or left_us <= 0:
                 return data

@@ -147,9 +147,20 @@ def write(
             exchange.command(messages.ConfigAbort, token=token)
         raise FlashError(f"{error}; the device keeps its old configuration") from error
     progress("restart", total - 3, total)
-    exchange.command(messages.Restart, token=token)
+    restart(exchange, token)
     _confirm(exchange, generation, configuration.digest, progress, total, reopen)
     return Stored(configuration, generation)
+
+
+def restart(exchange: Exchange, token: int) -> None:
+    """Tell the device to restart; a lost answer is no failure, since what it boots is looked at afterwards."""
+    try:
+        exchange.command(messages.Restart, token=token)
+    except Refused as error:
+        if error.ack.code != Code.NO_SESSION:  # which is what a device says that has restarted already
+            raise
+    except (Silent, TransportError):
+        return
 
 
 def _confirm(
@@ -232,7 +243,7 @@ def rollback(exchange: Exchange, reopen: Callable[[], Transport] | None = None) 
         if error.ack.code == Code.NO_PREVIOUS:
             raise FlashError("there is no earlier configuration to roll back to; the active one stays") from error
         raise
-    exchange.command(messages.Restart, token=token)
+    restart(exchange, token)
     expected = shown.other.generation if shown.other else 0
     hello = wait_for_boot(exchange, expected, reopen)
     if hello.generation != expected:
