@@ -44,7 +44,9 @@ def main(options):
     source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
     configuration = configuration_for(options.get("rate_hz", 200.0), options.get("configuration", "paper"))
     identity = Identity(
-        options.get("serial_number", "VIRTUAL-0001"), FOREIGN_ID if player.foreign else PROTOCOL_ID, options.get("first_us", 0)
+        options.get("serial_number", "VIRTUAL-0001"),
+        FOREIGN_ID if player.foreign else PROTOCOL_ID,
+        options.get("first_us", 0),
     )
     port = PtyPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)

@@ -61,7 +61,9 @@ def test_one_changed_byte_in_any_file_is_found_and_named(tmp_path, parts, name):
 
 
 @pytest.mark.parametrize(("key", "expected"), [("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID), ("version", 1)])
-def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(tmp_path, parts, manifest, key, expected):
+def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
+    tmp_path, parts, manifest, key, expected
+):
     path = write(tmp_path / "b.eitskin", parts, manifest | {key: "feedfeedfeedfeed"})
     with pytest.raises(MismatchError) as caught:
         load_bundle(path)

@@ -125,7 +125,14 @@ def test_a_publisher_that_lies_about_one_field_is_rejected(packer, field, value)
 
 
 def test_a_message_that_is_nested_or_huge_or_claims_gigabytes_is_rejected():
-    hostile = [b"\x91" * 5000, b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xdd\x7f\xff\xff\xff", bytes(20000), b"\xd4\x05\x00"]
+    hostile = [
+        b"\x91" * 5000,
+        b"\xdf\xff\xff\xff\xff",
+        b"\xc6\xff\xff\xff\xff",
+        b"\xdd\x7f\xff\xff\xff",
+        bytes(20000),
+        b"\xd4\x05\x00",
+    ]
     for message in hostile:
         with pytest.raises(FrameError):
             unpack_frame(message, 0)

@@ -1,0 +1,191 @@
+"""A whole skin, with the faults that lines, cables and devices have."""
+
+import time
+
+import numpy as np
+import pytest
+
+from eitskin import device as devices
+from eitskin.errors import BadReference, HandshakeError, PortLost
+from eitskin.skin import Skin
+
+
+def opened(port, tiny_path, **options):
+    skin = Skin(port, bundle=tiny_path, **options)
+    skin.capture_reference(20)
+    return skin
+
+
+def collect(skin, seconds):
+    return list(skin.frames(timeout_s=seconds))
+
+
+def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin, tiny_path):
+    with virtual_skin(touches=[[0.6, 1.0, 0.3]]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 1.2)
+    touched = [frame for frame in frames if frame.touched]
+    untouched = [frame for frame in frames if not frame.touched]
+    assert 60 < len(touched) < 90
+    assert all(frame.solver == "vd2t" and frame.map.any() for frame in touched)
+    assert all(frame.solver == "none" and not frame.map.any() for frame in untouched)
+    assert all("inference:untouched" in frame.skipped for frame in untouched)
+    assert len({frame.sequence for frame in frames}) == len(frames)
+    assert frames[-1].counts == {"lost": 0, "corrupt": 0, "withheld": 0, "overrun": 0}
+
+
+def test_stages_are_stamped_in_order_and_ages_are_small_and_positive(virtual_skin, tiny_path):
+    with virtual_skin() as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 0.5)
+    for frame in frames:
+        stamps = list(frame.host_ns.values())
+        assert stamps == sorted(stamps)
+        assert 0 <= frame.age_us < 1_000_000
+    assert len(frames) > 50
+
+
+@pytest.mark.parametrize("fault", ["flip@0.3/0.05:1", "drop@0.3/0.05:10", "garbage@0.3/0.05:300"])
+def test_damage_is_dropped_and_counted_and_nothing_is_shifted(virtual_skin, tiny_path, fault):
+    # The reference's 20 frames take 0.1 s; the damage begins after them
+    with virtual_skin(faults=[fault]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 0.9)
+        corrupt, lost = skin.device.deframer.corrupt, skin.pipeline.counter.lost
+    assert 8 <= lost <= 2 * corrupt
+    assert len(frames) > 100
+    # Untouched frames differ from the reference by noise of 1e-4; one shifted byte would change dV by far more
+    assert all(not frame.touched and frame.gate_logit < 1e-3 for frame in frames)
+    steps = np.diff([frame.sequence for frame in frames])
+    assert steps.sum() - len(steps) == frames[-1].counts["lost"] - frames[0].counts["lost"]
+    assert (steps > 1).tolist() == ["lost" in frame.events for frame in frames[1:]]
+
+
+def test_delimiters_between_packets_cost_nothing(virtual_skin, tiny_path):
+    with virtual_skin(faults=["zeros@0.2/0.05:5"]) as port, opened(port, tiny_path) as skin:
+        collect(skin, 0.6)
+        assert skin.device.deframer.corrupt == skin.pipeline.counter.lost == 0
+
+
+def test_counters_that_wrap_lose_nothing(virtual_skin, tiny_path):
+    with virtual_skin(sequence=2**32 - 60, first_us=2**32 - 900_000) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 1.2)
+        assert skin.pipeline.counter.lost == skin.pipeline.counter.resets == 0
+    sequences = [frame.sequence for frame in frames]
+    assert sequences[0] < 2**32 < sequences[-1]
+    assert all(np.diff(sequences) == 1)
+    times_us = [frame.device_us for frame in frames]
+    assert np.diff(times_us).max() < 20_000
+    assert times_us[-1] > 2**32
+
+
+def test_a_reset_in_the_middle_of_a_sweep_is_noticed_and_streaming_resumes(virtual_skin, tiny_path, monkeypatch):
+    monkeypatch.setattr(devices, "SILENCE_S", 0.2)
+    with virtual_skin(faults=["reset@0.5"]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 1.5)
+        assert skin.recoveries == 1
+        assert skin.pipeline.counter.resets == 1
+    events = [frame.events for frame in frames if frame.events]
+    assert ("device_reset", "recovered") in events
+    after = frames[[frame.events for frame in frames].index(("device_reset", "recovered")) :]
+    assert after[0].sequence < frames[0].sequence + 20
+    assert len(after) > 20
+    assert not any(frame.touched for frame in frames)
+
+
+def test_a_stall_is_no_reset(virtual_skin, tiny_path, monkeypatch):
+    monkeypatch.setattr(devices, "SILENCE_S", 0.2)
+    with virtual_skin(faults=["stall@0.4:0.4"]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 1.2)
+        assert skin.recoveries == 1
+        assert skin.pipeline.counter.resets == 0
+    assert np.diff([frame.sequence for frame in frames]).min() == 1
+
+
+def test_a_port_that_is_unplugged_is_lost_in_one_line(virtual_skin, tiny_path):
+    with virtual_skin(faults=["unplug@0.4:5"]) as port, opened(port, tiny_path) as skin:
+        with pytest.raises(PortLost, match=r"vanished[^\n]*$"):
+            collect(skin, 3.0)
+
+
+def test_a_device_that_falls_silent_for_good_ends_the_loop(virtual_skin, tiny_path, monkeypatch):
+    monkeypatch.setattr(devices, "SILENCE_S", 0.1)
+    monkeypatch.setattr(devices, "HANDSHAKE_S", 0.3)
+    with virtual_skin(faults=["stall@0.3:9", "mute@0.3:9"]) as port, opened(port, tiny_path) as skin:
+        with pytest.raises(HandshakeError, match="did not answer"):
+            collect(skin, 3.0)
+
+
+def test_saturated_rows_are_an_event_of_their_frame(virtual_skin, tiny_path):
+    with virtual_skin(faults=["saturate@0.3:5"]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 0.6)
+    assert sum("saturated" in frame.events for frame in frames) == 1
+
+
+def test_dead_rows_are_named_and_change_nothing(virtual_skin, tiny_path):
+    with virtual_skin(dead_rows=[2, 50]) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 0.3)
+        assert skin.reference.weak.tolist() == [2, 50]
+    assert all(frame.weak_rows == 2 and np.isfinite(frame.map).all() and not frame.touched for frame in frames)
+
+
+def test_a_skin_without_any_voltage_has_no_reference(virtual_skin, tiny_path):
+    with virtual_skin(dead_rows=list(range(104))) as port, Skin(port, bundle=tiny_path) as skin:
+        with pytest.raises(BadReference, match="electrodes are connected"):
+            skin.capture_reference(5)
+
+
+def test_a_sheet_that_is_touched_on_and_off_during_capture_is_refused(virtual_skin, tiny_path):
+    touches = [[0.05 * step, 0.05 * step + 0.025, 0.3] for step in range(40)]
+    with virtual_skin(touches=touches) as port, Skin(port, bundle=tiny_path) as skin:
+        with pytest.raises(BadReference, match="flat, untouched and at rest"):
+            skin.capture_reference(100)
+
+
+def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
+    with virtual_skin() as port, Skin(port, bundle=tiny_path) as skin:
+        with pytest.raises(BadReference, match="capture_reference"):
+            next(skin.frames())
+
+
+def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothing(virtual_skin, tiny_path):
+    from eitskin_proto.cloud import flat_cloud
+
+    with virtual_skin(touches=[[0.1, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
+        frames = []
+        cloud = flat_cloud()
+        cloud[2] = 0.01 * (cloud[0] - 75) ** 2
+        for frame in skin.frames(timeout_s=2.0):
+            frames.append(frame)
+            if len(frames) == 40:
+                assert skin.set_cloud(cloud) == 1
+            if len(frames) == 80:
+                break
+    assert [frame.cloud for frame in frames] == [0] * 40 + [1] * 40
+    assert [index for index, frame in enumerate(frames) if "cloud" in frame.events] == [40]
+    assert all("geometry:cloud_unchanged" in frame.skipped for index, frame in enumerate(frames) if index != 40)
+    late = np.mean([frame.map for frame in frames[41:]], axis=0)
+    early = np.mean([frame.map for frame in frames[30:40]], axis=0)
+    assert np.abs(late - early).max() > 1e-3
+
+
+def test_a_full_scan_of_208_rows_gives_the_same_maps(virtual_skin, tiny_path, tmp_path):
+    from eitskin_proto import config_toml
+
+    text = config_toml.to_toml(config_toml.load("paper"))
+    assert "rows = 104" in text
+    path = tmp_path / "full.toml"
+    path.write_text(text.replace("rows = 104", "rows = 208"))
+    with virtual_skin(configuration=str(path), rate_hz=50.0, touches=[[0.6, 9, 0.3]]) as port:
+        with opened(port, tiny_path) as skin:
+            assert skin.device.hello.rows == 208
+            frames = collect(skin, 1.0)
+    assert any(frame.touched for frame in frames)
+    assert not frames[0].touched
+
+
+def test_stopping_from_another_thread_ends_the_frames(virtual_skin, tiny_path):
+    import threading
+
+    with virtual_skin() as port, opened(port, tiny_path) as skin:
+        threading.Timer(0.3, skin.stop).start()
+        start = time.perf_counter()
+        assert list(skin.frames())
+        assert time.perf_counter() - start < 2.0
