@@ -94,4 +94,5 @@ def _one_line(error: BaseException) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    # By its own name: as __main__ this module's UsageError would be another class than the one that subcommands raise.
+    sys.exit(importlib.import_module("eitskin_tools.cli").main())

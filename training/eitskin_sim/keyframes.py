@@ -16,6 +16,7 @@ import hashlib
 import itertools
 import os
 import tempfile
+import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -110,9 +111,9 @@ def cache_folder() -> Path:
 def load(name: str, folder: Path) -> Keyframes | None:
     """Return the keyframes of an earlier run, or None where there are none that can be read."""
     try:
-        with np.load(folder / f"{name}.npz", allow_pickle=False) as file:
+        with (folder / f"{name}.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             return Keyframes(file["times_s"], file["voltages"].astype(np.float64))
-    except (OSError, ValueError, KeyError, EOFError):
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
         return None
 
 

@@ -73,16 +73,21 @@ class SkinServer:
         self._release_ns = 0
         self._replug_ns = 0
         self._logged = 0
+        self._stopped = False
 
     def run(self, until_ns: int | None = None) -> None:
         """Serve until the clock shows ``until_ns``, or for ever."""
         self._tell("boot", self._clock())
-        while True:
+        while not self._stopped:
             now = self._clock()
             if until_ns is not None and now >= until_ns:
                 return
             self._turn(now)
             self._wait(until_ns)
+
+    def stop(self) -> None:
+        """End :meth:`run` at its next turn; safe from another thread."""
+        self._stopped = True
 
     def _wait(self, until_ns: int | None) -> None:
         moments = [moment for moment in (until_ns, self._release_ns, self._replug_ns) if moment]
