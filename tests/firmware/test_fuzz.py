@@ -1,0 +1,34 @@
+import json
+
+from cobs import cobs
+
+from eitskin_proto import framing
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.frames import Frame
+from eitskin_tools.faults import fuzz
+
+
+def test_mutated_frames_are_never_accepted_and_intact_ones_never_lost(core, capsys):
+    assert fuzz.main(["--frames", "10000", "--seed", "3"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    figures = report["fuzz"]["stream"]
+    assert figures["sent"] == 10_000
+    assert 4_000 < figures["mutated"] < 6_000
+    assert 3_500 < figures["intact"] <= figures["accepted"]
+    assert report["fuzz"]["behind_the_check"]["accepted"] > 100, "some damage must be harmless, or nothing was compared"
+    assert report["wrong"] == 0
+
+
+def test_a_receiver_that_accepts_damage_is_noticed(core, monkeypatch):
+    def careless(packet):
+        try:
+            payload = cobs.decode(packet)[:-4]
+            Frame.unpack(payload)
+        except (cobs.DecodeError, ProtocolError):
+            return None
+        return payload
+
+    monkeypatch.setattr(framing, "_open", careless)
+    figures = fuzz.stream(500, 1)
+    assert figures["accepted_damaged"] > 0
+    assert figures["disagreements"] > 0

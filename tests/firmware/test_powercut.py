@@ -1,0 +1,22 @@
+import pytest
+
+from eitskin_tools.faults import powercut
+
+
+@pytest.mark.parametrize("kind", powercut.KINDS)
+def test_a_power_cut_at_any_change_of_storage_leaves_the_old_or_the_new_configuration(core, kind):
+    # Seeds: 0 just before the change, 1 just after it, 5 tears the word; erases go up for even, down for odd ones.
+    changes = powercut.count_changes(kind)
+    assert changes >= (1 if kind == "rollback" else 40)
+    booted = {powercut.cut_once(kind, change, seed) for change in range(1, changes + 1) for seed in (0, 1, 5)}
+    assert len(booted) == 2, "some cuts come too early and some too late: both outcomes must have been seen"
+
+
+def test_a_cut_is_seen_by_the_device_and_a_later_write_repairs_it(device):
+    device.cut_power_at(1, 0)
+    with pytest.raises(powercut.SkinError):
+        powercut._write("fast")(powercut.Exchange(device))
+    assert device.dead
+    device.boot()
+    powercut._write("fast")(powercut.Exchange(device))
+    assert powercut._name(device) == "fast"
