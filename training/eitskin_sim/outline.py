@@ -36,6 +36,9 @@ BAND_MM: Final = 3.0
 EDGE_MM: Final = 1.0
 """How far inside the side the counting starts: well over the noise, and short, so that few points are counted."""
 
+PIXEL_POINTS: Final = 6.0
+"""Holes are looked for on pixels that hold this many points on average: two or more nearly always."""
+
 DEGREE: Final = 3
 """Degree of a side's polynomial."""
 
@@ -80,21 +83,21 @@ def find_outline(uv_mm: Array) -> Outline:
 
 
 def largest_hole_mm(square: Array, size_mm: tuple[float, float]) -> float:
-    """Return the diameter of the largest circle on the sheet without a point in it.
-
-    A scan of spacing s leaves gaps of about s everywhere; they are not taken away.
+    """Return the diameter of the largest circle on the sheet with next to no points in it.
 
     Args:
         square: (2, n) places a, b of the points.
         size_mm: Length and width of the sheet.
     """
-    shape = (int(np.ceil(size_mm[0])), int(np.ceil(size_mm[1])))  # pixels of about 1 mm
+    pitch = max(1.0, float(np.sqrt(PIXEL_POINTS * size_mm[0] * size_mm[1] / square.shape[1])))
+    shape = (int(np.ceil(size_mm[0] / pitch)), int(np.ceil(size_mm[1] / pitch)))
     cell = [np.clip((place * n).astype(np.intp), 0, n - 1) for place, n in zip(square, shape, strict=True)]
-    seen = np.bincount(cell[0] * shape[1] + cell[1], minlength=shape[0] * shape[1]).reshape(shape) > 0
+    # One point is no surface: a stray one in the middle of a hole would halve it.
+    seen = np.bincount(cell[0] * shape[1] + cell[1], minlength=shape[0] * shape[1]).reshape(shape) > 1
     if seen.all():
-        return 1.0
+        return pitch
     reach = ndimage.distance_transform_edt(~seen, sampling=(size_mm[0] / shape[0], size_mm[1] / shape[1]))
-    return float(2.0 * reach.max() - 1.0)  # from pixel centre to pixel centre, less half a pixel on either side
+    return float(2.0 * reach.max())  # to the centres of pixels that the rim cuts: about a fifth of a pixel inside it
 
 
 _SIDES: Final = ((0, 1, -1.0), (0, 1, 1.0), (1, 0, -1.0), (1, 0, 1.0))
@@ -112,7 +115,9 @@ def _box_axes(uv_mm: Array) -> Array:
     edge = np.diff(np.concatenate([hull, hull[:, :1]], axis=1), axis=1)
     angle = np.arctan2(edge[1], edge[0]) % (np.pi / 2)
     angle = np.concatenate([angle, np.linspace(0.0, np.pi / 2, 90, endpoint=False)])
-    axes = np.stack([np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], axis=1)
+    axes = np.stack(
+        [np.stack([np.cos(angle), np.sin(angle)], -1), np.stack([-np.sin(angle), np.cos(angle)], -1)], axis=1
+    )
     spans = np.ptp(axes @ hull, axis=2)
     best = int(np.argmin(spans.prod(axis=1)))
     return np.asarray(axes[best] if spans[best, 0] >= spans[best, 1] else np.array([axes[best, 1], -axes[best, 0]]))

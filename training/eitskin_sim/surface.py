@@ -46,7 +46,9 @@ def fit_surface(places_mm: Array, points_mm: Array, size_mm: tuple[float, float]
         size_mm: Length and width of the flat sheet.
     """
     centre, mean, count, spread = _average(places_mm, points_mm, size_mm)
-    nodes = np.stack(np.meshgrid(*(np.linspace(0.0, s, n) for s, n in zip(size_mm, NODES, strict=True))), 0).reshape(2, -1)
+    nodes = np.stack(np.meshgrid(*(np.linspace(0.0, s, n) for s, n in zip(size_mm, NODES, strict=True))), 0).reshape(
+        2, -1
+    )
     stiffness = count.sum() / (size_mm[0] * size_mm[1]) * SMOOTHING_MM**4
     solve = _plate_solver(centre, stiffness / count)
     kernel = np.concatenate([_kernel(nodes, centre), np.ones((nodes.shape[1], 1)), nodes.T], axis=1)
@@ -169,7 +171,9 @@ def _even(surface: Array, axis: int) -> Array:
     share = arc / arc[:, -1:]
     wanted = np.broadcast_to(np.linspace(0.0, 1.0, n), (len(arc), n))
     # One search for all curves: curve r occupies the interval [2 r, 2 r + 1].
-    after = np.searchsorted((share + 2.0 * rows).ravel(), (wanted + 2.0 * rows).ravel()).reshape(wanted.shape) - m * rows
+    after = (
+        np.searchsorted((share + 2.0 * rows).ravel(), (wanted + 2.0 * rows).ravel()).reshape(wanted.shape) - m * rows
+    )
     low = np.clip(after - 1, 1, m - 3)
     step = (wanted - share[rows, low]) / (share[rows, low + 1] - share[rows, low])
     weights = (

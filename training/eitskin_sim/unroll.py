@@ -77,7 +77,9 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     Raises:
         ValueError: The points do not form one surface.
     """
-    axes = np.ascontiguousarray(points_mm.T)  # (3, n): reductions and gathers over a long last axis are several times faster
+    axes = np.ascontiguousarray(
+        points_mm.T
+    )  # (3, n): reductions and gathers over a long last axis are several times faster
     middle = np.median(axes[:, :: len(points_mm) // 5000 + 1], axis=1, keepdims=True)
     near = np.all(np.abs(axes - middle) < EXTENT_MM, axis=0)
     axes = axes if near.all() else np.ascontiguousarray(axes[:, near])

@@ -1,0 +1,139 @@
+"""The files that scanners write: .ply (ASCII, little and big endian), .xyz (text) and .npy, read as points in mm.
+
+Only the coordinates are taken. Colours, normals, intensities and faces may be there and are passed over.
+"""
+
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import SkinError
+
+Array = npt.NDArray[np.float64]
+
+PLY_TYPES: Final = {
+    "char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2", "uint16": "u2",
+    "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4", "double": "f8", "float64": "f8",
+}  # fmt: skip
+"""Names that the PLY format gives to numbers, old and new."""
+
+PLY_ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
+"""Formats of a PLY file and their byte order."""
+
+LARGEST_HEADER: Final = 65_536
+"""A PLY header is over within so many bytes."""
+
+
+class ScanFileError(SkinError):
+    """A file that holds no scan."""
+
+
+def read_points(path: str | Path) -> Array:
+    """Return the (n, 3) points of a scan file.
+
+    Args:
+        path: A .ply, .xyz or .npy file; the suffix decides.
+
+    Raises:
+        ScanFileError: The file holds no points; the message says where it broke off.
+        OSError: The file cannot be opened.
+    """
+    path = Path(path)
+    readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npy": _read_npy}
+    reader = readers.get(path.suffix.lower())
+    if reader is None:
+        raise ScanFileError(f"{path.name}: a scan is a .ply, .xyz or .npy file, found suffix {path.suffix!r}")
+    try:
+        points = reader(path)
+    except (ValueError, IndexError, EOFError, UnicodeDecodeError) as error:
+        raise ScanFileError(f"{path.name} cannot be read as {path.suffix.lower()}: {error}") from error
+    if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0:
+        raise ScanFileError(
+            f"{path.name} holds an array of shape {points.shape}; a scan has the shape (n, 3), n at least 1"
+        )
+    return np.ascontiguousarray(points[:, :3], dtype=np.float64)
+
+
+def _read_npy(path: Path) -> npt.NDArray[np.generic]:
+    points = np.load(path, allow_pickle=False)
+    if not isinstance(points, np.ndarray) or points.dtype.kind not in "fiu":
+        raise ValueError(f"expected one array of numbers, found {getattr(points, 'dtype', type(points).__name__)}")
+    return points
+
+
+def _read_xyz(path: Path) -> Array:
+    with path.open(encoding="utf-8") as file:
+        rows = [line.replace(",", " ").replace(";", " ").split() for line in file if not line.lstrip().startswith("#")]
+    rows = [row[:3] for row in rows if row]
+    for number, row in enumerate(rows):
+        if len(row) < 3:
+            raise ValueError(f"row {number + 1} has {len(row)} numbers, expected x y z")
+    return np.array(rows, dtype=np.float64)
+
+
+def _read_ply(path: Path) -> Array:
+    data = path.read_bytes()
+    end = data.find(b"end_header", 0, LARGEST_HEADER)
+    if not data.startswith(b"ply") or end < 0:
+        raise ValueError("no PLY header ('ply' ... 'end_header')")
+    body = data.index(b"\n", end) + 1
+    order, elements = _ply_header(data[:end].decode("ascii"))
+    if order == "":
+        return _ply_ascii(data[body:], elements)
+    for name, count, properties in elements:
+        if any(kind == "list" for _, kind in properties):
+            raise ValueError(f"element '{name}' with a list stands before the vertices: save the vertices first")
+        layout = np.dtype([(label, order + PLY_TYPES[kind]) for label, kind in properties])
+        if len(data) - body < count * layout.itemsize:
+            raise ValueError(
+                f"{count} entries of '{name}' need {count * layout.itemsize} bytes, found {len(data) - body}"
+            )
+        if name == "vertex":
+            table = np.frombuffer(data, dtype=layout, count=count, offset=body)
+            return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
+        body += count * layout.itemsize
+    raise ValueError("no element 'vertex'")
+
+
+_Element = tuple[str, int, list[tuple[str, str]]]
+
+
+def _ply_header(header: str) -> tuple[str, list[_Element]]:
+    """Byte order, and the elements up to the vertices, each with its count and its properties' names and types."""
+    order: str | None = None
+    elements: list[_Element] = []
+    for words in (line.split() for line in header.splitlines()):
+        if words[:1] == ["format"]:
+            if words[1] not in PLY_ORDERS:
+                raise ValueError(f"format {words[1]!r} is none of {', '.join(PLY_ORDERS)}")
+            order = PLY_ORDERS[words[1]]
+        elif words[:1] == ["element"]:
+            if elements and elements[-1][0] == "vertex":
+                break
+            elements.append((words[1], int(words[2]), []))
+        elif words[:1] == ["property"]:
+            kind = words[1]
+            if kind != "list" and kind not in PLY_TYPES:
+                raise ValueError(f"property type {kind!r} is unknown")
+            elements[-1][2].append((words[-1], kind))
+    if order is None:
+        raise ValueError("the header has no 'format' line")
+    vertices = [properties for name, _, properties in elements if name == "vertex"]
+    if not vertices or not {"x", "y", "z"} <= {label for label, _ in vertices[0]}:
+        raise ValueError("the header has no element 'vertex' with the properties x, y and z")
+    if any(count < 0 for _, count, _ in elements):
+        raise ValueError("an element has a negative count")
+    return order, elements
+
+
+def _ply_ascii(body: bytes, elements: list[_Element]) -> Array:
+    lines = body.decode("ascii").splitlines()
+    skip = sum(count for _, count, _ in elements[:-1])
+    _, count, properties = elements[-1]
+    if len(lines) < skip + count:
+        raise ValueError(f"{count} vertices are announced, {max(len(lines) - skip, 0)} lines are there")
+    columns = [[label for label, _ in properties].index(axis) for axis in "xyz"]
+    rows = [line.split() for line in lines[skip : skip + count]]
+    return np.array([[row[column] for column in columns] for row in rows], dtype=np.float64).reshape(-1, 3)
