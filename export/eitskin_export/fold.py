@@ -102,7 +102,7 @@ def _folded(module: nn.Module) -> nn.Module:
         if isinstance(layer, nn.BatchNorm1d | nn.BatchNorm2d) and layers:
             before = layers[-1]
             fuse = fuse_linear_bn_eval if isinstance(before, nn.Linear) else fuse_conv_bn_eval
-            layers[-1] = fuse(before, layer)  # type: ignore[type-var, arg-type]
+            layers[-1] = fuse(before, layer)  # type: ignore[type-var]
         elif not isinstance(layer, nn.Dropout):
             layers.append(layer)
     return nn.Sequential(*layers)
