@@ -110,7 +110,7 @@ def _outline(axes: Any, touches: Any) -> None:
 
     from eitskin_sim.shapes import Disc
 
-    style = {"fill": False, "edgecolor": "white", "linewidth": 1.2}
+    style: dict[str, Any] = {"fill": False, "edgecolor": "white", "linewidth": 1.2}
     for shape in (shape for touch in touches for shape in touch.shapes):
         x0, y0, x1, y1 = shape.bounds_mm
         if isinstance(shape, Disc):

@@ -51,6 +51,8 @@ class Options:
     draw: bool = False
     record: Path | None = None
     """Keep the record there."""
+    clouds: bool = True
+    """Send clouds while the sheet bends."""
     picture: Path | None = None
     """Draw a frame of the run there."""
 
@@ -151,14 +153,18 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     )  # fmt: skip
     children.append(subscriber)
     runtime.line(runtime.err, "ready ", READY_S, [skin, subscriber])
+    if options.clouds:
+        children.append(_scanner(options, control, folder, scene))
+    subscriber.line(subscriber.out, "first", READY_S, children)
+    return time.monotonic() - begin
+
+
+def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:
     predict = ["--predict"] if _uses_prediction(options.bundle) else []
-    scanner = Child(
+    return Child(
         "scanner", "eitskin_tools.demo.scanner",
         [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", f"--seed={options.seed}", *scene, *predict], folder,
     )  # fmt: skip
-    children.append(scanner)
-    subscriber.line(subscriber.out, "first", READY_S, [skin, runtime, scanner])
-    return time.monotonic() - begin
 
 
 def _watch(options: Options, publish: str, log: Path, children: list[Child]) -> None:
@@ -177,10 +183,10 @@ def _watch(options: Options, publish: str, log: Path, children: list[Child]) -> 
 
 
 def _going_on(children: list[Child], end: float) -> bool:
-    skin, runtime, subscriber, scanner = children
+    subscriber = children[2]
     if subscriber.status == 0:
         return False
-    for child in (subscriber, runtime, skin, scanner):
+    for child in (subscriber, *children):
         child.check()
     if time.monotonic() > end:
         raise SkinError("the stream went on without the subscriber's clock; stop the demonstration and try again")

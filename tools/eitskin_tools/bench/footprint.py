@@ -1,0 +1,166 @@
+"""``eitskin bench footprint``: what the runtime costs before the first frame: time, memory and disk, beside torch's.
+
+Each row is a fresh interpreter that imports something, loads the model where it can, and reports its own clock and
+memory. The runtime's row imports exactly what ``eitskin run`` does. Installed size counts the files of a distribution
+and, for the runtime, of the dependencies that its metadata names, each once.
+"""
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_proto.errors import SkinError
+from eitskin_tools.cli import UsageError
+
+_PROBE: Final = """
+import json, time
+start = time.perf_counter()
+{body}
+loaded = time.perf_counter() - start
+fields = dict(line.split(":", 1) for line in open("/proc/self/status").read().splitlines())
+kb = lambda name: int(fields[name].split()[0])
+print(json.dumps({{"load_ms": loaded * 1e3, "rss_mb": kb("VmRSS") / 1024, "peak_mb": kb("VmHWM") / 1024,
+                  "threads": int(fields["Threads"])}}))
+"""
+
+_RUNTIME: Final = """
+from eitskin.bundle import load_bundle
+from eitskin.engine import Buffers, GeometryGraph, engines
+import eitskin.pipeline, eitskin.publish, eitskin.control, eitskin.serial_port, eitskin.device
+bundle = load_bundle({path!r})
+buffers = Buffers(bundle.bias_width)
+buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+ways = engines(bundle, buffers)
+for way in ways: way.infer()
+"""
+
+_TORCH: Final = """
+import torch
+from eitskin_training.model import VD2T
+from eitskin_training.recipes import Recipe
+from eitskin.bundle import load_bundle
+bundle = load_bundle({path!r})
+model = VD2T(Recipe.from_dict(bundle.manifest["recipe"]).architecture).eval()
+torch.set_num_threads(1)
+with torch.inference_mode():
+    model(torch.zeros(1, 104), torch.zeros(1, 3, 30, 45), torch.zeros(1, 104) if bundle.uses_prediction else None)
+"""
+
+ROWS: Final = {
+    "python": "pass",
+    "numpy": "import numpy",
+    "subscriber": "import eitskin; eitskin.subscribe",
+    "runtime": _RUNTIME,
+    "torch": _TORCH,
+}
+"""What each row's interpreter runs."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--repeats", type=int, default=5, metavar="N", help="fresh interpreters a row (default 5)")
+    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to load (default: the shipped one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if arguments.repeats < 1:
+        raise UsageError(f"--repeats is {arguments.repeats}; expected at least 1")
+    rows, missing = [], {}
+    for name, body in ROWS.items():
+        try:
+            rows.append({"what": name, **_probe(body, arguments.bundle, arguments.repeats)})
+        except SkinError as error:
+            missing[name] = str(error)
+    for row in rows:
+        row["installed_mb"] = _installed_mb(row["what"])
+    summary: dict[str, Any] = {"missing": missing}
+    by_name = {row["what"]: row for row in rows}
+    if "runtime" in by_name and "torch" in by_name:
+        ours, theirs = by_name["runtime"], by_name["torch"]
+        summary |= {
+            f"torch_over_runtime_{key}": round(theirs[key] / ours[key], 1)
+            for key in ("load_ms", "rss_mb", "installed_mb")
+            if ours[key] and theirs[key]
+        }
+    if arguments.json:
+        print(json.dumps({"rows": rows, "summary": summary}))
+        return 0
+    print(f"{'':14}{'load, ms':>10}{'RSS, MB':>10}{'threads':>9}{'installed, MB':>15}")
+    for row in rows:
+        size = "" if row["installed_mb"] is None else f"{row['installed_mb']:.0f}"
+        print(f"{row['what']:14}{row['load_ms']:10.0f}{row['rss_mb']:10.0f}{row['threads']:9}{size:>15}")
+    for name, reason in missing.items():
+        print(f"{name} was left out: {reason}")
+    return 0
+
+
+def _probe(body: str, bundle: Path | None, repeats: int) -> dict[str, Any]:
+    """Return the median load time and the largest memory of some fresh interpreters."""
+    code = _PROBE.format(body=body.format(path=None if bundle is None else str(bundle)))
+    found = []
+    for _ in range(repeats + 1):
+        done = subprocess.run(
+            [sys.executable, "-c", code], capture_output=True, text=True, check=False,
+            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        )  # fmt: skip
+        if done.returncode:
+            raise SkinError((done.stderr.strip().splitlines() or ["it said nothing"])[-1])
+        found.append(json.loads(done.stdout))
+    found = found[1:]  # the first one filled the page cache
+    times = sorted(item["load_ms"] for item in found)
+    return {
+        "load_ms": round(times[len(times) // 2], 1),
+        "rss_mb": round(max(item["rss_mb"] for item in found), 1),
+        "peak_mb": round(max(item["peak_mb"] for item in found), 1),
+        "threads": max(item["threads"] for item in found),
+    }
+
+
+def _installed_mb(row: str) -> float | None:
+    roots = {"numpy": ["numpy"], "runtime": ["eitskin"], "torch": ["torch", "numpy"]}.get(row)
+    if roots is None:
+        return None
+    names: set[str] = set()
+    for root in roots:
+        _collect(root, names)
+    try:
+        return round(sum(_size_mb(name) for name in sorted(names)), 1)
+    except metadata.PackageNotFoundError:
+        return None
+
+
+def _collect(name: str, names: set[str]) -> None:
+    """Add a distribution and what it needs without extras."""
+    from re import match
+
+    if name in names:
+        return
+    try:
+        needs = metadata.requires(name) or []
+    except metadata.PackageNotFoundError:
+        return
+    names.add(name)
+    for need in needs:
+        if "extra ==" in need or ("platform_system" in need and "Linux" not in need):
+            continue
+        found = match(r"[A-Za-z0-9_.-]+", need)
+        if found:
+            _collect(found.group().lower().replace("_", "-"), names)
+
+
+def _size_mb(name: str) -> float:
+    if name == "eitskin":  # also where it is installed as editable
+        folder = Path(__file__).parents[1].parent.parent
+        packages = [folder / part for part in ("runtime/eitskin", "firmware_proto/eitskin_proto")]
+        if all(package.is_dir() for package in packages):
+            found = [path for package in packages for path in package.rglob("*") if path.is_file()]
+            return sum(path.stat().st_size for path in found if "__pycache__" not in path.parts) / 1e6
+    located = [Path(str(file.locate())) for file in metadata.distribution(name).files or []]
+    return sum(path.stat().st_size for path in located if path.is_file()) / 1e6

@@ -1,0 +1,149 @@
+"""``eitskin bench frame``: from the wire to the subscriber, paced, and other ways to infer the same map.
+
+Two measurements in one run. The stream: virtual skin, runtime and subscriber as processes, at 200 and at 1000
+frames/s. The inference: every variant of :mod:`eitskin_tools.bench.variants`, interleaved, one call a 5 ms period
+(what a robot sees: caches and clocks have cooled) and back to back (warm). Percentiles, never means; nothing is
+repeated until it looks good.
+"""
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_tools.cli import UsageError
+
+RATES_HZ: Final = (200.0, 1000.0)
+"""Paced rates; the first one is the summary's."""
+
+PERIOD_S: Final = 0.005
+"""Between two paced calls."""
+
+WARM_CALLS: Final = 30
+"""Calls of one variant back to back, before the next has its turn."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--frames", type=int, default=20_000, metavar="N", help="frames at each rate (default 20000)")
+    parser.add_argument("--calls", type=int, default=500, metavar="N", help="paced calls of each variant (default 500)")
+    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if arguments.frames < 100 or arguments.calls < 10:
+        raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    streams = {f"{rate:g}": stream(rate, arguments.frames, arguments.bundle) for rate in arguments.rate or RATES_HZ}
+    first = next(iter(streams.values()))
+    found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        _print(found)
+    return 0
+
+
+def stream(rate_hz: float, frames: int, bundle: Path | None) -> dict[str, Any]:
+    """Return the timing of a stream of so many frames at one rate."""
+    from eitskin_tools.demo.score import timing
+    from eitskin_tools.demo.show import Options
+    from eitskin_tools.demo.show import stream as streamed
+
+    print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
+    result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False))
+    return {**timing(result.record, result.wire_ns), "device_dropped": _dropped(result)}
+
+
+def _dropped(result: Any) -> int | None:
+    return None if result.sent is None else max(int(result.record.sequence[-1]) + 1 - result.sent, 0)
+
+
+def inference(path: Path | None, calls: int) -> dict[str, Any]:
+    """Return the time of every variant and how many times slower than ours it is.
+
+    Args:
+        path: Of the bundle; None for the shipped one.
+        calls: Paced calls of each variant.
+    """
+    import numpy as np
+
+    from eitskin.bundle import load_bundle
+    from eitskin_tools.bench.variants import streamed_bytes, variants
+    from eitskin_tools.demo.score import percentiles_us
+
+    bundle = load_bundle(path)
+    ways, missing = variants(bundle)
+    print(f"eitskin bench frame: {', '.join(ways)}, {calls} paced calls each", file=sys.stderr)
+    clock = time.perf_counter_ns
+    paced: dict[str, list[int]] = {name: [] for name in ways}
+    warm: dict[str, list[int]] = {name: [] for name in ways}
+    for infer in ways.values():
+        infer()
+    due = time.perf_counter()
+    for _ in range(calls):
+        for name, infer in ways.items():
+            due = max(due + PERIOD_S, time.perf_counter())
+            time.sleep(max(due - time.perf_counter(), 0.0))
+            start = clock()
+            infer()
+            paced[name].append(clock() - start)
+    for _ in range(max(calls // WARM_CALLS, 1)):
+        for name, infer in ways.items():
+            for call in range(WARM_CALLS):
+                start = clock()
+                infer()
+                if call >= WARM_CALLS // 3:  # the first calls bring the weights back into the caches
+                    warm[name].append(clock() - start)
+    times = {
+        name: {"paced": percentiles_us(np.array(paced[name])), "warm": percentiles_us(np.array(warm[name]))}
+        for name in ways
+    }
+    ours = next(iter(ways))
+    return {
+        "ours": ours,
+        "inference_us": times,
+        "ratios": {name: round(times[name]["paced"]["p50"] / times[ours]["paced"]["p50"], 2) for name in ways},
+        "ratios_warm": {name: round(times[name]["warm"]["p50"] / times[ours]["warm"]["p50"], 2) for name in ways},
+        "head_bytes": streamed_bytes(bundle),
+        "floor_share": round(times["bandwidth"]["warm"]["p50"] / times[ours]["warm"]["p50"], 3),
+        "missing": missing,
+        "bundle": bundle.id,
+    }
+
+
+def machine() -> dict[str, Any]:
+    """Return what the figures were measured on."""
+    import platform
+
+    model = "unknown"
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                model = line.partition(":")[2].strip()
+                break
+    except OSError:
+        pass
+    load = os.getloadavg()[0]
+    return {"cpu": model, "cores": os.cpu_count(), "load_1min": round(load, 2), "python": platform.python_version()}
+
+
+def _print(found: dict[str, Any]) -> None:
+    for rate, result in found["streams"].items():
+        latency = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_us"].items())
+        stages = ", ".join(f"{name} {us['p50']:.0f}/{us['p99']:.0f}" for name, us in result["stages_us"].items() if us)
+        print(f"{rate} frames/s, {result['frames']} frames, {result['lost']} lost; wire to subscriber, us: {latency}")
+        print(f"  stages, us p50/p99: {stages}")
+    print(f"{'inference, us':24}{'paced p50':>10}{'p99':>9}{'warm p50':>10}{'times ours':>12}")
+    for name, times in found["inference_us"].items():
+        print(f"{name:24}{times['paced']['p50']:10.0f}{times['paced']['p99']:9.0f}{times['warm']['p50']:10.0f}"
+              f"{found['ratios'][name]:12.2f}")  # fmt: skip
+    for name, reason in found["missing"].items():
+        print(f"{name} was left out: {reason}")
+    print(f"on {found['machine']['cpu']}, {found['machine']['cores']} cores, load {found['machine']['load_1min']}")
