@@ -25,7 +25,6 @@ from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
 
-
 SMALLEST_MAP: Final = 1e-12
 """A projection below this is zero, not something to scale up."""
 

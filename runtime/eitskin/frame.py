@@ -4,7 +4,7 @@ On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fie
 message in memory: everything that changes with each frame has a fixed width and stands first, so that it is
 overwritten in place and the time of publishing can be stamped last. Only the texts at the end vary in length. ::
 
-    v n seq device_us host_ns{..} age_us touched gate_logit cloud weak_rows counts{..} shape map | solver skipped events ids
+    v n seq device_us age_us touched gate_logit cloud weak_rows host_ns{..} counts{..} shape map | solver skipped ...
 
 A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
 """
@@ -172,7 +172,7 @@ class FramePacker:
         self._end = self._tail_at
 
     def put(self, name: str, value: float) -> None:
-        """Overwrite one number: of ``STAGES``, ``COUNTS``, or n, seq, device_us, age_us, gate_logit, cloud, weak_rows."""
+        """Overwrite one number: of ``STAGES``, of ``COUNTS``, or one of the plain fields."""
         layout, at = self._slots[name]
         layout.pack_into(self._buffer, at, value)
 

@@ -20,8 +20,8 @@ from eitskin.endpoints import bind, release
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
 
-LARGEST_SUBSCRIPTION: Final = 64
-"""Bytes; a subscription to everything has 1."""
+LARGEST_SUBSCRIPTION: Final = 512
+"""Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
 MOST_TOPICS: Final = 32
 """Topics that may be subscribed to at once; frames have one, the empty one."""
@@ -118,6 +118,7 @@ class Publisher:
     def _close_socket(self) -> None:
         with suppress(zmq.ZMQError):
             self._socket.disable_monitor()
+        self._monitor.close(0)
         self._socket.close(0)
         release(self.endpoint)
 

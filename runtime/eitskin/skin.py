@@ -21,7 +21,7 @@ from eitskin import reference as references
 from eitskin.bundle import Bundle, load_bundle
 from eitskin.device import Device
 from eitskin.engine import GeometryGraph
-from eitskin.errors import BadReference, SkinError
+from eitskin.errors import BadReference, HandshakeError, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
 from eitskin.pipeline import PACK, PUBLISH, Pipeline
 from eitskin.prediction import log_ratio
@@ -34,6 +34,10 @@ from eitskin_proto.messages import Event
 
 CAPTURE_S = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
+
+
+MOST_FRUITLESS = 5
+"""How often a device is greeted anew without a single payload in between."""
 
 
 class Skin:
@@ -92,6 +96,7 @@ class Skin:
         """How often the device was greeted anew after silence or a reset."""
         self.published = 0
         """Frames packed so far."""
+        self._fruitless = 0
         self._revision = 0
         self._lock = threading.Lock()
         self._stopping = False
@@ -292,6 +297,7 @@ class Skin:
                 self._look_after(read_ns)
                 continue
             self._heard_ns = read_ns
+            self._fruitless = 0
             newest = self._skip_stale(payloads) if pipeline.ladder.drops_stale else payloads
             for payload in newest:
                 if payload[0] != MessageType.FRAME:
@@ -324,6 +330,12 @@ class Skin:
             self._recover()
 
     def _recover(self) -> None:
+        if self._fruitless >= MOST_FRUITLESS:
+            raise HandshakeError(
+                f"{self.transport.name} answers and acknowledges START, but sent no frame after {MOST_FRUITLESS} "
+                "attempts: power the device off and on; if that does not help, flash it"
+            )
+        self._fruitless += 1
         self.device.recover()
         self.recoveries += 1
         self.pipeline.greet(self.device.hello)

@@ -1,4 +1,5 @@
-"""A virtual skin for the runtime's tests: the real state machine, pty and faults, with made-up voltages instead of physics.
+"""A virtual skin for the runtime's tests: the real state machine, pty and faults, with made-up voltages instead of
+physics.
 
 Takes one JSON object as its argument, prints the port's path, serves until it is terminated.
 """

@@ -122,7 +122,8 @@ def test_commands_are_answered(server, recorder):
     "fields",
     [
         {}, {"command": 5}, {"command": "exec"}, {"command": "__class__"}, {"command": "cloud"},
-        {"command": "cloud", "cloud": "text"}, {"command": "cloud", "cloud": b"short"}, {"command": "cloud", "cloud": []},
+        {"command": "cloud", "cloud": "text"}, {"command": "cloud", "cloud": b"short"},
+        {"command": "cloud", "cloud": []},
         {"command": "cloud", "cloud": bytes(16200), "predicted": bytes(5)}, {"command": "reference", "frames": 1},
         {"command": "reference", "frames": 10**9}, {"command": "reference", "frames": True},
         {"command": "reference", "frames": "7"},
@@ -138,8 +139,8 @@ def test_requests_that_make_no_sense_are_answered_with_what_is_wrong(server, raw
 
 def test_random_and_hostile_bytes_are_answered_and_the_server_lives_on(server, raw, recorder):
     rng = np.random.default_rng(4)
-    hostile = [b"", b"\x91" * 20000, b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd6\xff\0\0\0\0", b"\x81\x01\x02",
-               b"\x81\xa7command" + b"\x81" * 2000, b"cposix\nsystem\n(S'true'\ntR."]  # fmt: skip
+    hostile = [b"", b"\x91" * 20000, b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd6\xff\0\0\0\0",
+               b"\x81\x01\x02", b"\x81\xa7command" + b"\x81" * 2000, b"cposix\nsystem\n(S'true'\ntR."]  # fmt: skip
     hostile += [rng.integers(0, 256, size, dtype=np.uint8).tobytes() for size in rng.integers(0, 300, 100)]
     valid = msgpack.packb({"command": "cloud", "cloud": bytes(16200)})
     for _ in range(100):

@@ -75,7 +75,7 @@ def test_another_major_version_is_refused(hello):
 
 
 def test_silence_is_named(hasty):
-    with pytest.raises(HandshakeError, match="did not answer within 0.2 s"):
+    with pytest.raises(HandshakeError, match=r"did not answer within 0\.2 s"):
         Device(Line(lambda _: []))
 
 

@@ -1,3 +1,4 @@
+import contextlib
 import math
 import struct
 import time
@@ -96,10 +97,8 @@ def test_no_flipped_bit_outside_the_values_raises_anything_but_frame_error(packe
         for bit in range(8):
             damaged = bytearray(message)
             damaged[at] ^= 1 << bit
-            try:
+            with contextlib.suppress(FrameError):  # a flipped digit of a counter is still a frame
                 unpack_frame(bytes(damaged), 0)
-            except FrameError:
-                pass  # a flipped digit of a counter is still a frame; anything else must say FrameError
 
 
 def test_random_bytes_are_never_a_frame_and_never_another_error():
@@ -114,7 +113,8 @@ def test_random_bytes_are_never_a_frame_and_never_another_error():
     [
         ("v", 2), ("shape", [45, 30]), ("map", b"\0" * 5399), ("map", "text"), ("touched", 1), ("seq", -1),
         ("seq", True), ("host_ns", {"read": 1}), ("counts", []), ("events", "overrun"), ("events", [1]),
-        ("solver", None), ("solver", "x" * 200), ("gate_logit", "high"), ("map", np.full(1350, math.nan, "<f4").tobytes()),
+        ("solver", None), ("solver", "x" * 200), ("gate_logit", "high"),
+        ("map", np.full(1350, math.nan, "<f4").tobytes()),
         ("map", np.full(1350, math.inf, "<f4").tobytes()),
     ],
 )  # fmt: skip

@@ -1,3 +1,5 @@
+import itertools
+
 import pytest
 
 from eitskin.ladder import HOLD_FRAMES, LONGEST_HOLD, Ladder
@@ -51,11 +53,9 @@ def test_untouched_frames_say_nothing_about_the_room_for_a_slower_engine():
 
 def test_the_ladder_does_not_flutter_between_two_levels():
     ladder = Ladder(BUDGET, 3)
-    overruns_at = []
-    for frame in range(40_000):  # fp32 is always over budget, int8 is always easy
-        if ladder.judge(SLOW if ladder.level == 0 else FAST, inferred=True):
-            overruns_at.append(frame)
-    gaps = [after - before for before, after in zip(overruns_at, overruns_at[1:], strict=False)]
+    # fp32 is always over budget, int8 is always easy
+    overruns_at = [frame for frame in range(40_000) if ladder.judge(SLOW if ladder.level == 0 else FAST, inferred=True)]
+    gaps = [after - before for before, after in itertools.pairwise(overruns_at)]
     assert gaps == sorted(gaps)
     assert gaps[-1] >= LONGEST_HOLD
     assert len(overruns_at) < 15

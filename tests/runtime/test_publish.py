@@ -1,3 +1,4 @@
+import contextlib
 import os
 import stat
 import time
@@ -90,7 +91,7 @@ def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher
             send(publisher, packer, number)
         time.sleep(0.2)
         send(publisher, packer, sent + 1)
-        with pytest.raises(NoFrame):
+        with contextlib.suppress(NoFrame):
             while True:
                 recorder.next_frame()
         if recorder._number <= sent:  # the queues were full to the end; one more tells the gap
@@ -102,7 +103,7 @@ def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher
 
 def test_silence_and_old_frames_are_errors_that_are_also_timeouts(publisher, packer):
     with eitskin.subscribe(publisher.endpoint, timeout_s=0.2, max_age_s=0.5) as frames:
-        with pytest.raises(NoFrame, match="within 0.2 s"):
+        with pytest.raises(NoFrame, match=r"within 0\.2 s"):
             next(frames)
         wait_until_wanted(publisher)
         send(publisher, packer, 1, age_us=700_000)

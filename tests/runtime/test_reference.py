@@ -99,7 +99,7 @@ def test_a_crash_while_writing_leaves_the_old_reference(captured, tmp_path, monk
 
 
 def test_a_folder_that_does_not_exist_is_named(captured):
-    with pytest.raises(BadReference, match="/nowhere/skin.json"):
+    with pytest.raises(BadReference, match=r"/nowhere/skin\.json"):
         references.save(captured, Path("/nowhere/skin.json"))
 
 

@@ -1,0 +1,214 @@
+"""The commands as a user starts them: exit status, one line on stderr, one object on stdout."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+import eitskin
+from eitskin.reference import load
+
+
+def command(*words, **options):
+    return subprocess.Popen(
+        [sys.executable, "-W", "error", "-m", "eitskin_tools.cli", *map(str, words)],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        **options,
+    )
+
+
+def finished(*words):
+    process = command(*words)
+    out, err = process.communicate(timeout=30)
+    return process.returncode, out, err
+
+
+def wait_until_ready(process):
+    seen = []
+    for line in process.stderr:
+        seen.append(line)
+        if line.startswith("ready "):
+            return "".join(seen)
+    raise AssertionError("".join(seen))
+
+
+@pytest.fixture
+def endpoints(tmp_path):
+    return ["--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control"]
+
+
+def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_skin, tiny_path, tmp_path, endpoints):
+    with virtual_skin(touches=[[0.6, 60, 0.3]]) as port:
+        process = command("run", "--port", port, "--bundle", tiny_path, *endpoints, "--json")
+        report = wait_until_ready(process)
+        for found in ("open, exclusive", "low-latency mode", "VIRTUAL-0001", "gate: false-alarm rate", "median spread"):
+            assert found in report
+        with eitskin.subscribe(f"ipc://{tmp_path}/frames", mode="all", timeout_s=5) as frames:
+            taken = [next(frames) for _ in range(100)]
+        assert taken[-1].touched
+        assert taken[-1].latency_s < 1.0
+        process.send_signal(signal.SIGTERM)
+        out, err = process.communicate(timeout=10)
+    assert process.returncode == 0, err
+    assert out.count("\n") == 1
+    summary = json.loads(out)
+    assert summary["frames"] >= 100
+    assert summary["lost"] == summary["corrupt"] == summary["withheld"] == 0
+    assert set(summary["latency_us"]) == {"p50", "p99", "p999", "max"}
+    assert set(summary["stages_us"]) == {"decode", "normalise", "gate", "infer", "pack", "publish"}
+    assert not (tmp_path / "frames").exists()
+    assert not (tmp_path / "control").exists()
+
+
+def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_skin, tiny_path, tmp_path, endpoints):
+    stored = tmp_path / "skin.json"
+    with virtual_skin() as port:
+        code, out, err = finished("reference", "--port", port, "--out", stored, "--frames", 30, "--json")
+        assert code == 0, err
+        assert json.loads(out)["frames"] == load(stored).frames == 30
+        code, out, err = finished(
+            "run", "--port", port, "--bundle", tiny_path, "--reference", stored, "--frames", 50, *endpoints, "--json"
+        )
+        assert code == 0, err
+        assert json.loads(out)["frames"] == 50
+        assert "capturing" not in err
+    code, out, _ = finished("reference", "--show", stored)
+    assert code == 0
+    assert "30 frames of VIRTUAL-0001" in out
+
+
+def test_a_reference_of_another_device_is_refused(virtual_skin, tiny_path, tmp_path, endpoints):
+    stored = tmp_path / "skin.json"
+    with virtual_skin(serial_number="FIRST") as port:
+        assert finished("reference", "--port", port, "--out", stored)[0] == 0
+    with virtual_skin(serial_number="SECOND") as port:
+        code, out, err = finished("run", "--port", port, "--bundle", tiny_path, "--reference", stored, *endpoints)
+    assert (code, out) == (1, "")
+    assert "found FIRST, expected SECOND" in err.splitlines()[-1]
+
+
+def test_a_missing_port_is_one_line_and_exit_1(tiny_path):
+    code, out, err = finished("run", "--port", "/dev/ttyNONE9", "--bundle", tiny_path)
+    assert (code, out) == (1, "")
+    assert err.splitlines()[-1].startswith("eitskin run: no port /dev/ttyNONE9")
+    assert "Traceback" not in err
+
+
+def test_a_busy_port_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
+    with virtual_skin() as port:
+        first = command("run", "--port", port, "--bundle", tiny_path, *endpoints)
+        wait_until_ready(first)
+        code, _, err = finished("run", "--port", port, "--bundle", tiny_path)
+        first.send_signal(signal.SIGINT)
+        first.communicate(timeout=10)
+    assert first.returncode == 0
+    assert code == 1
+    assert "open in another program" in err.splitlines()[-1]
+
+
+def test_a_port_that_vanishes_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
+    with virtual_skin(faults=["unplug@1.0:30"]) as port:
+        code, out, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
+    assert (code, out) == (1, "")
+    assert "vanished" in err.splitlines()[-1]
+    assert "Traceback" not in err
+
+
+def test_an_address_in_use_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints, tmp_path):
+    from eitskin.publish import Publisher
+
+    holder = Publisher(f"ipc://{tmp_path}/frames")
+    with virtual_skin() as port:
+        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
+    holder.close()
+    assert code == 1
+    assert "is in use" in err.splitlines()[-1]
+
+
+def test_a_damaged_bundle_and_a_foreign_device_exit_1(virtual_skin, tiny_path, tmp_path, endpoints):
+    broken = tmp_path / "broken.eitskin"
+    broken.write_bytes(tiny_path.read_bytes()[:5000])
+    code, _, err = finished("run", "--port", "/dev/null", "--bundle", broken)
+    assert code == 1
+    assert "no intact bundle" in err
+    with virtual_skin(faults=["foreign"]) as port:
+        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, *endpoints)
+    assert code == 1
+    assert "protocol_id: found 00000000f0e1d2c3" in err.splitlines()[-1]
+
+
+def test_a_budget_that_nothing_meets_exits_1_and_says_what_would(virtual_skin, tiny_path, endpoints):
+    with virtual_skin() as port:
+        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, "--budget-ms", "0.0001", *endpoints)
+    assert code == 1
+    assert "budget of 0.0001 ms cannot be met: the fastest solver, tikhonov, takes" in err.splitlines()[-1]
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["--frames", "0"], ["--seconds", "-1"], ["--budget-ms", "0"], ["--reference-frames", "1"],
+        ["--affinity", "one"], ["--budget-ms", "nan"], ["--speed", "9"],
+    ],
+)  # fmt: skip
+def test_bad_usage_of_run_exits_2(words):
+    code, out, err = finished("run", "--port", "/dev/null", *words)
+    assert (code, out) == (2, "")
+    assert words[0] in err
+
+
+def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
+    words = ["--affinity", "0", "--mlock", "--sched-fifo", "1"]
+    with virtual_skin() as port:
+        code, _, err = finished("run", "--port", port, "--bundle", tiny_path, "--frames", "20", *words, *endpoints)
+    assert code == 0, err
+    assert "affinity: CPU 0" in err
+    for name in ("mlockall: ", "SCHED_FIFO 1: "):
+        answer = err.partition(name)[2]
+        assert answer.startswith(("got", "refused"))
+
+
+def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path):
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
+        assert code == 0, err
+        assert len(out.splitlines()) == 20
+        assert "solver vd2t" in out
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all", "--json")
+        assert code == 0, err
+        summary = json.loads(out)
+    assert (summary["frames"], summary["lost"], summary["rejected"]) == (20, 0, 0)
+    assert "deliver" in summary["stages_us"]
+
+
+def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
+    start = time.perf_counter()
+    code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")
+    assert (code, out) == (1, "")
+    assert "is the runtime running" in err
+    assert time.perf_counter() - start < 20
+    assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
+
+
+def test_doctor_reports_and_makes_keys(virtual_skin, tmp_path):
+    with virtual_skin() as port:
+        code, out, err = finished("doctor", "--port", port, "--json")
+    assert code == 0, err
+    found = json.loads(out)
+    assert found["device"]["serial_number"] == "VIRTUAL-0001"
+    assert {"ports", "bundles", "limits", "problems"} <= set(found)
+    code, out, _ = finished("doctor", "--make-curve-keys", tmp_path / "keys", "--json")
+    assert code == 0
+    assert len(json.loads(out)["files"]) == 4
+    assert finished("doctor", "--port", "/dev/ttyNONE9")[0] == 1
+
+
+def test_reference_without_a_file_to_go_to_is_bad_usage():
+    assert finished("reference", "--port", "/dev/null")[0] == 2
+    assert finished("reference")[0] == 2
+    assert finished("reference", "--show", "/nowhere.json")[0] == 1
