@@ -174,7 +174,7 @@ def test_scan_in_metres_or_of_nothing_is_refused():
     with pytest.raises(scan.ScanError, match="shape"):
         scan.organise(raw.points[:, :2])
     rng = np.random.default_rng(1)
-    with pytest.raises(scan.ScanError, match="does not show the sheet|expected"):
+    with pytest.raises(scan.ScanError, match=r"does not show the sheet|expected"):
         scan.organise(rng.uniform(0, 100, (5_000, 3)))
 
 

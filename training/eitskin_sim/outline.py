@@ -1,9 +1,10 @@
 """The sheet's outline on its rolled-out chart: four sides, a little curved, and from them a square to draw on.
 
-The chart of :mod:`eitskin_sim.unroll` is a rectangle up to place, rotation and what twist and bumps do to it. Its pose is that
-of the smallest box around it. Each side is then found strip by strip from the *density* of the points: with rho points per
-millimetre inside, the side lies where the points beyond a line would fill rho up. An extreme point would lie too far out by
-two or three times the noise, and too far in where the scan is thin. A cubic through the strips rides over notches. ::
+The chart of :mod:`eitskin_sim.unroll` is a rectangle up to place, rotation and what twist and bumps do to it. Its pose
+is that of the smallest box around it. Each side is then found strip by strip from the *density* of the points: with rho
+points per millimetre inside, the side lies where the points beyond a line would fill rho up. An extreme point would lie
+too far out by two or three times the noise, and too far in where the scan is thin. A cubic through the strips rides
+over notches. ::
 
         v |  ____top(u)____            a = (u - left(v)) / (right(v) - left(v))
           | |left          |right      b = (v - bottom(u)) / (top(u) - bottom(u))
@@ -50,7 +51,7 @@ class Outline:
     rotation: Array
     """(2, 2) from the chart to the box: its rows are the box's axes, the longer first."""
     sides: tuple[Array, Array, Array, Array]
-    """Left, right, bottom, top: coefficients of the distance as a polynomial of the place along the side over 100 mm."""
+    """Left, right, bottom, top: coefficients of the distance as a polynomial of the place along the side / 100 mm."""
     size_mm: tuple[float, float]
     """Mean length and mean width."""
 

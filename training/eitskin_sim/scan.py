@@ -5,10 +5,10 @@
     raw points --unroll--> chart (u, v), outliers gone --outline--> unit square --surface--> smooth, even by arc length
                --corner--> rows along y, columns along x --align_cloud--> the agreed pose
 
-A rectangle looks the same from either side and after half a turn, so four ways to put x and y on it fit the scan equally
-well. Only a mark can tell: ``corner_mm``, a point near the sheet's corner (0, 0) in the scan's own frame, decides between all
-four, side included, because x is the long way. Without it the scanner's frame is taken as the hint: of the four, the one
-whose pose is turned least against that frame; the result then says so.
+A rectangle looks the same from either side and after half a turn, so four ways to put x and y on it fit the scan
+equally well. Only a mark can tell: ``corner_mm``, a point near the sheet's corner (0, 0) in the scan's own frame,
+decides between all four, side included, because x is the long way. Without it the scanner's frame is taken as the hint:
+of the four, the one whose pose is turned least against that frame; the result then says so.
 """
 
 from dataclasses import dataclass
@@ -198,8 +198,8 @@ def _choose_corner(surface: Array, corner_mm: tuple[float, float, float] | None)
     nearest, second = np.sort(distance)[:2]
     if not nearest < 0.5 * second:
         raise ScanError(
-            f"the corner hint {tuple(float(x) for x in hint)} is {nearest:.1f} mm and {second:.1f} mm from the two nearest corners: "
-            "give a point, in the scan's frame, clearly nearest to the corner (0, 0)"
+            f"the corner hint {tuple(float(x) for x in hint)} is {nearest:.1f} and {second:.1f} mm from the two "
+            "nearest corners: give a point, in the scan's frame, clearly nearest to the corner (0, 0)"
         )
     return candidates[int(np.argmin(distance))], "given"
 

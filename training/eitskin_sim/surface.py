@@ -1,13 +1,13 @@
 """A smooth surface through noisy points whose place on the sheet is known, redrawn evenly by arc length.
 
-The points are averaged in cells of the flat sheet and a thin-plate spline, the radial basis function r^2 log r, is fitted to
-the averages: each of x, y, z is the function that least violates ::
+The points are averaged in cells of the flat sheet and a thin-plate spline, the radial basis function r^2 log r, is
+fitted to the averages: each of x, y, z is the function that least violates ::
 
     sum_i n_i (f(p_i) - mean_i)^2  +  density * h^4 * integral |second derivatives of f|^2
 
-which passes wavelengths longer than 2 pi h and bridges holes as a bent plate would. A mean over a cell of side c lies inside
-a curved surface by c^2 / 24 of each second derivative, 0.02 mm at a radius of 50 mm: the spread of each cell's points is
-known, so the fit is repeated with that offset taken away, which costs only a back substitution.
+which passes wavelengths longer than 2 pi h and bridges holes as a bent plate would. A mean over a cell of side c lies
+inside a curved surface by c^2 / 24 of each second derivative, 0.02 mm at a radius of 50 mm: the spread of each cell's
+points is known, so the fit is repeated with that offset taken away, which costs only a back substitution.
 """
 
 from collections.abc import Callable

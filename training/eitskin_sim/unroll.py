@@ -1,16 +1,17 @@
 """A flat chart of a curled sheet: every scanned point gets the place (u, v) that it has when the sheet is rolled out.
 
-A sheet bent by 180 degrees or more is no graph z(x, y), so nothing here looks from above. The points are binned into cubes
-of a few millimetres, and the cubes' centroids c form a graph along the surface::
+A sheet bent by 180 degrees or more is no graph z(x, y), so nothing here looks from above. The points are binned into
+cubes of a few millimetres, and the cubes' centroids c form a graph along the surface::
 
     tangent frame at each centroid   principal directions of its neighbourhood
     frames made consistent           parallel transport outwards from the middle, then averaging between neighbours
     (u, v) of the centroids          least squares: uv_j - uv_i = arc from c_i to c_j, seen in the frames
     (u, v) of every point            its own cube's frame
 
-On a developable surface (a bend of any angle, axis and skew) the least squares have an exact solution; twist and bumps leave
-a few tenths of a millimetre, which the resampling by arc length takes out afterwards. Outliers go in three sieves: cubes
-with too few points, cubes that do not hang together with the rest, points too far off their cube's curved surface.
+On a developable surface (a bend of any angle, axis and skew) the least squares have an exact solution; twist and bumps
+leave a few tenths of a millimetre, which the resampling by arc length takes out afterwards. Outliers go in three
+sieves: cubes with too few points, cubes that do not hang together with the rest, points too far off their cube's
+curved surface.
 """
 
 from dataclasses import dataclass
@@ -32,7 +33,7 @@ REACH_CELLS: Final = 2.2
 """Cubes this near, in cells, are neighbours; layers of a curled sheet must lie farther apart (9 mm)."""
 
 EXTENT_MM: Final = 260.0
-"""No point of the sheet is farther than this from its median point: the diagonal is 180 mm, stretched 1.4 times 253 mm."""
+"""No point of the sheet is farther than this from its median point: the diagonal is 180 mm, stretched 253 mm."""
 
 SPARSE_CUBE: Final = 0.15
 """A cube with less than this part of the median count is no part of the graph."""
@@ -77,9 +78,7 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     Raises:
         ValueError: The points do not form one surface.
     """
-    axes = np.ascontiguousarray(
-        points_mm.T
-    )  # (3, n): reductions and gathers over a long last axis are several times faster
+    axes = np.ascontiguousarray(points_mm.T)  # (3, n): gathers along a long last axis are several times faster
     middle = np.median(axes[:, :: len(points_mm) // 5000 + 1], axis=1, keepdims=True)
     near = np.all(np.abs(axes - middle) < EXTENT_MM, axis=0)
     axes = axes if near.all() else np.ascontiguousarray(axes[:, near])
@@ -119,7 +118,7 @@ def _bin(axes: Array, cell_mm: float) -> tuple[npt.NDArray[np.intp], Array]:
 
 def _connected(pairs: npt.NDArray[np.intp], n: int) -> bool:
     graph = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
-    return bool(csgraph.connected_components(graph, directed=False, return_labels=False) == 1)
+    return int(csgraph.connected_components(graph, directed=False)[0]) == 1
 
 
 def _largest_piece(centroid: Array, solid: npt.NDArray[np.bool_], reach_mm: float) -> npt.NDArray[np.intp]:
@@ -128,7 +127,7 @@ def _largest_piece(centroid: Array, solid: npt.NDArray[np.bool_], reach_mm: floa
     n = len(candidates)
     graph = sparse.coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
     _, label = csgraph.connected_components(graph, directed=False)
-    return candidates[label == np.bincount(label).argmax()]
+    return np.asarray(candidates[label == np.bincount(label).argmax()])
 
 
 def _frames(nodes: Array, first: npt.NDArray[np.intp], second: npt.NDArray[np.intp]) -> tuple[Array, Array]:

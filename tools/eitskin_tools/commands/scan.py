@@ -16,8 +16,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="a point near the sheet's corner (0, 0), in the scan's own frame, mm; it decides between the four ways in which "
-        "a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
+        help="a point near the sheet's corner (0, 0), in the scan's own frame, mm; it decides between the four ways in "
+        "which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -50,8 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(report))
         return 0
     print(
-        f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, noise {result.noise_mm:.3f} mm, "
-        f"{result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm, largest hole {result.largest_hole_mm:.1f} mm, {elapsed_ms:.0f} ms"
+        f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
+        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm, "
+        f"largest hole {result.largest_hole_mm:.1f} mm, {elapsed_ms:.0f} ms"
     )
     if result.corner != "given":
         print(
