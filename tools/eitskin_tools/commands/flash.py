@@ -74,7 +74,7 @@ def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Confi
     listed = [{"field": name, "device": old, "file": new} for name, old, new in found]
     report = {"action": arguments.action, "differences": listed, **_describe(configuration)}
     if arguments.action == "write":
-        procedure.check(exchange.hello(), configuration)
+        procedure.check(exchange.hello(), configuration, exchange.transport.line_bytes_per_s)
         return _print(arguments, {**report, "dry_run": True})
     _print(arguments, {**report, "same": not found})
     return 1 if found else 0

@@ -82,8 +82,13 @@ def differences(old: Configuration, new: Configuration) -> list[tuple[str, objec
     return [(name, a, b) for name, a, b in pairs if a != b]
 
 
-def check(hello: messages.Hello, configuration: Configuration) -> None:
+def check(hello: messages.Hello, configuration: Configuration, host_bytes_per_s: int = 0) -> None:
     """Refuse what this device cannot run.
+
+    Args:
+        hello: What the device said, with what its line carries.
+        configuration: What it is to run.
+        host_bytes_per_s: What the host's end of the line carries; 0 if it is no limit.
 
     Raises:
         FlashError: Made for other hardware.
@@ -94,7 +99,7 @@ def check(hello: messages.Hello, configuration: Configuration) -> None:
         raise FlashError(
             f"configuration {configuration.name!r} is for {names[0]}, the device is {names[1]}: nothing was written"
         )
-    configuration.check(hello.line_bytes_per_s)
+    configuration.check(min((line for line in (hello.line_bytes_per_s, host_bytes_per_s) if line), default=0))
 
 
 def write(
@@ -119,7 +124,7 @@ def write(
         Refused: The device refused before anything changed.
     """
     hello = exchange.hello()
-    check(hello, configuration)
+    check(hello, configuration, exchange.transport.line_bytes_per_s)
     if hello.flags & HelloFlag.STREAMING:
         exchange.command(messages.Stop)
     blob, token = configuration.to_blob(), secrets.randbelow(0xFFFFFFFF) + 1
