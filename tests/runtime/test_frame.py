@@ -2,6 +2,7 @@ import contextlib
 import math
 import struct
 import time
+from pathlib import Path
 
 import msgpack
 import numpy as np
@@ -141,3 +142,12 @@ def test_a_message_that_is_nested_or_huge_or_claims_gigabytes_is_rejected():
 def test_a_later_runtime_may_add_fields(packer):
     fields = msgpack.unpackb(filled(packer))
     assert unpack_frame(msgpack.packb(fields | {"pressure": 1.0}), 0).sequence == 7
+
+
+def test_the_specification_lists_exactly_the_published_fields(packer):
+    specification = Path(__file__).parents[2] / "firmware_proto" / "SPEC.md"
+    if not specification.exists():
+        pytest.skip("the source tree was removed to test the installed wheel")
+    section = specification.read_text().partition("## 7. The published frame")[2].partition("Control requests")[0]
+    listed = [line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")][1:]
+    assert listed == list(msgpack.unpackb(filled(packer)))
