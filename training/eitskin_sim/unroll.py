@@ -88,7 +88,7 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     keep = _largest_piece(centroid, solid, REACH_CELLS * cell_mm)
     if len(keep) < LEAST_CELLS:
         raise ValueError(
-            f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet of 150 x 100 mm has about 1000: "
+            f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about 1000: "
             "is the scan in millimetres, and of the whole sheet?"
         )
     nodes = centroid[keep]
