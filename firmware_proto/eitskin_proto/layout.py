@@ -17,7 +17,7 @@ import math
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, ClassVar, Final, Self
 
 from eitskin_proto.codes import MAGIC, MessageType
 from eitskin_proto.errors import ProtocolError
@@ -136,3 +136,27 @@ class Layout:
                 continue
             values[field] = _decode(kind, f"{name}.{field}", raw)
         return values
+
+
+class Packed:
+    """What the messages share: they pack and unpack themselves by their layout."""
+
+    __slots__ = ()
+    LAYOUT: ClassVar[Layout]
+
+    def pack(self) -> bytes:
+        """Return the payload, type byte first.
+
+        Raises:
+            ValueError: A field does not fit the wire.
+        """
+        return self.LAYOUT.pack(self)
+
+    @classmethod
+    def unpack(cls, payload: bytes) -> Self:
+        """Return the message of a payload.
+
+        Raises:
+            ProtocolError: The payload is not exactly this message.
+        """
+        return cls(**cls.LAYOUT.unpack(payload))
