@@ -57,7 +57,7 @@ def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Referen
             fits = view.drives == ALL_DRIVES and view.generation == device.hello.generation and not view.saturation
             if fits:
                 normaliser.load(view.counts)
-                if builder.add(normaliser.voltages):
+                if builder.add(normaliser.voltages()):
                     return builder.finish(device.hello)
     raise BadReference(
         f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "

@@ -46,12 +46,13 @@ class Buffers:
 
     Args:
         bias_width: H.
+        change: (104,) memory for dV that somebody else reads as well; None makes it.
     """
 
     __slots__ = ("bias", "change", "log_predicted", "map", "revision")
 
-    def __init__(self, bias_width: int) -> None:
-        self.change = np.zeros((1, N_ROWS), dtype=np.float32)
+    def __init__(self, bias_width: int, change: npt.NDArray[np.float32] | None = None) -> None:
+        self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
         """(1, 104) dV of the frame."""
         self.bias = np.zeros((1, bias_width), dtype=np.float32)
         """(1, H)."""

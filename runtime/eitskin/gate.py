@@ -18,15 +18,15 @@ import numpy.typing as npt
 from eitskin.errors import BundleError
 from eitskin_proto.table import N_ROWS
 
-LOG_FLOOR: Final = 1e-3
-"""1 + dV is cut off here before the logarithm; V/V0 reaches 5e-4 on a healthy sheet."""
+LARGEST_DROP: Final = -0.999
+"""dV is cut off here before log(1 + dV), as in training; V/V0 reaches 5e-4 on a healthy sheet."""
 
 FIELDS: Final = ("mean", "scale", "w1", "b1", "w2", "b2", "threshold")
 """Arrays of gate.npz."""
 
 
 class Gate:
-    """Judges dV; call :meth:`touched` a frame.
+    """Judges dV: fill ``change``, then call :meth:`touched`, once a frame.
 
     Args:
         arrays: mean and scale (208,), w1 (208, hidden), b1 (hidden,), w2 (hidden,), b2 and threshold of one value.
@@ -35,7 +35,7 @@ class Gate:
         BundleError: An array is missing, has a wrong shape, or is not finite.
     """
 
-    __slots__ = ("_bias", "_features", "_hidden", "_logarithms", "_output", "_shift", "_weights", "logit", "threshold")
+    __slots__ = ("_hidden", "_logarithms", "_output", "_shift", "_weights", "change", "features", "logit", "threshold")
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
         values = {name: _finite(arrays, name) for name in FIELDS}
@@ -47,33 +47,28 @@ class Gate:
         scale = values["scale"]
         if not (np.abs(scale) > 0).all():
             raise BundleError("gate.npz: scale holds a zero, expected every feature to vary; export it again")
-        # The standardisation is folded into the first layer: two fewer operations a frame.
+        # Standardisation and bias are folded into the first layer, the bias as the weights of a feature that is 1:
+        # on a paced loop every operation costs microseconds of cold cache, whatever its size.
         weights = values["w1"] / scale[:, None]
-        self._weights = np.ascontiguousarray(weights, dtype=np.float32)
-        self._bias = np.asarray(values["b1"] - values["mean"] @ weights, dtype=np.float32)
-        self._output = np.asarray(values["w2"], dtype=np.float32)
+        bias = values["b1"] - values["mean"] @ weights
+        self._weights = np.ascontiguousarray(np.vstack([weights, bias[None]]), dtype=np.float32)
+        self._output = np.asarray(values["w2"], dtype=np.float32).reshape(hidden)
         self._shift = float(values["b2"].reshape(-1)[0])
         self.threshold = float(values["threshold"].reshape(-1)[0])
         """The logit above which a frame counts as touched."""
-        self._features = np.zeros(2 * N_ROWS, dtype=np.float32)
-        self._logarithms = self._features[N_ROWS:]
+        self.features = np.ones(2 * N_ROWS + 1, dtype=np.float32)
+        self.change = self.features[:N_ROWS]
+        """(104,) dV, to be filled before ``touched``."""
+        self._logarithms = self.features[N_ROWS : 2 * N_ROWS]
         self._hidden = np.zeros(hidden, dtype=np.float32)
         self.logit = 0.0
         """Of the last frame judged."""
 
-    def touched(self, change: npt.NDArray[np.float32]) -> bool:
-        """Return whether the sheet is touched.
-
-        Args:
-            change: (104,) dV.
-        """
-        logarithms = self._logarithms
-        self._features[:N_ROWS] = change
-        np.add(change, 1.0, out=logarithms)
-        np.maximum(logarithms, LOG_FLOOR, out=logarithms)
-        np.log(logarithms, out=logarithms)
-        np.matmul(self._features, self._weights, out=self._hidden)
-        np.add(self._hidden, self._bias, out=self._hidden)
+    def touched(self) -> bool:
+        """Return whether the sheet is touched, by ``change``."""
+        np.maximum(self.change, LARGEST_DROP, out=self._logarithms)
+        np.log1p(self._logarithms, out=self._logarithms)
+        np.matmul(self.features, self._weights, out=self._hidden)
         np.maximum(self._hidden, 0.0, out=self._hidden)
         self.logit = float(np.dot(self._hidden, self._output)) + self._shift
         return self.logit > self.threshold

@@ -13,40 +13,34 @@ from eitskin_proto.normalise import inverse_reference
 from eitskin_proto.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 
 LARGEST_CHANGE: Final = 1e6
-"""Strong rows are above 1e-4 of the largest, so that no working front end can change one by more than 1e4."""
+"""Norm of dV. Strong rows are above 1e-4 of the largest, so no working front end changes one by more than 1e4."""
 
 
 class Normaliser:
-    """Turns counts into volts and volts into dV.
+    """Turns counts into dV, and into volts for whoever needs them.
 
     Args:
         volts_per_count: V, of HELLO.
     """
 
     __slots__ = (
-        "_exact",
-        "_half",
-        "_inverse",
-        "_offset",
-        "_other",
-        "_size",
-        "voltages",
-        "volts_per_count",
-        "weak_count",
-    )
+        "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
+        "_volts_per_count", "weak_count",
+    )  # fmt: skip
 
     def __init__(self, volts_per_count: float) -> None:
-        self.volts_per_count = volts_per_count
-        self.voltages = np.zeros(N_ROWS)
-        """(104,) V of the last frame."""
+        self._volts_per_count = volts_per_count
         self.weak_count = 0
         """Rows of the reference that carry no information."""
         self._inverse = np.zeros(N_ROWS)
+        self._scale = np.zeros(N_ROWS)
         self._offset = np.zeros(N_ROWS)
         self._exact = np.zeros(N_ROWS)
-        self._size = np.zeros(N_ROWS)
-        self._half = np.zeros(N_ROWS, dtype=np.int32)
-        self._other = np.zeros(N_ROWS, dtype=np.int32)
+        self._voltages = np.zeros(N_ROWS)
+        self._direct = np.zeros(N_ROWS, dtype=np.int32)
+        self._reciprocal = np.zeros(N_ROWS, dtype=np.int32)
+        self._mean = np.zeros(N_ROWS)
+        self._counts: npt.NDArray[np.number] = self._mean
 
     def use(self, reference: npt.NDArray[np.float64]) -> None:
         """Normalise against a reference from the next frame on.
@@ -60,32 +54,43 @@ class Normaliser:
         self._inverse[:] = inverse_reference(reference)
         self._offset[:] = self._inverse != 0.0
         self.weak_count = N_ROWS - int(self._offset.sum())
+        self.use_scale(self._volts_per_count)
+
+    def use_scale(self, volts_per_count: float) -> None:
+        """Read counts in another unit from the next frame on, in V."""
+        self._volts_per_count = volts_per_count
+        np.multiply(self._inverse, volts_per_count, out=self._scale)
 
     def load(self, counts: npt.NDArray[np.int32]) -> None:
-        """Fill ``voltages``.
+        """Take a frame.
 
         Args:
-            counts: (104,) or (208,).
+            counts: (104,) or (208,); read again until the next ``load``.
         """
         if len(counts) == N_FULL_ROWS:
             # mode="clip" writes straight into out; the indices are constants and in range
-            np.take(counts, ROW_IN_FULL, out=self._half, mode="clip")
-            np.take(counts, RECIPROCAL_IN_FULL, out=self._other, mode="clip")
-            np.add(self._half, self._other, out=self.voltages, dtype=np.float64)  # int32 would overflow
-            np.multiply(self.voltages, 0.5 * self.volts_per_count, out=self.voltages)
+            np.take(counts, ROW_IN_FULL, out=self._direct, mode="clip")
+            np.take(counts, RECIPROCAL_IN_FULL, out=self._reciprocal, mode="clip")
+            np.add(self._direct, self._reciprocal, out=self._mean, dtype=np.float64)  # int32 would overflow
+            np.multiply(self._mean, 0.5, out=self._mean)
+            self._counts = self._mean
         else:
-            np.multiply(counts, self.volts_per_count, out=self.voltages)
+            self._counts = counts
+
+    def voltages(self) -> npt.NDArray[np.float64]:
+        """Return (104,) V of the frame; the next call overwrites them."""
+        np.multiply(self._counts, self._volts_per_count, out=self._voltages)
+        return self._voltages
 
     def change_into(self, out: npt.NDArray[np.float32]) -> bool:
-        """Write dV of ``voltages`` and return whether all of it is plausible.
+        """Write dV and return whether all of it is plausible.
 
         Args:
-            out: (104,); left as it was if not.
+            out: (104,).
         """
-        np.multiply(self.voltages, self._inverse, out=self._exact)
+        np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
-        np.abs(self._exact, out=self._size)
-        if not self._size.max() <= LARGEST_CHANGE:  # also false for NaN
+        if not np.dot(self._exact, self._exact) <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
             return False
         out[:] = self._exact
         return True

@@ -14,6 +14,7 @@ frame that is not fit to publish is withheld, with a reason and a count:
 ====================  ===============================================================
 """
 
+import math
 import time
 from typing import Final
 
@@ -64,10 +65,10 @@ class Pipeline:
     """
 
     def __init__(self, bundle: Bundle, hello: Hello, budget_ns: int | None = None) -> None:
-        self.buffers = Buffers(bundle.bias_width)
-        self.engines: list[Engine] = engines(bundle, self.buffers)
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
+        self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
+        self.engines: list[Engine] = engines(bundle, self.buffers)
         self.ladder = Ladder(budget_ns, len(self.engines))
         self.counter = StreamCounter()
         self.clock = DeviceClock()
@@ -91,7 +92,6 @@ class Pipeline:
         self.events: tuple[str, ...] = ()
         self._next_geometry: Geometry | None = None
         self._view = FrameView()
-        self._finite = np.zeros(N_PIXELS, dtype=np.bool_)
         self._change = self.buffers.change[0]
         self._map = self.buffers.map[0]
         self.map_bytes = memoryview(self._map).cast("B")
@@ -127,7 +127,7 @@ class Pipeline:
         """Take over what a device said after it was greeted anew."""
         self.generation = hello.generation
         self.generation_differs = False
-        self.normaliser.volts_per_count = hello.volts_per_count
+        self.normaliser.use_scale(hello.volts_per_count)
 
     def use_reference(self, reference: Reference) -> None:
         """Normalise against a reference from the next frame on."""
@@ -189,7 +189,7 @@ class Pipeline:
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
         if gate is not None:
-            self.touched = gate.touched(self._change)
+            self.touched = gate.touched()
             self.gate_logit = gate.logit
         else:
             self.touched = True  # without a gate every frame is computed
@@ -200,8 +200,7 @@ class Pipeline:
         else:
             engine = self.engines[self.ladder.engine]
             engine.infer()
-            np.isfinite(self._map, out=self._finite)
-            if not self._finite.all():
+            if not math.isfinite(np.dot(self._map, self._map)):
                 return self._withhold("implausible")
             self.solver = engine.name
             self.skipped = COMPUTED if geometry is None else COMPUTED_NEW

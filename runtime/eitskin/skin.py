@@ -128,7 +128,7 @@ class Skin:
         rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
         until_ns = time.perf_counter_ns() + int((CAPTURE_S + frames / rate_hz) * 1e9)
         for _ in self._accepted(until_ns):
-            if self._fit_for_reference() and builder.add(self.pipeline.normaliser.voltages):
+            if self._fit_for_reference() and builder.add(self.pipeline.normaliser.voltages()):
                 found = builder.finish(self.device.hello)
                 self._use(found)
                 return found
@@ -161,7 +161,7 @@ class Skin:
         self.reference = found
 
     def _feed_capture(self, capture: "_Capture") -> None:
-        if not self._fit_for_reference() or not capture.builder.add(self.pipeline.normaliser.voltages):
+        if not self._fit_for_reference() or not capture.builder.add(self.pipeline.normaliser.voltages()):
             return
         self._capture = None
         try:

@@ -95,7 +95,7 @@ def test_inference_and_the_gate_make_no_array(tiny, change):
     buffers = Buffers(tiny.bias_width)
     buffers.change[0] = change
     gate = Gate(tiny.gate_arrays())
-    steps = [*(engine.infer for engine in engines(tiny, buffers)), lambda row=buffers.change[0]: gate.touched(row)]
+    steps = [*(engine.infer for engine in engines(tiny, buffers)), gate.touched]
     idle = peak_bytes(lambda: None)
     for step in steps:
         # a reduction and its Python objects take up to 1000 bytes for a moment; a copy of the map would take 5400
@@ -150,13 +150,15 @@ def test_the_gate_computes_what_its_formula_says(change):
     features = np.concatenate([change, np.log(np.maximum(1 + change.astype(np.float64), 1e-3))])
     hidden = np.maximum((features - arrays["mean"]) / arrays["scale"] @ arrays["w1"] + arrays["b1"], 0)
     logit = hidden @ arrays["w2"] + 0.3
-    assert gate.touched(change) == (logit > 0.1)
+    gate.change[:] = change
+    assert gate.touched() == (logit > 0.1)
     assert gate.logit == pytest.approx(logit, abs=1e-3)  # float32 sums of 208 terms of order one
 
 
 def test_the_gate_survives_a_voltage_that_changed_its_sign(tiny):
     gate = Gate(tiny.gate_arrays())
-    gate.touched(np.full(104, -3.0, np.float32))
+    gate.change[:] = -3.0
+    gate.touched()
     assert np.isfinite(gate.logit)
 
 
