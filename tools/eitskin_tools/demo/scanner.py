@@ -72,9 +72,9 @@ def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int,
 
 
 def _predicted(cloud: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    from eitskin_sim.predict import predict_voltages, predicted_flat
+    from eitskin_sim.predict import flat_voltages, predict
 
-    return predict_voltages(cloud), predicted_flat()
+    return predict(cloud), flat_voltages()
 
 
 def _send(control: str, cloud: np.ndarray, predicted: np.ndarray | None, flat: np.ndarray | None) -> int:

@@ -10,7 +10,6 @@
 Nothing is left behind: the processes end in order, the sockets and files lie in one temporary folder that is removed.
 """
 
-import importlib.util
 import json
 import sys
 import tempfile
@@ -203,7 +202,7 @@ def script_of(options: Options) -> Any:
 def _uses_prediction(bundle: Path | None) -> bool:
     from eitskin.bundle import load_bundle
 
-    return bool(load_bundle(bundle).uses_prediction) and importlib.util.find_spec("eitskin_sim.predict") is not None
+    return bool(load_bundle(bundle).uses_prediction)
 
 
 def _last_object(child: Child) -> dict[str, Any]:
