@@ -58,11 +58,7 @@ def stream(rate_hz: float, frames: int, bundle: Path | None) -> dict[str, Any]:
 
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
     result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False))
-    return {**timing(result.record, result.wire_ns), "device_dropped": _dropped(result)}
-
-
-def _dropped(result: Any) -> int | None:
-    return None if result.sent is None else max(int(result.record.sequence[-1]) + 1 - result.sent, 0)
+    return {**timing(result.record, result.wire_ns), "overruns": result.overruns}
 
 
 def inference(path: Path | None, calls: int) -> dict[str, Any]:
