@@ -158,15 +158,16 @@ def cut_board(steps: int) -> dict[str, object]:
         total = _board_write(storage, NEW)
         spread = {1 + i * (total - 1) // max(1, steps - 1) for i in range(steps)}
         chosen = sorted(spread) if steps else range(1, total + 1)
-        for change in chosen:
+        cuts = [(change, change % 4) for change in chosen] + [(total, 1)]  # the last: just after the confirmation
+        for change, seed in cuts:
             storage.write_bytes(kept)
-            _board_write(storage, NEW, change, seed=change % 4)
+            _board_write(storage, NEW, change, seed)
             found = _board_name(storage)
             if found in (config_toml.named(OLD), config_toml.named(NEW)):
                 outcome[found.name] += 1
             else:
                 lost.append(f"change {change}: booted {found.name!r}")
-    return {"cut_points": total, "cuts": len(chosen), "booted": dict(outcome), "lost": lost}
+    return {"cut_points": total, "cuts": len(cuts), "booted": dict(outcome), "lost": lost}
 
 
 def main(argv: list[str] | None = None) -> int:
