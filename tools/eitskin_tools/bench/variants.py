@@ -38,11 +38,12 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
     buffers.change[:] = 0.1 * np.random.default_rng(seed).standard_normal((1, N_ROWS))
     found: dict[str, Infer] = {engine.name: engine.infer for engine in engines(bundle, buffers)}
     missing: dict[str, str] = {}
-    for name, build in (
-        ("unsplit", lambda: _unsplit(bundle, buffers, threads=1)),
-        ("onnxruntime-default", lambda: _unsplit(bundle, buffers, threads=0)),
-        ("torch-eager", lambda: _torch(bundle, buffers)),
-    ):
+    builders: dict[str, Callable[[], Infer]] = {
+        "unsplit": lambda: _unsplit(bundle, buffers, threads=1),
+        "onnxruntime-default": lambda: _unsplit(bundle, buffers, threads=0),
+        "torch-eager": lambda: _torch(bundle, buffers),
+    }
+    for name, build in builders.items():
         try:
             found[name] = build()
         except (ImportError, KeyError, TypeError, ValueError) as error:

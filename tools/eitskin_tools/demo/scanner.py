@@ -51,6 +51,8 @@ def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int,
 
     script = demonstration() if scene is None else from_scene(scene)
     rng = np.random.default_rng(seed)
+    if predict:
+        _predicted(script.cloud_at(0.0))  # the first one solves the flat sheet finely
     start_ns = script_start(log)["host_ns"]
     period_ns = round(1e9 / rate_hz)
     due_ns = time.perf_counter_ns()

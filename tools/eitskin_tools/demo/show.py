@@ -154,9 +154,9 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         [publish, str(folder / "record.npz"), f"--seconds={options.seconds}", f"--capacity={capacity}"], folder,
     )  # fmt: skip
     children.append(subscriber)
-    runtime.line(runtime.err, "ready ", READY_S, [skin, subscriber])
     if options.clouds:
         children.append(_scanner(options, control, folder, scene))
+    runtime.line(runtime.err, "ready ", READY_S, children)
     subscriber.line(subscriber.out, "first", READY_S, children)
     return time.monotonic() - begin
 
