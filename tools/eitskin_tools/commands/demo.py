@@ -42,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
             noise=arguments.noise,
             seed=arguments.seed,
             draw=draw,
+            talk=not draw and not arguments.json,
             record=arguments.record,
             picture=arguments.picture,
         )

@@ -50,6 +50,8 @@ class Options:
     draw: bool = False
     record: Path | None = None
     """Keep the record there."""
+    talk: bool = False
+    """Say on standard error how far it is."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
     picture: Path | None = None
@@ -89,6 +91,8 @@ def stream(options: Options) -> Streamed:
         log, record = folder / "skin.log", folder / "record.npz"
         with family() as children:
             start_s = _start(options, folder, publish, control, children)
+            if options.talk:
+                print(f"first frame after {start_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
             _watch(options, publish, log, children)
             skin, runtime, subscriber = children[:3]
             if subscriber.wait(GRACE_S) != 0:
