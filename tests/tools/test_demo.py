@@ -228,3 +228,32 @@ def test_the_picture_shows_a_bent_touched_frame() -> None:
     assert index == round((time_s - 0.02) / 0.05)
     with pytest.raises(ValueError, match="record more seconds"):
         choose(a_record(60), script, 1_000_000)
+
+
+def test_children_end_when_their_parent_is_killed(place: Path) -> None:
+    code = (
+        "import os, pathlib, signal\n"
+        "from eitskin_tools.demo.children import Child\n"
+        f"child = Child('sim', 'eitskin_tools.cli', ['sim'], pathlib.Path({str(place)!r}))\n"
+        "child.line(child.out, '/', 30.0)\n"
+        "os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=60, env=environment(place))
+    assert done.returncode == -signal.SIGKILL
+    deadline = time.monotonic() + 10.0
+    while ours(place) and time.monotonic() < deadline:
+        time.sleep(0.05)
+    assert ours(place) == []
+    assert not list(place.glob("eitskin-*")), "the skin took its port along"
+
+
+def test_the_demonstration_needs_no_torch() -> None:
+    modules = "show, live, scanner, recorder, score"
+    code = (
+        f"from eitskin_tools.demo import {modules}\n"
+        "from eitskin_tools.skin import process, prepare\n"
+        "import eitskin_sim.script, eitskin_sim.predict, eitskin_sim.metrics, sys\n"
+        "print('torch' in sys.modules)\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert done.stdout == "False\n"
