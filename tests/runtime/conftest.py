@@ -97,7 +97,7 @@ class Running:
 @contextmanager
 def _running(port, folder, **options):
     with Skin(port, bundle=TINY, **options) as skin:
-        skin.capture_reference(20)
+        skin.capture_reference(10)
         publisher = Publisher(f"ipc://{folder}/frames")
         control = ControlServer(f"ipc://{folder}/control", skin)
         runtime = Running(skin, publisher, control)

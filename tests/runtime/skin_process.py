@@ -12,11 +12,11 @@ import numpy as np
 
 from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
+from eitskin_tools.skin import server
 from eitskin_tools.skin.configure import configuration_for
 from eitskin_tools.skin.device import Identity, VirtualDevice
 from eitskin_tools.skin.faults import FOREIGN_ID, FaultPlayer, parse
 from eitskin_tools.skin.pty import PtyPort
-from eitskin_tools.skin.server import SkinServer
 
 
 def untouched():
@@ -43,18 +43,19 @@ class MadeUp:
 def main(options):
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
     source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
-    configuration = configuration_for(options.get("rate_hz", 200.0), options.get("configuration", "paper"))
+    configuration = configuration_for(options.get("rate_hz", 100.0), options.get("configuration", "paper"))
     identity = Identity(
         options.get("serial_number", "VIRTUAL-0001"),
         FOREIGN_ID if player.foreign else PROTOCOL_ID,
         options.get("first_us", 0),
     )
+    server.LATEST_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never: loss is what tests inject
     port = PtyPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
     print(port.path, flush=True)
     try:
-        SkinServer(device, port, player).run(perf_counter_ns() + int(60e9))
+        server.SkinServer(device, port, player).run(perf_counter_ns() + int(60e9))
     finally:
         port.close()
 

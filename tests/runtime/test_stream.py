@@ -12,7 +12,7 @@ from eitskin.skin import Skin
 
 def opened(port, tiny_path, **options):
     skin = Skin(port, bundle=tiny_path, **options)
-    skin.capture_reference(20)
+    skin.capture_reference(10)
     return skin
 
 
@@ -25,7 +25,7 @@ def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin,
         frames = collect(skin, 1.2)
     touched = [frame for frame in frames if frame.touched]
     untouched = [frame for frame in frames if not frame.touched]
-    assert 60 < len(touched) < 90
+    assert 20 < len(touched) < 60
     assert all(frame.solver == "vd2t" and frame.map.any() for frame in touched)
     assert all(frame.solver == "none" and not frame.map.any() for frame in untouched)
     assert all("inference:untouched" in frame.skipped for frame in untouched)
@@ -40,17 +40,17 @@ def test_stages_are_stamped_in_order_and_ages_are_small_and_positive(virtual_ski
         stamps = list(frame.host_ns.values())
         assert stamps == sorted(stamps)
         assert 0 <= frame.age_us < 1_000_000
-    assert len(frames) > 50
+    assert len(frames) > 20
 
 
 @pytest.mark.parametrize("fault", ["flip@0.3/0.05:1", "drop@0.3/0.05:10", "garbage@0.3/0.05:300"])
 def test_damage_is_dropped_and_counted_and_nothing_is_shifted(virtual_skin, tiny_path, fault):
-    # The reference's 20 frames take 0.1 s; the damage begins after them
+    # The reference's 10 frames take 0.1 s; the damage begins after them
     with virtual_skin(faults=[fault]) as port, opened(port, tiny_path) as skin:
         frames = collect(skin, 0.9)
         corrupt, lost = skin.device.deframer.corrupt, skin.pipeline.counter.lost
     assert 8 <= lost <= 2 * corrupt
-    assert len(frames) > 100
+    assert len(frames) > 30
     # Untouched frames differ from the reference by noise of 1e-4; one shifted byte would change dV by far more
     assert all(not frame.touched and frame.gate_logit < 1e-3 for frame in frames)
     steps = np.diff([frame.sequence for frame in frames])
@@ -65,14 +65,18 @@ def test_delimiters_between_packets_cost_nothing(virtual_skin, tiny_path):
 
 
 def test_counters_that_wrap_lose_nothing(virtual_skin, tiny_path):
-    with virtual_skin(sequence=2**32 - 60, first_us=2**32 - 900_000) as port, opened(port, tiny_path) as skin:
-        frames = collect(skin, 1.2)
+    frames = []
+    with virtual_skin(sequence=2**32 - 60, first_us=2**32 - 2_000_000) as port, opened(port, tiny_path) as skin:
+        for frame in skin.frames(timeout_s=8.0):
+            frames.append(frame)
+            if frame.device_us > 2**32 + 100_000 and frame.sequence > 2**32 + 10:
+                break
         assert skin.pipeline.counter.lost == skin.pipeline.counter.resets == 0
     sequences = [frame.sequence for frame in frames]
     assert sequences[0] < 2**32 < sequences[-1]
     assert all(np.diff(sequences) == 1)
     times_us = [frame.device_us for frame in frames]
-    assert np.diff(times_us).max() < 20_000
+    assert np.all(np.diff(times_us) == 10_000)
     assert times_us[-1] > 2**32
 
 
@@ -85,15 +89,15 @@ def test_a_reset_in_the_middle_of_a_sweep_is_noticed_and_streaming_resumes(virtu
     events = [frame.events for frame in frames if frame.events]
     assert ("device_reset", "recovered") in events
     after = frames[[frame.events for frame in frames].index(("device_reset", "recovered")) :]
-    assert after[0].sequence < frames[0].sequence + 20
-    assert len(after) > 20
+    assert after[0].sequence < frames[0].sequence
+    assert len(after) > 10
     assert not any(frame.touched for frame in frames)
 
 
 def test_a_stall_is_no_reset(virtual_skin, tiny_path, monkeypatch):
     monkeypatch.setattr(devices, "SILENCE_S", 0.2)
     with virtual_skin(faults=["stall@0.4:0.4"]) as port, opened(port, tiny_path) as skin:
-        frames = collect(skin, 1.2)
+        frames = collect(skin, 1.4)
         assert 1 <= skin.recoveries <= 3  # it answers while it stalls, so it may be greeted again
         assert skin.pipeline.counter.resets == 0
     assert np.diff([frame.sequence for frame in frames]).min() == 1
@@ -163,21 +167,21 @@ def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
 def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothing(virtual_skin, tiny_path):
     from eitskin_proto.cloud import flat_cloud
 
-    with virtual_skin(touches=[[0.1, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
+    with virtual_skin(touches=[[0.15, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
         frames = []
         cloud = flat_cloud()
         cloud[2] = 0.01 * (cloud[0] - 75) ** 2
         for frame in skin.frames(timeout_s=2.0):
             frames.append(frame)
-            if len(frames) == 40:
+            if len(frames) == 20:
                 assert skin.set_cloud(cloud) == 1
-            if len(frames) == 80:
+            if len(frames) == 40:
                 break
-    assert [frame.cloud for frame in frames] == [0] * 40 + [1] * 40
-    assert [index for index, frame in enumerate(frames) if "cloud" in frame.events] == [40]
-    assert all("geometry:cloud_unchanged" in frame.skipped for index, frame in enumerate(frames) if index != 40)
-    late = np.mean([frame.map for frame in frames[41:]], axis=0)
-    early = np.mean([frame.map for frame in frames[30:40]], axis=0)
+    assert [frame.cloud for frame in frames] == [0] * 20 + [1] * 20
+    assert [index for index, frame in enumerate(frames) if "cloud" in frame.events] == [20]
+    assert all("geometry:cloud_unchanged" in frame.skipped for index, frame in enumerate(frames) if index != 20)
+    late = np.mean([frame.map for frame in frames[21:]], axis=0)
+    early = np.mean([frame.map for frame in frames[12:20]], axis=0)
     assert np.abs(late - early).max() > 1e-3
 
 
