@@ -22,6 +22,7 @@ from eitskin_proto.grid import UNIT_OF_PIXEL
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.normalise import relative_change
 from eitskin_proto.table import N_ROWS, TABLE
+from eitskin_sim.dataset import load as load_set
 from eitskin_sim.noise import Kind, add_noise
 from eitskin_training.mirror import MIRRORS, Mirror
 from eitskin_training.model import RATIO_FLOOR
@@ -217,13 +218,11 @@ def load(directory: str) -> TrainingData:
         MismatchError: It was made for another protocol or grid.
         OSError: There is none.
     """
-    from eitskin_sim import dataset  # noqa: PLC0415 - keeps batches usable without the data set's readers
-
-    found = dataset.load(directory)
+    found = load_set(directory)
     labels = found.units.astype(np.uint8) if found.labels_kind == "units" else found.label_table_u8()
     held_out = {
-        family: found.rows(deformations=split, touches="validation").astype(np.intp)
-        for family, split in (("A", "kept"), ("B", "other"))
+        "A": found.rows(deformations="kept", touches="validation").astype(np.intp),
+        "B": found.rows(deformations="other", touches="validation").astype(np.intp),
     }
     return TrainingData(
         voltages=found.voltages_V,
