@@ -18,7 +18,7 @@ from eitskin_tools.demo.children import Child, ChildDiedError, family
 from eitskin_tools.demo.draw import Painter, plain_lines
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, percentiles_us, timing
-from eitskin_tools.plots import choose
+from eitskin_tools.plots import choose, picture
 
 ROOT = Path(__file__).parents[2]
 BUNDLE = ROOT / "tests" / "golden" / "tiny.eitskin"
@@ -257,3 +257,11 @@ def test_the_demonstration_needs_no_torch() -> None:
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout == "False\n"
+
+
+def test_the_picture_is_a_png_of_a_recorded_frame(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib", reason="pictures need the extra 'plot'")
+    path = tmp_path / "frame.png"
+    picture(a_record(), demonstration(), 1_000_000, path)
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert 20_000 < path.stat().st_size < 400_000

@@ -1,0 +1,77 @@
+"""The benchmarks' own correctness: variants compute the same map, shares are shares. No time is judged here."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin.bundle import load_bundle
+from eitskin.engine import Buffers, GeometryGraph, engines
+from eitskin_tools.bench import footprint, frame
+from eitskin_tools.bench.variants import streamed_bytes, variants
+from eitskin_tools.cli import UsageError
+
+BUNDLE = Path(__file__).parents[1] / "golden" / "tiny.eitskin"
+
+
+def test_the_unsplit_graph_gives_the_map_of_the_split_ones() -> None:
+    pytest.importorskip("onnx", reason="joining the graphs needs the extra 'train'")
+    bundle = load_bundle(BUNDLE)
+    ways, _ = variants(bundle, seed=3)
+    buffers = Buffers(bundle.bias_width)
+    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.change[:] = 0.1 * np.random.default_rng(3).standard_normal((1, 104))
+    engines(bundle, buffers)[0].infer()
+    for name in ("unsplit", "onnxruntime-default"):
+        (found,) = ways[name]()  # type: ignore[misc]
+        assert found == pytest.approx(buffers.map, abs=1e-5)  # float32 through another order of sums
+    assert np.ptp(buffers.map) > 1e-3, "a constant map would agree with anything"
+
+
+def test_a_variant_that_cannot_be_had_is_named_with_its_reason() -> None:
+    _, missing = variants(load_bundle(BUNDLE))
+    assert "recipe" in missing["torch-eager"]  # the tiny bundle was made by hand, not trained
+
+
+def test_inference_reports_every_variant_against_ours() -> None:
+    found = frame.inference(BUNDLE, 10)
+    assert found["ours"] == "vd2t"
+    assert found["ratios"]["vd2t"] == 1.0
+    assert set(found["ratios"]) == set(found["inference_us"]) >= {"vd2t", "vd2t-int8", "tikhonov", "bandwidth"}
+    assert found["head_bytes"] == streamed_bytes(load_bundle(BUNDLE))
+    for times in found["inference_us"].values():
+        assert 0 < times["paced"]["p50"] <= times["paced"]["max"]
+
+
+def test_too_few_frames_for_a_percentile_are_bad_usage() -> None:
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    frame.add_arguments(parser)
+    with pytest.raises(UsageError, match="percentiles"):
+        frame.run(parser.parse_args(["--frames", "5"]))
+
+
+def test_footprint_measures_fresh_interpreters(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    import argparse
+
+    rows = {name: footprint.ROWS[name] for name in ("python", "runtime")}
+    monkeypatch.setattr(footprint, "ROWS", {**rows, "broken": "import no_such_module"})
+    parser = argparse.ArgumentParser()
+    footprint.add_arguments(parser)
+    assert footprint.run(parser.parse_args(["--json", "--repeats", "1", "--bundle", str(BUNDLE)])) == 0
+    found = json.loads(capsys.readouterr().out)
+    python, runtime = found["rows"]
+    assert runtime["rss_mb"] > python["rss_mb"] > 1
+    assert runtime["load_ms"] > python["load_ms"]
+    assert "no_such_module" in found["summary"]["missing"]["broken"]
+
+
+def test_installed_size_counts_the_runtime_with_what_it_needs() -> None:
+    names: set[str] = set()
+    footprint._collect("eitskin", names)
+    assert {"eitskin", "numpy", "onnxruntime", "pyzmq"} <= names
+    assert not names & {"torch", "scipy", "pytest"}
+    assert footprint._installed_mb("python") is None
