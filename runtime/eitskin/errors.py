@@ -10,7 +10,8 @@
     │   ├── PortMissing        no such port
     │   ├── PortBusy           another program has it
     │   ├── PortDenied         no permission
-    │   └── PortLost           it vanished while open
+    │   ├── PortLost           it vanished while open
+    │   └── PortReturned       it vanished and is open again: shake hands anew
     ├── HandshakeError         nobody answered, or the answer was a refusal
     ├── BundleError            a bundle that is damaged or incomplete
     ├── BadReference           a reference that cannot be used
@@ -40,6 +41,7 @@ __all__ = [
     "PortDenied",
     "PortLost",
     "PortMissing",
+    "PortReturned",
     "ProtocolError",
     "SkinError",
     "StaleFrame",
@@ -69,6 +71,10 @@ class PortDenied(TransportError):
 
 class PortLost(TransportError):
     """The port vanished while it was open."""
+
+
+class PortReturned(TransportError):
+    """The port vanished and is open again; whatever is behind it must be greeted anew."""
 
 
 class HandshakeError(SkinError):

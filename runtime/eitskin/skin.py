@@ -21,7 +21,7 @@ from eitskin import reference as references
 from eitskin.bundle import Bundle, load_bundle
 from eitskin.device import Device
 from eitskin.engine import GeometryGraph
-from eitskin.errors import BadReference, HandshakeError, SkinError
+from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
 from eitskin.pipeline import PACK, PUBLISH, Pipeline
 from eitskin.prediction import log_ratio
@@ -291,7 +291,11 @@ class Skin:
                 wait_s = min(wait_s, (until_ns - time.perf_counter_ns()) * 1e-9)
                 if wait_s <= 0:
                     return
-            payloads = device.payloads(wait_s)
+            try:
+                payloads = device.payloads(wait_s)
+            except PortReturned:
+                self._recover()
+                continue
             read_ns = device.read_ns
             if not payloads:
                 self._look_after(read_ns)
@@ -336,7 +340,12 @@ class Skin:
                 "attempts: power the device off and on; if that does not help, flash it"
             )
         self._fruitless += 1
-        self.device.recover()
+        while True:
+            try:
+                self.device.recover()
+                break
+            except PortReturned:
+                continue  # it vanished once more while it was greeted
         self.recoveries += 1
         self.pipeline.greet(self.device.hello)
         self._pending_events = (*self._pending_events, "recovered")

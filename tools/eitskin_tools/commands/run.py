@@ -21,6 +21,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--port", required=True, help="serial port of the skin")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument(
+        "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
+    )
     parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of area labels)")
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
@@ -49,9 +52,14 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.affinity:
             _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
         keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
+        port = arguments.port
+        if arguments.reconnect is not None:
+            from eitskin.hotplug import HotPlug
+
+            port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
         skin = stack.enter_context(
             Skin(
-                arguments.port,
+                port,
                 bundle=arguments.bundle,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
@@ -108,7 +116,7 @@ def _check(arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
-    for name in ("seconds", "budget_ms"):
+    for name in ("seconds", "budget_ms", "reconnect"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
