@@ -76,7 +76,6 @@ class ControlServer:
     def __init__(self, endpoint: str, controlled: Controlled, keys: ServerKeys | None = None) -> None:
         self._controlled = controlled
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self._socket: Any = self._context.socket(zmq.REP)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
         self._socket.setsockopt(zmq.RCVHWM, 4)
@@ -85,24 +84,27 @@ class ControlServer:
         self._socket.setsockopt(zmq.LINGER, 200)
         self.refused = 0
         """Requests that were answered with an error."""
-        self._stopping = False
+        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         try:
             self.endpoint = bind(self._socket, endpoint, keys=keys, control=True)
         except BaseException:
+            self._socket.close(0)
             self._end()
             raise
         self._thread = threading.Thread(target=self._serve, name="eitskin-control", daemon=True)
         self._thread.start()
 
     def _serve(self) -> None:
-        while not self._stopping:
+        """Block until there is a request; end when the context is terminated."""
+        while True:
             try:
-                if not self._socket.poll(200):
-                    continue
                 parts = self._socket.recv_multipart()
                 self._socket.send(self._answer(parts))
+            except zmq.ContextTerminated:
+                break
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
+        self._socket.close()
 
     def _answer(self, parts: list[bytes]) -> bytes:
         try:
@@ -148,18 +150,16 @@ class ControlServer:
         return {}
 
     def _end(self) -> None:
-        self._socket.close()
+        self._context.term()  # wakes the threads, and waits until they have closed their sockets
         if self._doorkeeper is not None:
-            self._doorkeeper.stop()
-        self._context.term()
+            self._doorkeeper.join()
 
     def close(self) -> None:
         """Answer nobody any more; closing twice is fine."""
-        if self._stopping:
+        if self._context.closed:
             return
-        self._stopping = True
-        self._thread.join()
         self._end()
+        self._thread.join()
         release(self.endpoint)
 
 

@@ -17,6 +17,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import zmq
 from zmq import auth
 
 from eitskin.errors import EndpointError
@@ -115,6 +116,8 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
 class Doorkeeper:
     """Admits the clients whose keys are in the folder; ZeroMQ asks it once a connection (ZAP, RFC 27).
 
+    Its thread blocks until there is a question and ends when the context is terminated.
+
     Args:
         context: The ZeroMQ context whose sockets it guards.
         keys: The runtime's.
@@ -124,22 +127,20 @@ class Doorkeeper:
         self._authenticator = auth.Authenticator(context)
         self._authenticator.configure_curve(domain=DOMAIN, location=str(keys.clients))
         self._authenticator.start()
-        self._stopping = threading.Event()
         self._thread = threading.Thread(target=self._serve, name="eitskin-curve", daemon=True)
         self._thread.start()
 
     def _serve(self) -> None:
         socket = self._authenticator.zap_socket
-        while not self._stopping.is_set():
-            if socket.poll(200):
+        with suppress(zmq.ContextTerminated):
+            while True:
                 # The questions come from libzmq itself; a malformed one would be a fault here, not of a client.
                 _answer(self._authenticator, socket.recv_multipart())
-
-    def stop(self) -> None:
-        """Admit nobody any more."""
-        self._stopping.set()
-        self._thread.join()
         self._authenticator.stop()
+
+    def join(self) -> None:
+        """Wait for the thread, after the context was terminated."""
+        self._thread.join()
 
 
 def _answer(authenticator: auth.Authenticator, question: list[bytes]) -> None:

@@ -47,16 +47,16 @@ class Publisher:
     def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._keys = keys
-        self._doorkeeper: Doorkeeper | None = None
         self.resets = 0
         """How often a flood made the socket start anew."""
         self.dropped = 0
         """Frames that the socket did not take."""
         self._topics = 0
         self._connections = 0
+        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self.endpoint = ""
+        """Where frames are published, with the port that a ``*`` became."""
         try:
-            if keys is not None:
-                self._doorkeeper = Doorkeeper(self._context, keys)
             self._open(endpoint)
         except BaseException:
             self.close()
@@ -73,7 +73,6 @@ class Publisher:
         self._topics = 0
         self._connections = 0
         self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
-        """Where frames are published, with the port that a ``*`` became."""
 
     @property
     def wanted(self) -> bool:
@@ -126,8 +125,7 @@ class Publisher:
         """Release the address; closing twice is fine."""
         if self._context.closed:
             return
-        if hasattr(self, "endpoint"):
-            self._close_socket()
+        self._close_socket()
+        self._context.term()
         if self._doorkeeper is not None:
-            self._doorkeeper.stop()
-        self._context.destroy(0)
+            self._doorkeeper.join()
