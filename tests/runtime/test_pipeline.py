@@ -1,0 +1,191 @@
+import time
+import tracemalloc
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin import ladder
+from eitskin.bundle import Bundle
+from eitskin.engine import GeometryGraph
+from eitskin.errors import BudgetError
+from eitskin.pipeline import Pipeline
+from eitskin.reference import Reference
+from eitskin.skin import Skin
+from eitskin_proto.frames import Frame
+from eitskin_proto.scan_rows import row_count
+
+
+@pytest.fixture
+def pipeline(tiny, hello, counts):
+    pipeline = Pipeline(tiny, hello)
+    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
+    pipeline.buffers.take(GeometryGraph(tiny).geometry(None, None, 0))
+    return pipeline
+
+
+@pytest.fixture
+def touched(counts):
+    return np.rint(counts * (1 + 0.3 * np.cos(np.arange(104)))).astype(np.int32)
+
+
+def payload(counts, sequence, **fields):
+    return Frame(sequence=sequence, device_us=sequence * 5000, counts=counts, **fields).pack()
+
+
+def go(pipeline, packed, wanted=True):
+    return pipeline.accept(packed, time.perf_counter_ns()) and pipeline.compute(wanted)
+
+
+def test_a_touched_frame_is_computed_and_an_untouched_one_is_not(pipeline, counts, touched):
+    assert go(pipeline, payload(touched, 1))
+    assert pipeline.touched
+    assert pipeline.solver == "vd2t"
+    assert np.frombuffer(pipeline.map_bytes, np.float32).max() > 0
+    assert go(pipeline, payload(counts, 2))
+    assert not pipeline.touched
+    assert pipeline.solver == "none"
+    assert "inference:untouched" in pipeline.skipped
+    assert not any(pipeline.zero_bytes)
+
+
+def test_a_frame_that_nobody_wants_is_only_judged(pipeline, touched):
+    assert go(pipeline, payload(touched, 1), wanted=False)
+    assert pipeline.touched
+    assert (pipeline.solver, pipeline.skipped[0]) == ("none", "inference:no_subscriber")
+
+
+def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, counts):
+    some = replace(Frame(1, 1, counts), drives=0x0005, counts=counts[: row_count(False, 0x0005)])
+    assert go(pipeline, payload(counts, 1))
+    assert not go(pipeline, payload(counts, 1))
+    assert not go(pipeline, payload(counts, 2, generation=3))
+    assert not go(pipeline, replace(some, sequence=3).pack())
+    assert not go(pipeline, payload(counts, 4)[:-1])
+    assert not go(pipeline, b"\x82")
+    pipeline.normaliser.use_scale(float("nan"))
+    assert not go(pipeline, payload(counts, 5))
+    assert pipeline.withheld == {
+        "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "stale": 0,
+    }  # fmt: skip
+    assert pipeline.generation_differs
+
+
+class Broken:
+    """An engine whose answer is not finite."""
+
+    name = "vd2t"
+
+    def __init__(self, buffers, value):
+        self.buffers, self.value = buffers, value
+
+    def infer(self):
+        self.buffers.map[0, 77] = self.value
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_a_map_that_is_not_finite_is_never_published(pipeline, touched, value):
+    pipeline.engines[0] = Broken(pipeline.buffers, value)
+    assert not go(pipeline, payload(touched, 1))
+    assert pipeline.withheld["implausible"] == 1
+
+
+def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, counts):
+    assert go(pipeline, payload(counts, 10))
+    assert pipeline.events == ()
+    assert go(pipeline, payload(counts, 13))
+    assert pipeline.events == ("lost",)
+    assert pipeline.counter.lost == 2
+    assert go(pipeline, payload(counts, 14, saturation=0b101))
+    assert pipeline.events == ("saturated",)
+    assert go(pipeline, payload(counts, 0))
+    assert pipeline.events == ("device_reset",)
+    assert go(pipeline, payload(counts, 1))
+    assert pipeline.events == ()
+
+
+def test_the_device_time_goes_on_over_the_wrap_of_its_counter(pipeline, counts):
+    for sequence in range(6):
+        device_us = (2**32 - 12_000 + sequence * 5000) % 2**32
+        assert go(pipeline, Frame(sequence=sequence, device_us=device_us, counts=counts).pack())
+    assert pipeline.device_us == 2**32 - 12_000 + 25_000
+
+
+def test_thousands_of_frames_leave_no_memory_behind(pipeline, counts, touched):
+    packed = [payload(touched if index % 2 else counts, index) for index in range(1200)]
+    for one in packed[:200]:
+        assert go(pipeline, one)
+    tracemalloc.start()
+    before = tracemalloc.get_traced_memory()[0]
+    for one in packed[200:]:
+        assert go(pipeline, one)
+    grown = tracemalloc.get_traced_memory()[0] - before
+    tracemalloc.stop()
+    assert grown < 5000  # counters that became larger integers; one array of 104 a frame would be 416,000
+
+
+def test_a_bundle_without_a_gate_computes_every_frame(tiny, hello, counts):
+    files = {name: data for name, data in tiny.files.items() if name != "gate.npz"}
+    pipeline = Pipeline(Bundle(tiny.path, tiny.manifest, files, tiny.id), hello)
+    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
+    assert go(pipeline, payload(counts, 1))
+    assert pipeline.solver == "vd2t"
+
+
+def test_a_budget_below_the_fastest_solver_is_refused_with_its_time(tiny, hello):
+    with pytest.raises(
+        BudgetError, match=r"budget of 1e-06 ms cannot be met: the fastest solver, tikhonov, takes 0\.\d+"
+    ):
+        Pipeline(tiny, hello, budget_ns=1)
+
+
+class Slow:
+    """An engine that takes its time, as under load."""
+
+    def __init__(self, engine, seconds):
+        self.name, self.engine, self.seconds = engine.name, engine, seconds
+
+    def infer(self):
+        time.sleep(self.seconds)
+        self.engine.infer()
+
+
+def test_under_pressure_the_ladder_goes_down_and_comes_back(virtual_skin, tiny_path, monkeypatch):
+    monkeypatch.setattr(ladder, "HOLD_FRAMES", 10)
+    with (
+        virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=50.0) as port,
+        Skin(port, bundle=tiny_path, budget_ms=200.0) as skin,
+    ):
+        skin.capture_reference(5)
+        engines = skin.pipeline.engines
+        fast, engines[0] = engines[0], Slow(engines[0], 0.3)
+        frames = []
+        for frame in skin.frames(timeout_s=10.0):
+            frames.append(frame)
+            if "overrun" in frame.events:
+                engines[0] = fast  # the load is over
+            if len(frames) > 60:
+                break
+    touched = [frame for frame in frames if frame.touched]
+    solvers = [frame.solver for frame in touched]
+    assert "overrun" in touched[0].events
+    assert frames[-1].counts["overrun"] == sum("overrun" in frame.events for frame in frames)
+    assert solvers[0] == "vd2t"
+    assert solvers[1] == "vd2t-int8"
+    assert solvers[-1] == "vd2t"
+
+
+def test_when_nothing_is_fast_enough_stale_frames_are_dropped_for_the_newest(virtual_skin, tiny_path):
+    with (
+        virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=100.0) as port,
+        Skin(port, bundle=tiny_path, budget_ms=20.0) as skin,
+    ):
+        skin.capture_reference(5)
+        skin.pipeline.engines[:] = [Slow(engine, 0.06) for engine in skin.pipeline.engines]
+        frames = [frame for frame in skin.frames(timeout_s=3.0) if frame.touched]
+        stale, lost = skin.pipeline.withheld["stale"], skin.pipeline.counter.lost
+    assert [frame.solver for frame in frames[:4]] == ["vd2t", "vd2t-int8", "tikhonov", "tikhonov"]
+    assert stale > 50
+    assert lost == 0  # they arrived; they were not computed
+    # Six frames come while one is computed: without dropping, the age would grow by 50 ms a frame
+    assert np.median([frame.age_us for frame in frames[10:]]) < 500_000
