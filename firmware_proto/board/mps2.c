@@ -3,7 +3,8 @@
  *
  *     0x21000000  slot 0, 0x21001000  slot 1
  *     0x21080000  power[4]: cut at this change, changes so far, seed of the torn word, 0xdead once cut
- *     0x21100000  recording: "EITV", frames, volts a count at gain 1 (double), then frames of 208 int32 in full-table order
+ *     0x21100000  recording: "EITV", frames, volts a count at gain 1 (double), rate in mHz, 0, then frames of 208 int32 in
+ *                 full-table order; played by the clock from the first scan on, or frame by frame if the rate is 0
  *
  * A host that maps the PSRAM's file can cut the power at a chosen change of storage: the firmware leaves that change half
  * done, says so in power[3] and stands still until it is killed. Without a recording the front end plays a pattern that
@@ -41,7 +42,7 @@
 #define POWER ((volatile uint32_t *)(PSRAM + 0x80000u))
 #define POWER_IS_CUT 0xdeadu
 #define RECORDING ((const uint8_t *)(PSRAM + 0x100000u))
-#define RECORDING_HEAD 16u
+#define RECORDING_HEAD 24u
 #define RECORDING_MAX_FRAMES ((0xf00000u - RECORDING_HEAD) / (4u * EIT_FULL_ROWS))
 
 #define RING 8192u /* a power of two; 17 frames of 104 rows */
@@ -61,6 +62,8 @@ static uint32_t clock_us;    /* what timer 0 has counted */
 static uint32_t settled_us;  /* when the drive has settled: the clock never shows less */
 static uint8_t present_drive;
 static uint32_t scans;       /* begun since boot */
+static uint32_t scan_us;     /* when the present one began */
+static uint64_t playing_us;  /* since the first one began */
 
 static uint32_t ring_used(const struct ring *ring)
 {
@@ -183,15 +186,30 @@ static enum eit_status drive(void *ctx, uint8_t number, const struct eit_config 
 {
     /* Emulated electronics settle at once, so the clock jumps ahead and waits for timer 0 at the end of the scan. Fourteen
      * alarms a frame would measure the scheduler of the machine below. */
-    settled_us = now_us(ctx) + config->settle_us;
+    const uint32_t now = now_us(ctx);
+
+    settled_us = now + config->settle_us;
     if (number <= present_drive) {
+        playing_us += scans == 0 ? 0 : now - scan_us;
+        scan_us = now;
         scans++;
     }
     present_drive = number;
     return EIT_OK;
 }
 
-static int32_t played(uint32_t frames, uint32_t pair)
+/* Which frame of a recording is due. */
+static uint32_t due_frame(uint32_t frames)
+{
+    const uint32_t rate_millihertz = eit_get32(RECORDING + 16);
+
+    if (rate_millihertz == 0) {
+        return (scans - 1u) % frames;
+    }
+    return (uint32_t)(playing_us * rate_millihertz / 1000000000u % frames);
+}
+
+static int32_t played(uint32_t frames, uint32_t due, uint32_t pair)
 {
     const uint32_t row = (pair - present_drive - 2u) % EIT_ELECTRODES;
 
@@ -202,18 +220,19 @@ static int32_t played(uint32_t frames, uint32_t pair)
         return (int32_t)(((present_drive * 16u + pair + 1u) << 16) + (scans & 0xffu) * 256u);
     }
     return (int32_t)eit_get32(RECORDING + RECORDING_HEAD +
-                              4u * ((scans % frames) * EIT_FULL_ROWS + present_drive * 13u + row));
+                              4u * (due * EIT_FULL_ROWS + present_drive * 13u + row));
 }
 
 static enum eit_status measure(void *ctx, const struct eit_config *config, int32_t counts[EIT_PAIRS],
                                uint16_t *saturated)
 {
     const uint32_t frames = recorded_frames();
+    const uint32_t due = frames == 0 ? 0 : due_frame(frames);
 
     (void)ctx;
     *saturated = 0;
     for (uint32_t pair = 0; pair < EIT_PAIRS; pair++) {
-        const int64_t amplified = (int64_t)played(frames, pair) * config->gain;
+        const int64_t amplified = (int64_t)played(frames, due, pair) * config->gain;
 
         if (amplified > INT32_MAX || amplified < -INT32_MAX) {
             *saturated = (uint16_t)(*saturated | (1u << pair));

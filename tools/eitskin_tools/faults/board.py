@@ -5,7 +5,7 @@
     file offset   what (firmware_proto/board/mps2.c)
     0x000000      slot 0, 0x001000 slot 1
     0x080000      power: cut at this change, changes so far, seed of the torn word, 0xdead once cut
-    0x100000      recording: "EITV", frames u32, volts a count f64, frames x 208 int32
+    0x100000      recording: "EITV", frames u32, volts a count f64, rate u32 mHz, 0, frames x 208 int32
 
 Killing the process is the power cut: what the file holds then is what the next boot finds.
 """
@@ -29,6 +29,7 @@ from eitskin_tools.faults.firmware import build, missing_tools
 STORAGE_BYTES: Final = 16 << 20
 POWER_AT: Final = 0x80000
 RECORDING_AT: Final = 0x100000
+RECORDING_HEAD: Final = struct.Struct("<4sIdII")
 IS_CUT: Final = 0xDEAD
 START_TIMEOUT_S: Final = 10.0
 INT32_SHARE: Final = 2**30
@@ -42,19 +43,20 @@ def new_storage(path: Path) -> None:
             file.write(b"\xff" * (1 << 20))
 
 
-def record(path: Path, voltages: npt.NDArray[np.floating], gain: int = 1) -> None:
-    """Put voltages into a storage file; the front end plays them scan by scan, over and over.
+def record(path: Path, voltages: npt.NDArray[np.floating], gain: int = 1, rate_hz: float = 0.0) -> None:
+    """Put voltages into a storage file; the front end plays them over and over from the first scan on.
 
     Args:
         path: The storage file, of a board that does not run.
         voltages: (frames, 208) V, in the order of the full table.
         gain: Gain of the configuration that will run; the recording is scaled so that it just does not saturate.
+        rate_hz: Plays by the board's clock, so that a scan that is late sees what is due then; 0 plays one a scan.
 
     Raises:
         ValueError: Wrong shape, not finite, or too long for the board's memory.
     """
     volts = np.asarray(voltages, dtype=np.float64)
-    room = (STORAGE_BYTES - RECORDING_AT - 16) // (4 * N_FULL_ROWS)
+    room = (STORAGE_BYTES - RECORDING_AT - RECORDING_HEAD.size) // (4 * N_FULL_ROWS)
     if volts.ndim != 2 or volts.shape[1] != N_FULL_ROWS or not 1 <= len(volts) <= room:
         raise ValueError(f"voltages have shape {volts.shape}, expected (1 to {room}, {N_FULL_ROWS})")
     largest = float(np.abs(volts).max())
@@ -64,7 +66,8 @@ def record(path: Path, voltages: npt.NDArray[np.floating], gain: int = 1) -> Non
     counts = np.rint(volts / volts_per_count).astype("<i4")
     with path.open("r+b") as file:
         file.seek(RECORDING_AT)
-        file.write(b"EITV" + struct.pack("<Id", len(volts), volts_per_count) + counts.tobytes())
+        head = RECORDING_HEAD.pack(b"EITV", len(volts), volts_per_count, round(1000 * rate_hz), 0)
+        file.write(head + counts.tobytes())
 
 
 class Board:
