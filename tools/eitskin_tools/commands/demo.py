@@ -15,6 +15,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it touches come and go")
+    parser.add_argument(
+        "--device", default="virtual", choices=("virtual", "qemu"),
+        help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
+    )  # fmt: skip
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
     parser.add_argument("--no-draw", action="store_true", help="do not draw the map")
@@ -40,6 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
             bundle=arguments.bundle,
             scene=arguments.scene,
             noise=arguments.noise,
+            device=arguments.device,
             seed=arguments.seed,
             draw=draw,
             talk=not draw and not arguments.json,

@@ -46,6 +46,8 @@ class Options:
     bundle: Path | None = None
     scene: Path | None = None
     noise: str = "N2"
+    device: str = "virtual"
+    """"virtual" for eitskin sim, "qemu" for the firmware on an emulated board."""
     seed: int = 0
     draw: bool = False
     record: Path | None = None
@@ -139,9 +141,10 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
+    module, first = ("eitskin_tools.demo.emulated", []) if options.device == "qemu" else ("eitskin_tools.cli", ["sim"])
     skin = Child(
-        "sim", "eitskin_tools.cli",
-        ["sim", "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
+        "sim", module,
+        [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
          f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
     )  # fmt: skip
     children.append(skin)
