@@ -21,7 +21,8 @@ from typing import Final
 from serial.tools import list_ports
 
 from eitskin.errors import PortLost, PortReturned, TransportError
-from eitskin.serial_port import DEFAULT_BAUD, SerialPort
+from eitskin.lines import open_line as open_any
+from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.transport import Transport
 
 LOOK_S: Final = 0.05
@@ -72,7 +73,7 @@ class HotPlug:
         port: str,
         baud: int = DEFAULT_BAUD,
         give_up_s: float | None = None,
-        open_line: Callable[[str, int], Transport] = SerialPort,
+        open_line: Callable[[str, int], Transport] = open_any,
     ) -> None:
         self.name = port
         self.returns = 0

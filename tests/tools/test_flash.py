@@ -22,7 +22,7 @@ def device(monkeypatch):
         pytest.skip(f"the C core needs {', '.join(missing)}: apt-get install build-essential")
     made = HostDevice()
     made.run(1000)
-    monkeypatch.setattr(flash, "SerialPort", lambda port, baud: made)
+    monkeypatch.setattr(flash, "open_line", lambda port, baud: made)
     return made
 
 

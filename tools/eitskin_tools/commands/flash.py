@@ -6,7 +6,9 @@ import sys
 from dataclasses import asdict
 from typing import Any
 
-from eitskin.serial_port import DEFAULT_BAUD, SerialPort
+from eitskin.lines import open_line
+from eitskin.serial_port import DEFAULT_BAUD
+from eitskin.transport import Transport
 from eitskin_proto import config_toml
 from eitskin_proto.codes import HelloFlag
 from eitskin_proto.config import Configuration
@@ -23,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "file", nargs="?", help=f"a TOML file, or one of {', '.join(config_toml.NAMED)}; for diff, write and verify"
     )
-    parser.add_argument("--port", help="the device's port")
+    parser.add_argument("--port", help="a serial port's path, or usb:SERIAL")
     parser.add_argument("--baud", type=int, default=DEFAULT_BAUD, help="of a real UART (default %(default)s)")
     parser.add_argument("--dry-run", action="store_true", help="check everything, write nothing")
     parser.add_argument("--allow-downgrade", action="store_true", help="replace a higher revision of the same name")
@@ -42,8 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
             return _print(arguments, {"action": "write", "dry_run": True, **_describe(configuration)})
         raise UsageError(f"flash {arguments.action} needs --port; 'eitskin doctor' lists the ports there are")
 
-    def opened() -> SerialPort:
-        return SerialPort(arguments.port, arguments.baud)
+    def opened() -> Transport:
+        return open_line(arguments.port, arguments.baud)
 
     exchange = Exchange(opened())
     try:
