@@ -10,12 +10,15 @@ from typing import Any
 from eitskin_proto.errors import SkinError
 from eitskin_sim.shards import Arrays, make_shard
 
+Made = tuple[list[int], list[Arrays]]
+"""Numbers of deformations, and what the file of each holds."""
 
-def shards_on_cluster(jobs: list[dict[str, Any]], scheduler: str) -> Iterator[tuple[int, Arrays]]:
+
+def shards_on_cluster(jobs: list[dict[str, Any]], scheduler: str) -> Iterator[Made]:
     """Yield every job's shard as the cluster makes it.
 
     Args:
-        jobs: What :func:`eitskin_sim.shards.shard_job` returns, with a "number" each.
+        jobs: What :func:`eitskin_sim.shards.shard_job` returns.
         scheduler: The scheduler's address, such as "tcp://10.0.0.1:8786".
 
     Raises:
@@ -30,7 +33,7 @@ def shards_on_cluster(jobs: list[dict[str, Any]], scheduler: str) -> Iterator[tu
     except (OSError, ValueError) as error:
         raise SkinError(f"no Dask scheduler answers at {scheduler}: {error}; start one with: dask scheduler") from error
     with client:
-        futures = {client.submit(make_shard, job, pure=False, retries=3): job["number"] for job in jobs}
+        futures = {client.submit(make_shard, job, pure=False, retries=3): job["deformations"] for job in jobs}
         arriving = as_completed(list(futures), with_results=True)  # type: ignore[no-untyped-call]
         for future, arrays in arriving:
             yield futures[future], arrays

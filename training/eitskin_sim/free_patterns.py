@@ -14,6 +14,7 @@ from functools import lru_cache
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.grid import SHEET_MM
 from eitskin_sim.barred import PHANTOM_RECTS_MM
@@ -47,7 +48,12 @@ ATTEMPTS: Final = 40
 
 def free_touch_sets(count: int, seed: int) -> FreeTouches:
     """Return ``count`` random touch sets; set i depends on (seed, i) alone."""
-    return gather([_set(np.random.default_rng([seed, i])) for i in range(count)])
+    return chosen_touch_sets(np.arange(count), seed)
+
+
+def chosen_touch_sets(numbers: npt.NDArray[np.integer], seed: int) -> FreeTouches:
+    """Return some of the touch sets of a seed, by number."""
+    return gather([_set(np.random.default_rng([seed, int(i)])) for i in numbers])
 
 
 def _set(generator: np.random.Generator) -> Array:
@@ -126,7 +132,7 @@ def _on_sheet(pieces: Array) -> bool:
     return bool((boxes[:, :2] >= 0.0).all() and (boxes[:, 2:] <= SHEET_MM).all())
 
 
-def _within(piece: Array, x: Array, y: Array, gap_mm: float) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+def _within(piece: Array, x: Array, y: Array, gap_mm: float) -> npt.NDArray[np.bool_]:
     """Return which points of a raster lie in a piece grown by a gap."""
     kind, px, py, length, width, angle, _ = piece
     dx, dy = x[None, :] - px, y[:, None] - py

@@ -20,7 +20,7 @@ import numpy as np
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_sim.cluster import shards_on_cluster
+from eitskin_sim.cluster import Made, shards_on_cluster
 from eitskin_sim.dataset import FORMAT, HINT, VERSION
 from eitskin_sim.plan import Plan
 from eitskin_sim.shards import Arrays, make_shard, shard_job, touches_file
@@ -63,13 +63,15 @@ def generate(
     _claim(plan, out)
     names = [f"deformation-{number:04d}.npz" for number in range(len(plan.bends))]
     counts = [len(plan.shown(number)) for number in range(len(plan.bends))]
-    missing = [number for number, name in enumerate(names) if not _is_whole(out / name)]
+    missing = {number for number, name in enumerate(names) if not _is_whole(out / name)}
     done = sum(counts) - sum(counts[number] for number in missing)
     progress(done, sum(counts))
-    jobs = [{**shard_job(plan, number), "number": number} for number in missing]
-    for number, arrays in _run(jobs, workers, scheduler):
-        _write(out / names[number], pack_arrays(arrays))
-        done += counts[number]
+    together = [[number for number in shard if number in missing] for shard in plan.shards()]
+    jobs = [shard_job(plan, shard) for shard in together if shard]
+    for numbers, files in _run(jobs, workers, scheduler):
+        for number, arrays in zip(numbers, files, strict=True):
+            _write(out / names[number], pack_arrays(arrays))
+            done += counts[number]
         progress(done, sum(counts))
     if not _is_whole(out / "touches.npz"):
         _write(out / "touches.npz", pack_arrays(touches_file(plan)))
@@ -93,7 +95,7 @@ def _claim(plan: Plan, out: Path) -> None:
     _write(path, content)
 
 
-def _run(jobs: list[dict[str, Any]], workers: int, scheduler: str | None) -> Iterator[tuple[int, Arrays]]:
+def _run(jobs: list[dict[str, Any]], workers: int, scheduler: str | None) -> Iterator[Made]:
     """Yield shards as they come."""
     if not jobs:
         return
@@ -101,15 +103,15 @@ def _run(jobs: list[dict[str, Any]], workers: int, scheduler: str | None) -> Ite
         yield from shards_on_cluster(jobs, scheduler)
     elif workers == 0:
         for job in jobs:
-            yield job["number"], make_shard(job)
+            yield job["deformations"], make_shard(job)
     else:
         yield from _in_processes(jobs, min(workers, len(jobs)))
 
 
-def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[tuple[int, Arrays]]:
+def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
     context = multiprocessing.get_context("spawn")
     with _one_thread(), ProcessPoolExecutor(workers, mp_context=context) as pool:
-        waiting = {pool.submit(make_shard, job): job["number"] for job in jobs}
+        waiting = {pool.submit(make_shard, job): job["deformations"] for job in jobs}
         try:
             for future in as_completed(list(waiting)):
                 yield waiting.pop(future), future.result()

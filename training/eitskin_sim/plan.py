@@ -43,6 +43,9 @@ DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
 KEPT: Final = 20
 """Deformations of A, and as many of B, that are kept apart; a third of those trained on where these are few."""
 
+GROUP: Final = 8
+"""Deformations of the free set that share their touch sets: 90 MB of memory each."""
+
 SHOWN_KEPT: Final = 1_000
 """Held-out touch sets shown at each deformation kept apart."""
 
@@ -72,6 +75,18 @@ class Plan:
         return asdict(self)
 
     @property
+    def group(self) -> int:
+        """How many deformations share their touch sets, whose geometry is then made once for all of them."""
+        return GROUP if self.set_name == "free" else 1
+
+    def shards(self) -> list[list[int]]:
+        """Return the deformations that are made together: of one group and one split."""
+        found: dict[tuple[int, str], list[int]] = {}
+        for number, split in enumerate(self.splits):
+            found.setdefault((number // self.group, split), []).append(number)
+        return list(found.values())
+
+    @property
     def digest(self) -> str:
         """Return 16 hex digits that stand for the plan."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
@@ -87,7 +102,7 @@ class Plan:
         """Return which touch sets are shown at a deformation, ascending."""
         if self.set_name == "paper":
             return np.arange(self.touch_sets, dtype=np.int32)
-        generator = np.random.default_rng([self.seed, 2, deformation])
+        generator = np.random.default_rng([self.seed, 2, deformation // self.group])
         if self.splits[deformation] == "train":
             chosen = generator.choice(self.touch_sets, self.per_deformation, replace=False)
         else:
