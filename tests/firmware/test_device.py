@@ -321,16 +321,21 @@ def test_confirming_another_generation_is_refused(device):
 
 
 class Faulty:
-    """A line that loses or repeats what the device says, by a script."""
+    """A line that loses, repeats or holds back what the device says, by a script."""
 
     def __init__(self, device, script):
         self.device, self.script, self.name = device, iter(script), "a faulty line"
+        self.held = b""
 
     def read(self, timeout_s=None):
         data = self.device.read(timeout_s)
         if not data:
             return data
         fate = next(self.script, "pass")
+        if fate == "late":  # comes with whatever the device says next, long after it was asked again
+            self.held = data
+            return b""
+        data, self.held = self.held + data, b""
         if fate == "lose":
             return self.device.read(timeout_s)
         return data * 2 if fate == "twice" else data
@@ -339,9 +344,9 @@ class Faulty:
         return getattr(self.device, name)
 
 
-@pytest.mark.parametrize("fate", ["lose", "twice"])
+@pytest.mark.parametrize("fate", ["lose", "twice", "late"])
 @pytest.mark.parametrize("when", range(14))
-def test_an_answer_that_is_lost_or_comes_twice_changes_nothing(device, fate, when):
+def test_an_answer_that_is_lost_or_late_or_comes_twice_changes_nothing(device, fate, when):
     exchange = Exchange(Faulty(device, ["pass"] * when + [fate]), timeout_s=0.05)
     assert procedure.write(exchange, FAST).generation == 1
     assert procedure.show(exchange).active.configuration == FAST
