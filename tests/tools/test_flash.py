@@ -1,6 +1,7 @@
 """``eitskin flash`` as a command, on the C core in memory and on the virtual skin's pseudo-terminal."""
 
 import json
+import signal
 import subprocess
 import sys
 
@@ -136,5 +137,5 @@ def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
         status, out, err = run(capsys, "rollback", "--port", port, "--json")
         assert (status, "no earlier configuration" in err) == (1, True)
     finally:
-        sim.kill()
-        sim.communicate()
+        sim.send_signal(signal.SIGINT)  # it then removes its port's folder
+        sim.communicate(timeout=30.0)
