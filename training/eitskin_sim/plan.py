@@ -43,7 +43,7 @@ DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
 KEPT: Final = 20
 """Deformations of A, and as many of B, that are kept apart; a third of those trained on where these are few."""
 
-GROUP: Final = 8
+GROUP: Final = 4
 """Deformations of the free set that share their touch sets: 90 MB of memory each."""
 
 SHOWN_KEPT: Final = 1_000
