@@ -2,6 +2,8 @@
 # make test    everything that CI runs: lint, types, Python and C tests, the runtime from its wheel
 # make check   lint, types and tests, without the wheel
 # make bench   the benchmarks, each as one JSON object
+# make firmware | qemu                     the device's C for the emulated board; run it
+# make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
 #
 # Every target makes its own virtual environment. PYTHON names the interpreter to start from.
 
@@ -13,7 +15,8 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SECONDS_DEMO ?= 20
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types unit wheel-test firmware-test system-packages bench clean
+.PHONY: help demo test check lint types unit wheel-test firmware-test system-packages bench clean \
+        firmware qemu powercut fuzz hotplug soak
 
 help:
 	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
@@ -65,6 +68,16 @@ wheel-test: $(VENV)/.dev
 
 bench: $(VENV)/.dev
 	@for name in footprint frame dataset physics; do $(BIN)/eitskin bench $$name --json || exit 1; done
+
+firmware qemu: $(VENV)/.dev system-packages
+	$(MAKE) -C firmware_proto $@ PYTHON=$(abspath $(BIN)/python)
+
+powercut fuzz hotplug: $(VENV)/.dev system-packages
+	$(BIN)/python -m eitskin_tools.faults.$@
+
+SECONDS ?= 1200
+soak: $(VENV)/.dev system-packages
+	$(BIN)/python -m eitskin_tools.faults.soak --seconds $(SECONDS)
 
 clean:
 	rm -rf .build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis
