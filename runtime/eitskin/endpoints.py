@@ -18,7 +18,8 @@ import ipaddress
 import os
 import socket
 import stat
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
@@ -27,6 +28,9 @@ import zmq
 
 from eitskin.curve import ServerKeys
 from eitskin.errors import EndpointError
+
+CLOSING_S: Final = 2.0
+"""How long libzmq may take to close a listener."""
 
 LONGEST_PATH: Final = 100
 """Bytes of an ipc path; the kernel takes 107."""
@@ -127,10 +131,41 @@ def bind(socket_: Any, endpoint: str, *, keys: ServerKeys | None, control: bool)
 
 
 def release(endpoint: str) -> None:
-    """Remove the socket file that a closed ipc endpoint leaves behind."""
-    if endpoint.startswith("ipc://"):
-        with suppress(OSError):
-            Path(endpoint.removeprefix("ipc://")).unlink()
+    """Wait until a closed ipc endpoint's file is gone, and remove it if it stays.
+
+    libzmq closes in its own thread and removes the file last; whoever binds again too early would lose the new file.
+    """
+    if not endpoint.startswith("ipc://"):
+        return
+    path = Path(endpoint.removeprefix("ipc://"))
+    end_s = time.perf_counter() + CLOSING_S
+    while path.exists() and time.perf_counter() < end_s:
+        time.sleep(0.002)
+    with suppress(OSError):
+        path.unlink()
+
+
+def reopen(open_endpoint: Callable[[str], None], endpoint: str) -> None:
+    """Bind an endpoint that was closed just now, waiting for libzmq to let go of it.
+
+    Args:
+        open_endpoint: Makes a socket and binds it; raises EndpointError while the endpoint is in use.
+        endpoint: Where.
+
+    Raises:
+        EndpointError: It cannot be bound again.
+    """
+    release(endpoint)
+    end_s = time.perf_counter() + CLOSING_S
+    while True:
+        try:
+            open_endpoint(endpoint)
+        except EndpointError:
+            if time.perf_counter() > end_s:
+                raise
+            time.sleep(0.01)
+        else:
+            return
 
 
 def _bind_problem(endpoint: str, error: zmq.ZMQError | OSError) -> str:

@@ -15,7 +15,8 @@ from typing import Any, Final
 import zmq
 
 from eitskin.curve import Doorkeeper, ServerKeys
-from eitskin.endpoints import bind, release
+from eitskin.endpoints import bind, release, reopen
+from eitskin.errors import EndpointError
 
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
@@ -75,7 +76,11 @@ class Publisher:
         self._monitor: Any = self._socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
         self._topics = 0
         self._connections = 0
-        self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
+        try:
+            self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
+        except EndpointError:
+            self._close_socket()
+            raise
 
     @property
     def wanted(self) -> bool:
@@ -112,17 +117,15 @@ class Publisher:
             self.dropped += 1
 
     def _start_anew(self) -> None:
-        endpoint = self.endpoint
         self._close_socket()
         self.resets += 1
-        self._open(endpoint)
+        reopen(self._open, self.endpoint)
 
     def _close_socket(self) -> None:
         with suppress(zmq.ZMQError):
             self._socket.disable_monitor()
         self._monitor.close(0)
         self._socket.close(0)
-        release(self.endpoint)
 
     def close(self) -> None:
         """Release the address; closing twice is fine."""
@@ -132,3 +135,4 @@ class Publisher:
         self._context.term()
         if self._doorkeeper is not None:
             self._doorkeeper.join()
+        release(self.endpoint)

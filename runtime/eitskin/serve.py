@@ -32,9 +32,10 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
         return publisher.wanted
 
     for _ in skin.readings(wanted, until_ns):
-        message = skin.pack()
         if publisher.wanted:
-            publisher.send(message)
+            publisher.send(skin.pack())
+        else:
+            skin.pass_over()
         skin.finish()
         if frames is not None and skin.statistics.frames >= frames:
             return

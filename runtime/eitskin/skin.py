@@ -23,7 +23,7 @@ from eitskin.device import Device
 from eitskin.engine import GeometryGraph
 from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
-from eitskin.pipeline import PACK, PUBLISH, Pipeline
+from eitskin.pipeline import INFER, PACK, PUBLISH, Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
 from eitskin.serial_port import DEFAULT_BAUD, SerialPort
@@ -274,6 +274,10 @@ class Skin:
         packer.put(STAGES[PUBLISH], stamps[PUBLISH])
         packer.put("age_us", max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000))
         return packer.message()
+
+    def pass_over(self) -> None:
+        """Leave out packing, since nobody takes the frame."""
+        self.pipeline.stamps[PACK] = self.pipeline.stamps[INFER]
 
     def finish(self) -> None:
         """Take note of the frame in the statistics; after it was handed over."""
