@@ -1,7 +1,7 @@
 """Writes tiny.eitskin, the hand-made bundle of the runtime's tests; needs onnx and onnxruntime's quantiser.
 
-The graphs have the real signatures, but their weights are drawn from fixed seeds, with 8 hidden values and a map that is
-the sum of a column profile and a row profile; nothing was trained. The gate adds |dV| over all rows: it is exact on
+The graphs have the real signatures, but their weights are drawn from fixed seeds, with 8 hidden values and a map that
+is the sum of a column profile and a row profile; nothing was trained. The gate adds |dV| over all rows: it is exact on
 synthetic frames, where only a touch changes dV. ::
 
     python tests/golden/make_tiny_bundle.py tests/golden/tiny.eitskin
