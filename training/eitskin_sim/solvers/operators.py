@@ -1,0 +1,105 @@
+"""What every classical solver needs of one bend: the relative Jacobian on pixels or units, and the data it explains.
+
+    A = (dV / d sigma) * sigma0 / V_ref        d = V / V_ref - 1   or   log(V / V_ref)        d ~ A x
+
+with x the relative change of conductivity of a cell. Linearisation overpredicts a touch of contrast 50 by a factor of 23,
+because contrast saturates: a disc of c times the background's conductivity acts like a faint one of relative change
+2 (c - 1) / (c + 1), which is 1.92 for c = 50 and below 2 for any c. So x is that *effective* contrast, and the solvers that
+take bounds look for it in [0, 2] = [0, ``SATURATED``]. This bound is worth more than any choice of regularisation.
+
+Tikhonov, which takes no bounds, uses the logarithm: it is what makes the large negative changes (down to -0.995) and the
+rows that change most comparable with the linear model. Everything is float64: at the factors used here float32 would be off
+by 1e-3 and more.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units
+from eitskin_proto.normalise import relative_change
+from eitskin_sim.forward import flat_metric
+from eitskin_sim.jacobian import cell_jacobian
+from eitskin_sim.parts import Electrodes, Sheet
+from eitskin_sim.predict import fit_cloud
+
+Array = npt.NDArray[np.float64]
+
+Cells = Literal["pixels", "units"]
+"""What the unknowns are: the 30 x 45 pixels, or the 9 x 14 touch units."""
+
+SATURATED: Final = 2.0
+"""Effective contrast of a perfectly conducting touch: the polarisability of a disc, 2 (c - 1) / (c + 1), as c grows."""
+
+LOWEST_RATIO: Final = 1e-3
+"""V / V_ref is cut off here before a logarithm; it reaches 5e-4 under a touch."""
+
+
+@dataclass(frozen=True, slots=True)
+class Operators:
+    """One bend, linearised about its untouched sheet."""
+
+    relative_jacobian: Array
+    """(104, n) relative change of each voltage with the relative change of each cell's conductivity."""
+    untouched_voltages: Array
+    """(104,) V under 1 A, of the same mesh."""
+    shape: tuple[int, int]
+    """Rows and columns of the cells."""
+
+    def to_map(self, values: Array) -> Array:
+        """Return the (30, 45) map of (n,) values of the cells."""
+        if self.shape == UNIT_SHAPE:
+            return np.asarray(map_from_units(values), dtype=np.float64)
+        return np.asarray(values.reshape(GRID_SHAPE), dtype=np.float64)
+
+
+def build_operators(
+    metric: Callable[[Array], Array] = flat_metric,
+    cells: Cells = "pixels",
+    *,
+    sheet: Sheet | None = None,
+    electrodes: Electrodes | None = None,
+) -> Operators:
+    """Return the operators of a sheet with a given metric.
+
+    Args:
+        metric: (n, 2) flat points in mm -> (n, 3) first fundamental form.
+        cells: The unknowns.
+        sheet: The layer; the paper's if not given.
+        electrodes: On its border; the paper's if not given.
+
+    Raises:
+        ValueError: The cells are unknown.
+    """
+    if cells not in ("pixels", "units"):
+        raise ValueError(f"cells are 'pixels' or 'units', found {cells!r}")
+    sheet, shape = sheet or Sheet(), GRID_SHAPE if cells == "pixels" else UNIT_SHAPE
+    voltages, jacobian = cell_jacobian(sheet, electrodes or Electrodes(), metric, shape=shape)
+    relative = sheet.conductivity_S_per_m * jacobian / voltages[:, None]
+    return Operators(relative, voltages, shape)
+
+
+def operators_of_cloud(cloud_mm: npt.ArrayLike, cells: Cells = "pixels") -> Operators:
+    """Return the operators of a scanned sheet.
+
+    Args:
+        cloud_mm: (3, 30, 45) mm, in any pose.
+        cells: The unknowns.
+
+    Raises:
+        ValueError: The cloud is malformed, or the cells are unknown.
+    """
+    return build_operators(fit_cloud(cloud_mm).metric, cells)
+
+
+def linear_data(voltages: Array, reference: Array) -> Array:
+    """Return (104,) V / V_ref - 1, 0 in the reference's weak rows."""
+    return relative_change(voltages, reference)
+
+
+def log_data(voltages: Array, reference: Array) -> Array:
+    """Return (104,) log(V / V_ref), cut off at log ``LOWEST_RATIO``, 0 in the reference's weak rows."""
+    return np.asarray(np.log(np.maximum(1.0 + relative_change(voltages, reference), LOWEST_RATIO)))
