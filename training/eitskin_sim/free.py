@@ -101,13 +101,28 @@ def touched_blocks(sheet: FreeSheet, cuts: Cuts) -> tuple[Array, Array]:
     return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
 
 
+def sheet_blocks(sheet: FreeSheet, touches: FreeTouches, number: int) -> tuple[Array, Array]:
+    """Return the (n_elements, 9, 9) blocks and (m,) densities of one touch set, for a Factor."""
+    system = sheet.system
+    cuts = find_cuts(touches, np.array([number]), system.mesh)
+    stiffness, own = touched_blocks(sheet, cuts)
+    blocks = system.background * system.stiffness
+    blocks[cuts.element] = stiffness
+    density = system.contacts.density(np.full(len(blocks), system.background)[system.contacts.element])
+    kappa = np.full(len(blocks), np.nan)
+    kappa[cuts.element] = own
+    at_contacts = kappa[system.contacts.element]
+    return blocks, np.where(np.isnan(at_contacts), density, at_contacts)
+
+
 def _solve(sheet: FreeSheet, cuts: Cuts, layout: Layout, count: int) -> Array:
     """Return the (count, 104) V of a batch of sets."""
     blocks, density = touched_blocks(sheet, cuts)
     after = without_middle(with_contacts(blocks, cuts.element, density, sheet.system.contacts))
     size = int(layout.begin[-1]) + 1
-    touched: Array = np.bincount(layout.slot, after.ravel(), minlength=size)
-    untouched: Array = np.bincount(layout.slot, sheet.before[cuts.element].ravel(), minlength=size)
+    touched = np.asarray(np.bincount(layout.slot, after.ravel(), minlength=size), dtype=np.float64)
+    before = sheet.before[cuts.element].ravel()
+    untouched = np.asarray(np.bincount(layout.slot, before, minlength=size), dtype=np.float64)
     response = np.empty((count, N_ELECTRODES, N_ELECTRODES))
     at_terminals = sheet.inverse[-N_ELECTRODES:, -N_ELECTRODES:]
     for number in range(count):

@@ -8,6 +8,7 @@ on its outline. Patches follow each other set by set; each is a square of number
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from scipy.sparse import coo_array
@@ -15,6 +16,9 @@ from scipy.sparse.csgraph import connected_components
 
 from eitskin_sim.free_mesh import FreeMesh
 from eitskin_sim.mesh import Index
+
+SLICE: Final = 40
+"""Elements of a patch: more of them cost more to eliminate, more patches share more nodes."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,10 +57,11 @@ def make_layout(of_set: Index, element: Index, count: int, grid: FreeMesh) -> La
     dofs = grid.dofs[element]
     valid = dofs >= 0
     n_dofs = len(grid.sharing)
-    key = of_set[:, None] * n_dofs + np.maximum(dofs, 0)
+    own = _patches(of_set, element, dofs, grid)
+    key = own[:, None] * n_dofs + np.maximum(dofs, 0)
     unique, back = np.unique(key[valid], return_inverse=True)
+    patch = unique // n_dofs
     inside = np.bincount(back, minlength=len(unique)) == grid.sharing[unique % n_dofs]
-    patch = _patches(np.nonzero(valid)[0], back, len(element), len(unique))
 
     order = np.lexsort((unique, ~inside, patch))
     n_patches = int(patch.max(initial=-1)) + 1
@@ -69,13 +74,11 @@ def make_layout(of_set: Index, element: Index, count: int, grid: FreeMesh) -> La
     begin = np.concatenate([[0], np.cumsum(width**2)])
     local = np.full(dofs.shape, -1, dtype=np.intp)
     local[valid] = place[back]
-    own = np.zeros(len(element), dtype=np.intp)
-    own[np.nonzero(valid)[0]] = patch[back]
     slot = begin[own, None, None] + local[:, :, None] * width[own, None, None] + local[:, None, :]
     slot[~(valid[:, :, None] & valid[:, None, :])] = begin[-1]
 
     set_of_patch = np.zeros(n_patches, dtype=np.intp)
-    set_of_patch[patch] = unique // n_dofs
+    set_of_patch[own] = of_set
     return Layout(
         slot=slot.ravel(),
         begin=begin,
@@ -87,12 +90,28 @@ def make_layout(of_set: Index, element: Index, count: int, grid: FreeMesh) -> La
     )
 
 
-def _patches(row: Index, node: Index, n_elements: int, n_nodes: int) -> Index:
-    """Return the (n_nodes,) patch of each node; patches of one set follow each other."""
-    size = n_elements + n_nodes
-    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, n_elements + node)), (size, size))
-    label = connected_components(graph, directed=False)[1][n_elements:]
-    found, first, back = np.unique(label, return_index=True, return_inverse=True)
-    rank = np.empty(len(found), dtype=np.intp)
-    rank[np.argsort(first)] = np.arange(len(found))
-    return np.asarray(rank[back])
+def _patches(of_set: Index, element: Index, dofs: Index, grid: FreeMesh) -> Index:
+    """Return the (e,) patch of each touched element; patches of one set follow each other.
+
+    A patch is what hangs together, cut across its longer side into slices of about ``SLICE`` elements.
+    """
+    n_dofs, count = len(grid.sharing), len(element)
+    row, column = np.nonzero(dofs >= 0)
+    unique, node = np.unique(of_set[row] * n_dofs + dofs[row, column], return_inverse=True)
+    size = count + len(unique)
+    graph = coo_array((np.ones(len(row), dtype=np.int8), (row, count + node)), (size, size))
+    together = connected_components(graph, directed=False)[1][:count]
+    together = np.unique(together, return_inverse=True)[1].astype(np.intp)
+    elements = np.bincount(together)
+    place = np.divmod(element, grid.mesh.shape[1])
+    low = [np.full(len(elements), count + grid.mesh.n_elements) for _ in place]
+    high = [np.zeros(len(elements), dtype=np.intp) for _ in place]
+    for axis, at in enumerate(place):
+        np.minimum.at(low[axis], together, at)
+        np.maximum.at(high[axis], together, at)
+    upright = (high[0] - low[0] > high[1] - low[1])[together]
+    along = np.where(upright, place[0] - low[0][together], place[1] - low[1][together])
+    extent = np.where(upright, (high[0] - low[0])[together], (high[1] - low[1])[together]) + 1
+    slices = np.maximum(1, np.rint(elements / SLICE)).astype(np.intp)[together]
+    key = (of_set * len(elements) + together) * int(slices.max(initial=1)) + along * slices // extent
+    return np.asarray(np.unique(key, return_inverse=True)[1])

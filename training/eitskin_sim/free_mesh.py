@@ -27,6 +27,9 @@ from eitskin_sim.parts import Bend, Electrodes, Sheet
 ELEMENT_MM: Final = 4.0
 """The largest element."""
 
+TILE: Final = 8
+"""Half elements along a side of the tiles by which nodes are numbered: half the time of a sample was cache misses."""
+
 MIDDLE: Final = 4
 """Place of an element's middle among its nine nodes."""
 
@@ -66,7 +69,7 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
     middles = mesh.element_nodes[:, MIDDLE]
     outer = np.setdiff1d(np.arange(mesh.n_nodes), middles)
     place = np.full(mesh.n_nodes, -1)
-    place[outer] = np.arange(len(outer))
+    place[outer[_nearby_order(outer, mesh)]] = np.arange(len(outer))
     contacts = assemble(mesh, sheet, electrodes).contacts
     terminal = np.full(mesh.n_elements, -1)
     terminal[contacts.element] = len(outer) + contacts.electrode
@@ -74,6 +77,12 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
     sharing = np.bincount(dofs[dofs >= 0], minlength=len(outer) + N_ELECTRODES)
     sharing[len(outer) :] += 1
     return FreeMesh(mesh, dofs, sharing, len(outer))
+
+
+def _nearby_order(nodes: Index, mesh: TensorMesh) -> Index:
+    """Return the order of nodes, tile by tile: a touch then reads few stretches of a row of the inverse, not many."""
+    row, column = np.divmod(nodes, 2 * mesh.shape[1] + 1)
+    return np.lexsort((column, row, column // TILE, row // TILE))
 
 
 def free_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:

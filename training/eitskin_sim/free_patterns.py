@@ -2,8 +2,8 @@
 
 ::
 
-    rectangle  5 to 25 mm each way        bar  5 to 15 mm by 25 to 100 mm
-    disc       5 to 25 mm across          L    two arms of 12 to 45 mm, 5 to 15 mm wide
+    rectangle  5 to 25 mm each way        bar  5 to 14 mm by 25 to 80 mm
+    disc       5 to 25 mm across          L    two arms of 12 to 45 mm, 5 to 14 mm wide
 
 Half of them are turned by any angle. Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told
 apart, is well inside what is drawn. Conductivity is log-uniform from 20 to 200 S/m, one for all touches of a set or one
@@ -24,13 +24,19 @@ SMALLEST_MM: Final = 5.0
 LARGEST_MM: Final = 25.0
 """Sides of rectangles and diameters of discs (issue: 5 to 25 mm)."""
 
+LONGEST_MM: Final = 80.0
+"""The longest bar."""
+
+WIDEST_MM: Final = 14.0
+"""The widest bar or arm of an L."""
+
 CONTRAST: Final = (20.0, 200.0)
 """S/m of a touch; the untouched sheet has 1."""
 
-COUNTS: Final = (0.02, 0.27, 0.19, 0.15, 0.12, 0.1, 0.08, 0.04, 0.03)
+COUNTS: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)
 """Chances of 0, 1 .. 8 touches."""
 
-KINDS: Final = (0.4, 0.28, 0.16, 0.16)
+KINDS: Final = (0.42, 0.3, 0.14, 0.14)
 """Chances of a rectangle, a disc, a bar, an L."""
 
 GAP_MM: Final = 1.0
@@ -102,7 +108,7 @@ def _touch(generator: np.random.Generator, sigma: float) -> Array:
         return _ell(generator, x, y, angle, sigma)
     length, width = generator.uniform(SMALLEST_MM, LARGEST_MM, 2)
     if kind == 2:
-        length, width = generator.uniform(LARGEST_MM, 100.0), generator.uniform(SMALLEST_MM, 15.0)
+        length, width = generator.uniform(LARGEST_MM, LONGEST_MM), generator.uniform(SMALLEST_MM, WIDEST_MM)
         if quarter:
             length, width = width, length
     return np.array([[RECTANGLE, x, y, length, width, angle, sigma]])
@@ -110,7 +116,7 @@ def _touch(generator: np.random.Generator, sigma: float) -> Array:
 
 def _ell(generator: np.random.Generator, x: float, y: float, angle: float, sigma: float) -> Array:
     """Return two arms that meet in a corner at (x, y); the second begins where the first ends."""
-    width = generator.uniform(SMALLEST_MM, 15.0)
+    width = generator.uniform(SMALLEST_MM, WIDEST_MM)
     first, second = generator.uniform(max(12.0, 1.5 * width), 45.0, 2)
     sign_x, sign_y = generator.choice((-1.0, 1.0), 2)
     centres = np.array(

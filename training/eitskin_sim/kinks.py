@@ -23,7 +23,7 @@ from eitskin_sim.free_touches import DISC, Array, FreeTouches, bounds
 from eitskin_sim.mesh import Index, TensorMesh
 from eitskin_sim.q2 import gradients
 
-POINTS: Final = 8
+POINTS: Final = 6
 """Points a side in a cut element, each with the cell around it."""
 
 WHOLE: Final = 1e-9

@@ -1,0 +1,61 @@
+"""``eitskin bench NAME``: one module a benchmark, imported only when it is named.
+
+``BENCHMARKS`` is the whole table. A benchmark's module has ``add_arguments(parser)`` and ``run(arguments) -> int``,
+as a subcommand's has, and prints one object under ``--json``.
+"""
+
+import argparse
+import importlib
+from types import ModuleType
+from typing import Any, Final
+
+BENCHMARKS: Final[dict[str, str]] = {
+    "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
+    "footprint": "memory, import time and size of the runtime",
+    "skip": "what each skipped stage saves",
+    "tradeoff": "accuracy against latency: networks, int8, classical solvers",
+    "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
+    "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
+    "stability": "long runs, faults and drift",
+    "peer": "what other tactile libraries do with the same bytes",
+}
+"""Benchmarks, each with what it measures."""
+
+
+def available() -> dict[str, str]:
+    """Return the benchmarks that this installation has."""
+    return {name: text for name, text in BENCHMARKS.items() if _exists(name)}
+
+
+def _exists(name: str) -> bool:
+    from importlib.util import find_spec
+
+    return find_spec(f"eitskin_tools.bench.{name}") is not None
+
+
+class _Lazy(argparse.ArgumentParser):
+    """A benchmark's parser, which asks its module for options when it is about to parse."""
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Declare the options, then parse."""
+        name = self.prog.rsplit(" ", 1)[-1]
+        if not self.get_default("benchmark_module"):
+            self.set_defaults(benchmark_module=name)
+            _module(name).add_arguments(self)
+        return super().parse_known_args(args, namespace)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the benchmarks; each declares its own options when it is named."""
+    subparsers = parser.add_subparsers(dest="benchmark", metavar="NAME", required=True, parser_class=_Lazy)
+    for name, summary in available().items():
+        subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the benchmark that was named."""
+    return int(_module(arguments.benchmark).run(arguments))
+
+
+def _module(name: str) -> ModuleType:
+    return importlib.import_module(f"eitskin_tools.bench.{name}")
