@@ -1,7 +1,7 @@
 """The network as one more solver of the harness, and the table that stands beside the paper's.
 
-The network runs through the deployed engine: the bundle's own graphs, the runtime's normalisation, the reference taken flat
-and untouched. It takes the shipped bundle whose labels match the phantoms, unless one is named.
+The network runs through the deployed engine: the bundle's own graphs, the runtime's normalisation, the reference
+taken flat and untouched. It takes the shipped bundle whose labels match the phantoms, unless one is named.
 """
 
 from collections.abc import Sequence
@@ -136,24 +136,13 @@ def comparison(
         f"CC, {noise} at {snr_db:g} dB, {seeds} noise draw(s); classical solvers with the post-deformation reference.",
         "",
     ]
-    lines += _table(
-        ["phantom", *chosen, *(f"paper: {name}" for name in papers)],
-        [
-            [
-                phantom.name,
-                *(_text(own[name]["phantoms"][i]["cc"]) for name in chosen),
-                *(_text(PAPER_CC[p][i]) for p in papers),
-            ]
-            for i, phantom in enumerate(phantoms)
-        ]
-        + [
-            [
-                "mean",
-                *(_text(own[name]["mean"]["cc"]) for name in chosen),
-                *(_text(float(np.mean(PAPER_CC[p]))) for p in papers),
-            ]
-        ],
-    )
+    rows = [
+        [phantom.name, *(_text(own[n]["phantoms"][i]["cc"]) for n in chosen), *(_text(PAPER_CC[p][i]) for p in papers)]
+        for i, phantom in enumerate(phantoms)
+    ]
+    paper_means = [_text(float(np.mean(PAPER_CC[p]))) for p in papers]
+    rows.append(["mean", *(_text(own[n]["mean"]["cc"]) for n in chosen), *paper_means])
+    lines += _table(["phantom", *chosen, *(f"paper: {p}" for p in papers)], rows)
     lines += ["", "Means by reference.", ""]
     header = ["solver", "reference", "CC", "PSNR dB", "RIE", "localisation mm", "exact"]
     measures = ("cc", "psnr_db", "rie", "localisation_mm", "exact")

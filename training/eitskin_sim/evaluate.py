@@ -1,8 +1,9 @@
 """The harness: phantom file -> data on an independent finer mesh -> noise -> scan -> solver -> metrics.
 
 Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
-scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that cloud, as
-the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so without noise::
+scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
+cloud, as the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so
+without noise::
 
     pre        the flat, untouched sheet, once and for all (paper Fig. 10; what the network gets)
     post       the bent, untouched sheet (paper Table II)
@@ -13,7 +14,7 @@ import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
-from typing import Final, Literal, cast, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -215,7 +216,7 @@ def _reference(kind: Reference, scene: Scene, sheet: Sheet, flat: Array) -> Arra
     if kind == "post":
         return sheet.untouched
     # The captured flat reference calibrates the model: their ratio carries the model's error, and the current.
-    return cast(Array, sheet.predicted() * flat / flat_voltages())
+    return sheet.predicted() * flat / flat_voltages()
 
 
 @lru_cache(maxsize=256)

@@ -1,12 +1,13 @@
 """V_pred: what the untouched, deformed sheet must read, from its scanned cloud alone.
 
-The cloud is the place in space of every pixel's centre. A tensor-product cubic spline through it, least squares on far fewer
-coefficients than points, takes the scanner's noise out and gives tangents everywhere, up to the border half a pixel beyond
-the outermost points; their inner products are the metric E, F, G that :func:`eitskin_sim.forward.assemble` asks for. The
-voltages are solved on a coarse mesh and corrected by what the same mesh is off on the flat sheet, which is known.
+The cloud is the place in space of every pixel's centre. A tensor-product cubic spline through it, least squares on
+far fewer coefficients than points, takes the scanner's noise out and gives tangents everywhere, up to the border half
+a pixel beyond the outermost points; their inner products are the metric E, F, G that
+:func:`eitskin_sim.forward.assemble` asks for. The voltages are solved on a coarse mesh and corrected by what the same
+mesh is off on the flat sheet, which is known.
 
-What a scan cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides rows
-and columns by arc length, so V_pred is that of the evenly stretched sheet.
+What a scan cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides
+rows and columns by arc length, so V_pred is that of the evenly stretched sheet.
 """
 
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy import linalg
 from scipy.interpolate import BSpline
 
 from eitskin_proto.cloud import check_cloud
@@ -115,6 +117,8 @@ def _basis(at_mm: Array, extent_mm: float, count: int, derivative: int = 0) -> A
 @lru_cache(maxsize=1)
 def _fitters() -> tuple[Array, Array]:
     """(nx, 45) and (ny, 30) least squares from samples at pixel centres to spline coefficients."""
-    sides = zip(SHEET_MM, COEFFICIENTS, GRID_SHAPE[::-1], strict=True)
-    to_x, to_y = (np.linalg.pinv(_basis((np.arange(n) + 0.5) * PITCH_MM, s, c)) for s, c, n in sides)
-    return np.asarray(to_x), np.asarray(to_y)
+    found = []
+    for extent, count, n in zip(SHEET_MM, COEFFICIENTS, GRID_SHAPE[::-1], strict=True):
+        centres = np.asarray((np.arange(n) + 0.5) * PITCH_MM, dtype=np.float64)
+        found.append(np.asarray(linalg.pinv(_basis(centres, extent, count)), dtype=np.float64))
+    return found[0], found[1]

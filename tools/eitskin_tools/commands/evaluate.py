@@ -63,6 +63,7 @@ def run(arguments: argparse.Namespace) -> int:
     papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
     for row, theirs in zip(rows, papers, strict=True):
         rie = "    inf" if row["rie"] is None else f"{row['rie']:7.4f}"
-        line = f"{row['name']:8} {row['cc']:8.4f} {row['psnr_db']:8.2f} {rie} {row['localisation_mm']:16.2f} {row['exact']:8.2f}"
+        line = f"{row['name']:8} {row['cc']:8.4f} {row['psnr_db']:8.2f} {rie}"
+        line += f" {row['localisation_mm']:16.2f} {row['exact']:8.2f}"
         print(line if theirs is None else f"{line} {theirs:12.4f}")
     return 0

@@ -2,14 +2,15 @@
 
     A = (dV / d sigma) * sigma0 / V_ref        d = V / V_ref - 1   or   log(V / V_ref)        d ~ A x
 
-with x the relative change of conductivity of a cell. Linearisation overpredicts a touch of contrast 50 by a factor of 23,
-because contrast saturates: a disc of c times the background's conductivity acts like a faint one of relative change
-2 (c - 1) / (c + 1), which is 1.92 for c = 50 and below 2 for any c. So x is that *effective* contrast, and the solvers that
-take bounds look for it in [0, 2] = [0, ``SATURATED``]. This bound is worth more than any choice of regularisation.
+with x the relative change of conductivity of a cell. Linearisation overpredicts a touch of contrast 50 by a factor of
+23, because contrast saturates: a disc of c times the background's conductivity acts like a faint one of relative
+change 2 (c - 1) / (c + 1), which is 1.92 for c = 50 and below 2 for any c. So x is that *effective* contrast, and the
+solvers that take bounds look for it in [0, 2] = [0, ``SATURATED``]. This bound is worth more than any choice of
+regularisation.
 
-Tikhonov, which takes no bounds, uses the logarithm: it is what makes the large negative changes (down to -0.995) and the
-rows that change most comparable with the linear model. Everything is float64: at the factors used here float32 would be off
-by 1e-3 and more.
+Tikhonov, which takes no bounds, uses the logarithm: it is what makes the large negative changes (down to -0.995) and
+the rows that change most comparable with the linear model. Everything is float64: at the factors used here float32
+would be off by 1e-3 and more.
 """
 
 from collections.abc import Callable

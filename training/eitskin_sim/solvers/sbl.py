@@ -7,10 +7,11 @@ The image is a sum over all 2 x 2 windows i of the grid of Gaussian patches, who
     EM step   gamma_i <- tr(B^-1 (Sigma_i + mu_i mu_i^T)) / h         h = 4 cells a window
     coupling  gamma_i <- (gamma_i + beta * sum of neighbours) / (1 + beta * number of neighbours)
 
-with mu_i and Sigma_i the posterior of the patch. Nothing larger than h x h is kept of a window, and the data covariance
-C = s^2 I + A Sigma_0 A^T, 104 x 104, is all that is inverted. Without the coupling each step raises the marginal likelihood;
-with it, a cell is touched more easily beside touched ones (pattern coupling, paper section V.B). After the steps the image
-is the most probable one within bounds, 0 <= x <= upper; without bounds it is the posterior mean.
+with mu_i and Sigma_i the posterior of the patch. Nothing larger than h x h is kept of a window, and the data
+covariance C = s^2 I + A Sigma_0 A^T, 104 x 104, is all that is inverted. Without the coupling each step raises the
+marginal likelihood; with it, a cell is touched more easily beside touched ones (pattern coupling, paper section V.B).
+After the steps the image is the most probable one within bounds, 0 <= x <= upper; without bounds it is the posterior
+mean.
 """
 
 from dataclasses import dataclass
@@ -111,7 +112,7 @@ def learn(
         inner = np.einsum("ab,wab->w", block, seen[cells[:, :, None], cells[:, None, :]])
         second = np.einsum("wa,ab,wb->w", mean, inverse, mean) + variances * len(block) - variances**2 * inner
         new = _couple((second / len(block)).reshape(steps), coupling)
-        change = float(np.linalg.norm(new - variances) / max(np.linalg.norm(variances), 1e-300))
+        change = float(np.linalg.norm(new - variances) / max(float(np.linalg.norm(variances)), 1e-300))
         variances = new
         if change < tolerance:
             break
@@ -178,7 +179,8 @@ def _block(correlation: float) -> Array:
 def _prior(cells: npt.NDArray[np.intp], variances: Array, block: Array, n: int) -> Array:
     """Sigma_0 = sum of gamma_i E_i B E_i^T, added up entry by entry."""
     entries = (cells[:, :, None] * n + cells[:, None, :]).ravel()
-    return np.bincount(entries, (variances[:, None, None] * block).ravel(), minlength=n * n).reshape(n, n)
+    total = np.bincount(entries, (variances[:, None, None] * block).ravel(), minlength=n * n)
+    return np.asarray(total.reshape(n, n), dtype=np.float64)
 
 
 def _data_covariance(

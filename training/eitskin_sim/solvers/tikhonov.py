@@ -1,9 +1,11 @@
 """Tikhonov: one matrix per bend, because the minimiser of a quadratic is linear in the data.
 
-    x = argmin ||A x - d||^2 + lambda ||W x||^2 = W^-2 A^T (A W^-2 A^T + lambda I)^-1 d,     lambda = factor * ||A W^-1||_2^2
+    x = argmin ||A x - d||^2 + lambda ||W x||^2 = W^-2 A^T (A W^-2 A^T + lambda I)^-1 d
+    lambda = factor * ||A W^-1||_2^2
 
-W weighs each cell by a power of its sensitivity, the norm of its column: with W = I the image crowds at the electrodes,
-where a small change explains much. The right-hand form needs a 104 x 104 inverse whatever the number of cells.
+W weighs each cell by a power of its sensitivity, the norm of its column: with W = I the image crowds at the
+electrodes, where a small change explains much. The right-hand form needs a 104 x 104 inverse whatever the number of
+cells.
 """
 
 from typing import Final
