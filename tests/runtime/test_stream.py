@@ -71,12 +71,14 @@ def test_counters_that_wrap_lose_nothing(virtual_skin, tiny_path):
             frames.append(frame)
             if frame.device_us > 2**32 + 100_000 and frame.sequence > 2**32 + 10:
                 break
-        assert skin.pipeline.counter.lost == skin.pipeline.counter.resets == 0
+        assert skin.pipeline.counter.resets == 0
+        # A starved machine may lose a few frames for real; a wrap taken for a gap would be billions.
+        assert skin.pipeline.counter.lost < 1000
     sequences = [frame.sequence for frame in frames]
     assert sequences[0] < 2**32 < sequences[-1]
-    assert all(np.diff(sequences) == 1)
+    assert 0 < min(np.diff(sequences)) <= max(np.diff(sequences)) < 1000
     times_us = [frame.device_us for frame in frames]
-    assert np.all(np.diff(times_us) == 10_000)
+    assert np.all(np.diff(times_us) == 10_000 * np.diff(sequences))
     assert times_us[-1] > 2**32
 
 
