@@ -15,6 +15,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "skip": "what each skipped stage saves",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
+    "scan": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "stability": "long runs, faults and drift",
     "peer": "what other tactile libraries do with the same bytes",
