@@ -12,6 +12,7 @@ import numpy.typing as npt
 from eitskin_export import gate, graphs, parity, projection, quantise
 from eitskin_export.bundle import projection_bytes, write
 from eitskin_export.fold import split
+from eitskin_export.untouched import Bends, solved_bends
 from eitskin_proto.errors import MismatchError
 from eitskin_training.card import card
 from eitskin_training.data import TrainingData, load, noisy_change
@@ -72,6 +73,7 @@ def export(
     *,
     tell: Callable[[str], None] = lambda _: None,
     projector: Callable[[], npt.NDArray[np.float32]] = projection.flat_projection,
+    bends: Callable[[TrainingData], Bends] = solved_bends,
     gate_steps: int = gate.STEPS,
 ) -> dict[str, Any]:
     """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
@@ -82,6 +84,7 @@ def export(
         out: The bundle's path.
         tell: Told what is being done.
         projector: Gives the (1350, 104) projection.
+        bends: Gives the untouched sheets that the gate learns from.
         gate_steps: Steps that the gate is fitted for.
 
     Raises:
@@ -95,7 +98,7 @@ def export(
     int8_bytes = quantise.int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     tell("fitting the gate")
-    touch_gate = gate.fit(data, seed=int(found.content["seed"]), steps=gate_steps)
+    touch_gate = gate.fit(data, bends(data), seed=int(found.content["seed"]), steps=gate_steps)
     tell("scoring on held-out bends")
     metrics = {
         "held_out": card(found.model, data),
