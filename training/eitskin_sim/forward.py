@@ -197,7 +197,7 @@ def assemble(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Met
     for lines, extent, name in ((mesh.x_lines_mm, sheet.size_mm[0], "x"), (mesh.y_lines_mm, sheet.size_mm[1], "y")):
         if abs(lines[0]) > 1e-9 or abs(lines[-1] - extent) > 1e-9:
             raise ValueError(
-                f"mesh {name} lines go from {lines[0]:g} to {lines[-1]:g} mm; they must from 0 to {extent:g}"
+                f"mesh {name} lines go from {lines[0]:g} to {lines[-1]:g} mm; they must go from 0 to {extent:g}"
             )
     points = mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :]
     first = metric(points.reshape(-1, 2)).reshape(mesh.n_elements, len(GAUSS), 3)

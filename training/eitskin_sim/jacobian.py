@@ -2,11 +2,11 @@
 
 For drive k and measure m with the fields x_k and x_m of 1 A through either pair,
 
-    dV[k, m] / d sigma_c = - sum over elements e in cell c of  x_m . S_e x_k  +  d kappa_e / d sigma  (U - x)_m . M_e (U - x)_k
+    dV[k, m] / d sigma_c = - sum over elements e in c of  x_m . S_e x_k  +  d kappa_e / d sigma  (U - x)_m . M_e (U - x)_k
 
 with S_e the stiffness at sigma = 1 and M_e the contact's mass: where a face contact lies on the cell, its effective
-impedance changes with the conductivity under it. By reciprocity the 16 drive fields are all the adjoint fields there are,
-so the cost is one factorisation. A cell's derivative adds the same conductivity at every point of the cell.
+impedance changes with the conductivity under it. By reciprocity the 16 drive fields are all the adjoint fields there
+are, so the cost is one factorisation. A cell's derivative adds the same conductivity at every point of the cell.
 """
 
 from collections.abc import Sequence
@@ -29,7 +29,7 @@ Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 
 COARSE_MM: Final = 4.5
-"""The element size for classical solvers: 0.1 s on one core, and a relative Jacobian within 1e-3 of the converged one."""
+"""The element size for classical solvers: 0.1 s a Jacobian, within 1e-3 (edge contacts 4e-3) of the converged one."""
 
 
 def cell_mesh(
@@ -69,9 +69,7 @@ def cell_of_element(mesh: TensorMesh, shape: tuple[int, int]) -> Index:
         grid = np.linspace(0.0, lines[-1], count + 1)
         gap = np.abs(lines[:, None] - grid).min(axis=0).max()
         if gap > 2 * MERGE_MM:
-            raise ValueError(
-                f"a grid line along {name} is {gap:g} mm from the mesh's lines; it must be at most {MERGE_MM:g}"
-            )
+            raise ValueError(f"a grid line along {name} is {gap:g} mm off the mesh's; it must be within {MERGE_MM:g}")
         found.append(np.searchsorted(grid, (lines[:-1] + lines[1:]) / 2) - 1)
     return np.asarray((found[0][:, None] * shape[1] + found[1]).ravel())
 

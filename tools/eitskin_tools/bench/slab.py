@@ -7,17 +7,18 @@ normal field, the strain off the middle surface) is in here.
 """
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from eitskin_sim.bend import metric, surface
-from eitskin_sim.electrodes import place
-from eitskin_sim.parts import Scene
 from scipy.sparse import bmat, csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin_proto.table import TABLE
+from eitskin_sim.bend import metric, surface
+from eitskin_sim.electrodes import place
+from eitskin_sim.parts import Scene
 
 Array = npt.NDArray[np.float64]
 
@@ -37,7 +38,7 @@ class Resolution:
 
 
 def solve_slab(scene: Scene, resolution: Resolution) -> tuple[Array, int]:
-    """Return the (104,) V of a scene with patch contacts and rectangular touches under 1 A, and the number of unknowns."""
+    """Return the (104,) V of a scene with patch contacts and rectangular touches under 1 A, and the unknowns."""
     import skfem
     from skfem.helpers import dot, grad
 
@@ -110,14 +111,16 @@ def _bend(scene: Scene, points: Array) -> Array:
     return np.asarray((surface(bend, sheet, xy) + normal * (height / np.linalg.norm(normal, axis=1))[:, None]).T)
 
 
-def _lines(scene: Scene, boxes: list[tuple[float, float, float, float]], fine: Resolution) -> tuple[Array, Array, Array]:
+def _lines(
+    scene: Scene, boxes: list[tuple[float, float, float, float]], fine: Resolution
+) -> tuple[Array, Array, Array]:
     touched = [shape.bounds_mm for touch in scene.touches for shape in touch.shapes]
     found = []
     for axis in (0, 1):
         marks = {0.0: fine.touch_mm, scene.sheet.size_mm[axis]: fine.touch_mm}
         for corners, size in ((touched, fine.touch_mm), (boxes, fine.contact_mm)):
             for corner in corners:
-                marks[corner[axis]] = marks[corner[axis + 2]] = size
+                marks[round(corner[axis], 9)] = marks[round(corner[axis + 2], 9)] = size
         found.append(_geometric(sorted(marks.items()), fine))
     depths = np.concatenate([[0.0], np.cumsum(fine.layers_mm)])
     return found[0], found[1], depths * scene.sheet.thickness_mm / depths[-1]
@@ -126,8 +129,8 @@ def _lines(scene: Scene, boxes: list[tuple[float, float, float, float]], fine: R
 def _geometric(marks: list[tuple[float, float]], fine: Resolution) -> Array:
     """Return lines through all marks: from both ends of each gap in geometric steps, the middle filled evenly."""
     lines = [marks[0][0]]
-    for (a, size_a), (b, size_b) in zip(marks, marks[1:], strict=False):
-        left, right = [a], [b]
+    for (a, from_a), (b, from_b) in pairwise(marks):
+        left, right, size_a, size_b = [a], [b], from_a, from_b
         while True:
             gap = right[-1] - left[-1]
             if gap <= 1.5 * (size_a + size_b) or min(size_a, size_b) >= fine.largest_mm:
