@@ -5,10 +5,13 @@ holds BLAS to one thread, as :mod:`eitskin_sim.generate` does for its processes.
 """
 
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_sim.shards import Arrays, make_shard
+
+CONNECT_S: Final = 10.0
+"""How long a scheduler may take to answer."""
 
 Made = tuple[list[int], list[Arrays]]
 """Numbers of deformations, and what the file of each holds."""
@@ -29,10 +32,10 @@ def shards_on_cluster(jobs: list[dict[str, Any]], scheduler: str) -> Iterator[Ma
     except ModuleNotFoundError as error:
         raise SkinError("--scheduler needs Dask; install it with: pip install 'eitskin[cluster]'") from error
     try:
-        client = Client(scheduler, timeout="10s", set_as_default=False)  # type: ignore[no-untyped-call]
+        client = Client(scheduler, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
     except (OSError, ValueError) as error:
         raise SkinError(f"no Dask scheduler answers at {scheduler}: {error}; start one with: dask scheduler") from error
-    with client:
+    with client, client.as_current():
         futures = {client.submit(make_shard, job, pure=False, retries=3): job["deformations"] for job in jobs}
         arriving = as_completed(list(futures), with_results=True)  # type: ignore[no-untyped-call]
         for future, arrays in arriving:

@@ -14,6 +14,7 @@ again.
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
@@ -71,6 +72,7 @@ def paper_bends(count: int = 10) -> tuple[Bend, ...]:
     return tuple(paper_bend(float(q)) for q in np.linspace(0.0, 1.0, count))
 
 
+@lru_cache(maxsize=16)
 def draw(family: Family, count: int, seed: int) -> tuple[Bend, ...]:
     """Return the first ``count`` deformations of a family's sequence; more of them begin with the same ones.
 
