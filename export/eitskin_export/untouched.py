@@ -81,4 +81,4 @@ def _solved(family: str, count: int, seed: int) -> Array:
         return assemble(mesh, sheet, Electrodes(), metric).factorise().voltages()
 
     flat = voltages(None)
-    return np.log(np.array([voltages(bend) for bend in draw(family, count, seed)]) / flat)  # type: ignore[arg-type]
+    return np.log(np.array([voltages(bend) for bend in draw(family, count, seed)]) / flat)

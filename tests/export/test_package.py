@@ -105,9 +105,10 @@ def test_the_runtimes_gate_agrees_with_the_exported_one(data: TrainingData) -> N
 
 def test_the_gate_tells_a_touch_from_a_bend_that_it_never_saw(data: TrainingData) -> None:
     # The toy's bends are one factor on all voltages.
-    logs = np.log(np.random.default_rng(1).uniform(1.0, 1.1, 60))[:, None] * np.ones(104)
-    fitted = gate.fit(data, Bends(logs[:40], logs[40:50], logs[50:]), steps=600)
-    assert fitted.false_alarm_rate <= 2 * gate.FALSE_ALARM_RATE
+    logs = np.log(np.random.default_rng(1).uniform(1.0, 1.1, 200))[:, None] * np.ones(104)
+    fitted = gate.fit(data, Bends(logs[:40], logs[40:120], logs[120:]), steps=600)
+    # A bend's frames trip the gate together, so 80 bends know a rate of 0.1 to 0.034: three of these are allowed.
+    assert fitted.false_alarm_rate <= 0.2
     assert fitted.missed_rate <= 0.05
 
 
