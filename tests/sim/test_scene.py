@@ -103,7 +103,7 @@ def test_bad_json_is_refused(tmp_path: Path, text: str, says: str) -> None:
 
 def test_patches_that_meet_in_a_corner_are_refused_though_their_centres_are_far_enough_apart() -> None:
     positions = [150 - 2.5, 150 + 2.5] + [180.0 + 21 * k for k in range(14)]
-    with pytest.raises(SceneError, match="overlap in a corner by 3.5 x 3.5 mm"):
+    with pytest.raises(SceneError, match=r"overlap in a corner by 3\.5 x 3\.5 mm"):
         parse_scene({"electrodes": {"arc_length_mm": positions}})
     parse_scene({"electrodes": {"arc_length_mm": positions, "contact": "edge"}})
 

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eitskin_sim import forward
 from eitskin_sim.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene import even_arc_length_mm
 from eitskin_sim.shapes import Rect
@@ -23,11 +24,14 @@ def voltages(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize("bend", [Bend(), Bend(angle_deg=60, axis_deg=20, stretch_along=1.1)])
-def test_sheet_and_solid_agree_on_voltages_and_on_a_corner_touch(bend: Bend) -> None:
+def test_sheet_and_solid_agree_on_voltages_and_on_a_corner_touch(bend: Bend, monkeypatch: pytest.MonkeyPatch) -> None:
     scene = replace(SCENE, bend=bend)
     sheet, solid = voltages(scene)
-    # A solid as coarse as this one is off by some tenths of a percent itself; without the fringe it would be percents.
-    assert np.sqrt(np.mean((sheet / solid - 1) ** 2)) < 6e-3
+    # On so small a sheet the contacts rule; with the fringe 1.4 to 1.7 % was measured, 8 % without.
+    assert np.sqrt(np.mean((sheet / solid - 1) ** 2)) < 0.025
+    with monkeypatch.context() as patch:
+        patch.setattr(forward, "FRINGE", 0.0)
+        assert np.sqrt(np.mean((solve_scene(scene).voltages / solid - 1) ** 2)) > 0.05
     touched = replace(scene, touches=(Touch((Rect(0.0, 0.0, 8.0, 8.0),)),))
     sheet_touched, solid_touched = voltages(touched)
     expected = solid_touched / solid - 1

@@ -2,7 +2,7 @@
 
 For drive k and measure m with the fields x_k and x_m of 1 A through either pair,
 
-    dV[k, m] / d sigma_c = - sum over elements e in c of  x_m . S_e x_k  +  d kappa_e / d sigma  (U - x)_m . M_e (U - x)_k
+    dV[k, m] / d sigma_c = - sum over e in c of  x_m . S_e x_k  +  d kappa_e / d sigma  (U - x)_m . M_e (U - x)_k
 
 with S_e the stiffness at sigma = 1 and M_e the contact's mass: where a face contact lies on the cell, its effective
 impedance changes with the conductivity under it. By reciprocity the 16 drive fields are all the adjoint fields there

@@ -57,33 +57,32 @@ def solve_slab(scene: Scene, resolution: Resolution) -> tuple[Array, int]:
     bent = skfem.MeshHex(_bend(scene, flat.p) * 1e-3, flat.t, validate=False)
     basis = skfem.Basis(bent, skfem.ElementHex2(), intorder=4)
 
-    @skfem.BilinearForm
     def conduction(u: Any, v: Any, w: Any) -> Any:
         return w.sigma * dot(grad(u), grad(v))
 
-    @skfem.BilinearForm
     def mass(u: Any, v: Any, _: Any) -> Any:
         return u * v
 
-    @skfem.LinearForm
     def load(v: Any, _: Any) -> Any:
         return 1.0 * v
 
-    stiffness = conduction.assemble(basis, sigma=sigma[:, None])
+    stiffness = skfem.BilinearForm(conduction).assemble(basis, sigma=sigma[:, None])
     admittance = 1.0 / scene.electrodes.contact_impedance_ohm_m2
     loads = []
     for x0, y0, x1, y1 in boxes:
         on = top & (faces[0] > x0) & (faces[0] < x1) & (faces[1] > y0) & (faces[1] < y1)
         contact = skfem.FacetBasis(bent, skfem.ElementHex2(), facets=np.flatnonzero(on), intorder=4)
-        stiffness = stiffness + admittance * mass.assemble(contact)
-        loads.append(admittance * load.assemble(contact))
+        stiffness = stiffness + admittance * skfem.BilinearForm(mass).assemble(contact)
+        loads.append(admittance * skfem.LinearForm(load).assemble(contact))
     return _voltages(stiffness, np.array(loads)), stiffness.shape[0]
 
 
 def _voltages(stiffness: Any, loads: Array) -> Array:
     """Ground electrode 15 and solve for the other 15; scikit-fem's constants sum to one, so a load sums to its area."""
     coupling = csc_array(-loads[:-1].T)
-    matrix = bmat([[stiffness, coupling], [coupling.T, np.diag(loads[:-1].sum(axis=1))]], format="csc")
+    own = csc_array(np.diag(loads[:-1].sum(axis=1)))
+    blocks: Any = [[stiffness, coupling], [coupling.T, own]]
+    matrix = csc_array(bmat(blocks))
     n = stiffness.shape[0]
     currents = np.zeros((n + 15, 15))
     currents[n:] = np.eye(15)
@@ -104,7 +103,7 @@ def _bend(scene: Scene, points: Array) -> Array:
         (surface(bend, sheet, xy + step * e) - surface(bend, sheet, xy - step * e)) / (2 * step)
         for e in (np.array([1.0, 0.0]), np.array([0.0, 1.0]))
     ]
-    normal = np.cross(*along)
+    normal = np.cross(along[0], along[1])
     first = metric(bend, sheet, xy)
     area = np.sqrt(first[:, 0] * first[:, 2] - first[:, 1] ** 2)
     height = (points[2] - sheet.thickness_mm / 2) / area
