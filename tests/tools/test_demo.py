@@ -67,7 +67,6 @@ def test_json_is_one_object_and_nothing_is_left_behind(place: Path) -> None:
     # A machine that is too busy to read in time may lose frames, but each loss is explained: a packet that the line had
     # no room for is cut short and takes its neighbour along.
     assert found["lost"] <= 2 * found["overruns"]
-    assert found["corrupt"] <= found["overruns"]
     assert set(found["latency_us"]) == {"p50", "p99", "p999", "max"}
     assert 0 < found["latency_us"]["p50"] <= found["latency_us"]["p99"] <= found["latency_us"]["max"]
     assert list(found["stages_us"]) == ["wire", "decode", "normalise", "gate", "infer", "pack", "publish", "deliver"]
@@ -166,8 +165,9 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
     record.sequence[200:] += 3  # three frames were lost
     wire = np.zeros(1 << 12, dtype=np.int64)
     wire[record.sequence] = record.device_us * 1000
+    wire[207:209] = -1  # two of them had no room on the line; the third was damaged by the second
     found = timing(record, wire)
-    assert found["lost"] == 3
+    assert (found["lost"], found["overruns"]) == (3, 2)
     assert found["rate_hz"] == pytest.approx(20.0, rel=1e-6)
     assert found["latency_us"] == {"p50": 210.0, "p99": 210.0, "p999": 210.0, "max": 210.0}
     spans = {name: stage["p50"] for name, stage in found["stages_us"].items()}

@@ -58,7 +58,7 @@ def stream(rate_hz: float, frames: int, bundle: Path | None) -> dict[str, Any]:
 
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
     result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False))
-    return {**timing(result.record, result.wire_ns), "overruns": result.overruns}
+    return timing(result.record, result.wire_ns)
 
 
 def inference(path: Path | None, calls: int) -> dict[str, Any]:

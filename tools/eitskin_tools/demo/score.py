@@ -48,7 +48,8 @@ def timing(record: Record, wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
 
     Args:
         record: What the subscriber noted.
-        wire_ns: (capacity,) when each sequence number went onto the wire, 0 where none did.
+        wire_ns: (capacity,) when each sequence number went onto the wire; 0 where none did, negative where the line had
+            no room because the runtime did not read in time.
 
     Raises:
         ValueError: The record is empty.
@@ -63,6 +64,7 @@ def timing(record: Record, wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
          record.received_ns[:, None] - record.host_ns[:, -1:]], axis=1,
     )  # fmt: skip
     latency = record.received_ns - written
+    between = np.arange(record.sequence[0], record.sequence[-1])
     elapsed_s = (record.received_ns[-1] - record.received_ns[0]) * 1e-9
     return {
         "frames": count,
@@ -70,6 +72,9 @@ def timing(record: Record, wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
         "rate_hz": round((count - 1) / elapsed_s, 2) if count > 1 else 0.0,
         "lost": int(record.sequence[-1] - record.sequence[0] + 1 - count),
         "corrupt": record.corrupt,
+        "overruns": int(
+            np.count_nonzero(wire_ns[np.arange(record.sequence[0], record.sequence[-1]) % len(wire_ns)] < 0)
+        ),
         "latency_us": percentiles_us(latency[known]),
         "latency_inferred_us": percentiles_us(latency[known & record.inferred]),
         "stages_us": {name: percentiles_us(spans[known, column]) for column, name in enumerate(SPANS)},

@@ -72,8 +72,6 @@ class Streamed:
     """Device clock when the script began."""
     sent: int | None
     """Frames that the virtual skin sent."""
-    overruns: int | None
-    """Frames for which the line had no room, because the runtime did not read in time."""
     runtime: dict[str, Any]
     """The runtime's own summary."""
     start_s: float
@@ -105,7 +103,7 @@ def stream(options: Options) -> Streamed:
         if options.record:
             options.record.write_bytes(record.read_bytes())
         found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
-        return Streamed(found, wire_ns, script_start(log)["device_us"], *_closing(log), spoken, start_s)
+        return Streamed(found, wire_ns, script_start(log)["device_us"], _sent(log), spoken, start_s)
 
 
 def demonstrate(options: Options) -> dict[str, Any]:
@@ -125,7 +123,6 @@ def demonstrate(options: Options) -> dict[str, Any]:
         **timing(streamed.record, streamed.wire_ns),
         **asdict(accuracy(streamed.record, script, streamed.start_us)),
         "sent": streamed.sent,
-        "overruns": streamed.overruns,
         "late_subscriber": streamed.record.late,
         "withheld": streamed.record.withheld,
         "runtime_lost": streamed.runtime.get("lost"),
@@ -223,12 +220,8 @@ def _last_object(child: Child) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _closing(log: Path) -> tuple[int | None, int | None]:
-    """Return how many frames the virtual skin sent, and how many the line had no room for."""
-    for event in read_log(log):
-        if event["event"] == "stop":
-            return int(event["sent"]), int(event["overruns"])
-    return None, None
+def _sent(log: Path) -> int | None:
+    return next((int(event["sent"]) for event in read_log(log) if event["event"] == "stop"), None)
 
 
 def print_summary(summary: dict[str, Any]) -> None:

@@ -6,7 +6,7 @@ scan that the process could not make in time is made late, with the device time 
 
 ``wire_ns[sequence % len(wire_ns)]`` takes the host clock just before the one system call that puts a frame's bytes on
 the wire: the moment from which latency is counted. The call itself (about 10 us for a pseudo-terminal) is therefore
-counted too.
+counted too. The time is negative where the line had no room for the whole frame.
 """
 
 import select
@@ -161,9 +161,11 @@ class SkinServer:
         if self._release_ns:
             self._held.append(packet)
             return
+        before_ns = self._clock()
+        whole = self.port.write(packet)
         if self._wire_ns is not None:
-            self._wire_ns[sequence % len(self._wire_ns)] = self._clock()
-        if self.port.write(packet):
+            self._wire_ns[sequence % len(self._wire_ns)] = before_ns if whole else -before_ns
+        if whole:
             self.sent += 1
         else:
             device.drop()
