@@ -1,4 +1,4 @@
-"""Exact voltages of touches anywhere, on one fixed mesh a deformation, about a thousand samples a second.
+"""Exact voltages of touches anywhere, on one fixed mesh a deformation, hundreds of samples a second.
 
 A touch changes the blocks of the elements that it covers or cuts, nothing else. With G the inverse of the untouched
 sheet (middles of elements eliminated, dense, once a deformation), dS what a set adds on its outline, and E the

@@ -171,8 +171,10 @@ def inverse(matrix: Array) -> Array:
     if failed:
         raise ValueError(f"the sheet's stiffness is not positive definite at row {failed}; expected a connected sheet")
     found, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
-    lower = np.tril(found)
-    return np.asarray(lower + np.tril(lower, -1).T)
+    whole = found + found.T  # the factor's upper half was cleared, and so is the inverse's
+    diagonal = np.arange(len(whole))
+    whole[diagonal, diagonal] /= 2
+    return np.asarray(whole)
 
 
 def _factor(unit: Condensed) -> Array:
