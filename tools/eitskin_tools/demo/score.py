@@ -72,9 +72,7 @@ def timing(record: Record, wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
         "rate_hz": round((count - 1) / elapsed_s, 2) if count > 1 else 0.0,
         "lost": int(record.sequence[-1] - record.sequence[0] + 1 - count),
         "corrupt": record.corrupt,
-        "overruns": int(
-            np.count_nonzero(wire_ns[np.arange(record.sequence[0], record.sequence[-1]) % len(wire_ns)] < 0)
-        ),
+        "overruns": int(np.count_nonzero(wire_ns[between % len(wire_ns)] < 0)),
         "latency_us": percentiles_us(latency[known]),
         "latency_inferred_us": percentiles_us(latency[known & record.inferred]),
         "stages_us": {name: percentiles_us(spans[known, column]) for column, name in enumerate(SPANS)},
