@@ -11,8 +11,10 @@ sys.exit(f"wheel-test: {', '.join(found)} must be absent here" if found else 0)
 PY
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
-mkdir "$away/tests"
+mkdir "$away/tests" "$away/firmware_proto"
 cp -r tests/runtime tests/proto tests/golden "$away/tests/"
+rm "$away/tests/proto/test_generated.py" # compares files of the repository, not of the wheel
+cp firmware_proto/SPEC.md "$away/firmware_proto/"
 [ -f tests/conftest.py ] && cp tests/conftest.py "$away/tests/"
 cp pyproject.toml "$away/"
 cd "$away"
