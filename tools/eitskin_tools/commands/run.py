@@ -48,7 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.skin import Skin
 
     with contextlib.ExitStack() as stack:
-        _say(realtime.more_files())
+        open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
         keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
@@ -69,6 +69,7 @@ def run(arguments: argparse.Namespace) -> int:
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: skin.stop())
         _report(skin)
+        _say(open_files)
         if arguments.sched_fifo is not None:
             _say(realtime.schedule_fifo(arguments.sched_fifo))
         if arguments.mlock:
