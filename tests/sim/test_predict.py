@@ -5,8 +5,11 @@ import pytest
 
 from eitskin_proto.cloud import flat_cloud
 from eitskin_proto.grid import pixel_centres_mm
+from eitskin_sim import prediction_cache
 from eitskin_sim.bend import metric, surface
-from eitskin_sim.predict import fit_cloud, flat_voltages, predict
+from eitskin_sim.dataset import DataSet
+from eitskin_sim.free_touches import FreeTouches
+from eitskin_sim.predict import RATIO_FLOOR, fit_cloud, flat_voltages, predict, predicted_log
 from eitskin_sim.scanned import scanned_cloud
 from eitskin_sim.scene import Bend, Scene, Sheet
 from eitskin_sim.solve import solve_scene
@@ -58,3 +61,56 @@ def test_spline_follows_points_and_metric_of_a_known_surface():
 def test_malformed_cloud_is_refused(cloud):
     with pytest.raises(ValueError, match="cloud"):
         predict(cloud)
+
+
+def test_logarithm_of_the_prediction_is_zero_when_flat_and_follows_the_true_untouched_sheet():
+    found = predicted_log([flat_cloud(), scanned_cloud(EVEN)])
+    true, flat = (solve_scene(Scene(bend=bend, element_size_mm=2.5)).voltages for bend in (EVEN, Bend()))
+    assert found.shape == (2, 104)
+    assert found.dtype == np.float32
+    assert np.abs(found[0]).max() < 1e-6
+    assert np.abs(np.log(true / flat)).max() > 0.1
+    assert np.abs(found[1] - np.log(true / flat)).max() < 5e-3  # rms is 1e-3, largest on the weakest rows
+    assert found.min() >= np.log(RATIO_FLOOR)
+    assert predicted_log([]).shape == (0, 104)
+
+
+def a_data_set(digest):
+    clouds = np.stack([scanned_cloud(bend) for bend in (Bend(), EVEN)])
+    none = np.zeros(0)
+    return DataSet(
+        set_name="free",
+        seed=0,
+        digest=digest,
+        reference_V=none,
+        untouched_V=none,
+        clouds=clouds,
+        bends=(),
+        deformation_split=(),
+        voltages_V=none,
+        deformation=none,
+        touch_set=none,
+        touch_split=none,
+        units=none,
+        free=FreeTouches(np.empty((0, 7)), np.zeros(1, dtype=np.int64)),
+    )
+
+
+def test_predictions_of_a_data_set_are_computed_once_and_again_for_another(tmp_path, monkeypatch):
+    first = prediction_cache.predicted_log_of(tmp_path, a_data_set("one"))
+    assert np.array_equal(first, predicted_log(a_data_set("one").clouds))
+    assert [path.name for path in tmp_path.iterdir()] == ["predicted.npz"]
+    with monkeypatch.context() as patch:
+        patch.setattr(prediction_cache, "predicted_log", lambda clouds: np.full((len(clouds), 104), 7.0))
+        assert np.array_equal(prediction_cache.predicted_log_of(tmp_path, a_data_set("one")), first)
+        assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("two")) == 7.0).all()
+        patch.setattr(prediction_cache, "MODEL", "another")
+        assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("one")) == 7.0).all()
+
+
+@pytest.mark.parametrize("content", [b"", b"junk", b"PK\x03\x04 broken"])
+def test_broken_file_of_predictions_is_made_again(tmp_path, content):
+    (tmp_path / "predicted.npz").write_bytes(content)
+    found = prediction_cache.predicted_log_of(tmp_path, a_data_set("one"))
+    assert np.array_equal(found, prediction_cache.predicted_log_of(tmp_path, a_data_set("one")))
+    assert np.load(tmp_path / "predicted.npz")["digest"] == "one"

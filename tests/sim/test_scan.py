@@ -280,6 +280,7 @@ def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
 def test_file_that_is_no_cloud_is_refused(tmp_path):
     np.savez(tmp_path / "other.npz", cloud=np.zeros((3, 30, 45)))
     (tmp_path / "junk.npz").write_bytes(b"not a zip")
-    for name in ("other.npz", "junk.npz"):
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "other.npz").read_bytes()[:400])
+    for name in ("other.npz", "junk.npz", "cut.npz"):
         with pytest.raises(scan.ScanError, match="eitskin scan"):
             scan.load_cloud(tmp_path / name)

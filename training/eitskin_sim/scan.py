@@ -14,6 +14,7 @@ of the four, the one whose pose is turned least against that frame; the result t
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
+from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
@@ -145,7 +146,7 @@ def load_cloud(path: str | Path) -> Array:
         MismatchError: The cloud was made for another grid.
     """
     try:
-        with np.load(path, allow_pickle=False) as file:
+        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             if str(file["magic"]) != MAGIC:
                 raise ScanError(f"{path} is no cloud: make one with 'eitskin scan'")
             if str(file["grid_id"]) != GRID_ID:
@@ -153,7 +154,7 @@ def load_cloud(path: str | Path) -> Array:
                     f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin scan' again"
                 )
             return check_cloud(file["cloud"])
-    except (ValueError, KeyError, EOFError) as error:
+    except (ValueError, KeyError, EOFError, BadZipFile) as error:
         raise ScanError(f"{path} is no cloud ({error}): make one with 'eitskin scan'") from error
 
 
