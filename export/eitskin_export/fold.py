@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from eitskin_proto.grid import N_PIXELS
-from eitskin_training.model import VD2T, Architecture, Residual, features
+from eitskin_training.model import VD2T, Architecture, Residual, activation, features
 
 
 class Geometry(nn.Module):
@@ -39,12 +39,13 @@ class Head(nn.Module):
         self.architecture = architecture
         self.voltage = voltage
         self.fusion = fusion
+        self.activation = activation(architecture)
         self.out = out
 
     def map(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None, unit_of_pixel: Tensor) -> Tensor:
         """Return (B, 1350)."""
         x = self.voltage(features(dv, self.architecture, log_predicted))
-        touched = torch.sigmoid(self.out(torch.relu(self.fusion(x) + bias)))
+        touched = torch.sigmoid(self.out(self.activation(self.fusion(x) + bias)))
         return touched if self.architecture.outputs == N_PIXELS else torch.index_select(touched, 1, unit_of_pixel)
 
 

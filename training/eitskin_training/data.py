@@ -24,8 +24,8 @@ from eitskin_proto.normalise import relative_change
 from eitskin_proto.table import N_ROWS, TABLE
 from eitskin_sim.dataset import load as load_set
 from eitskin_sim.noise import Kind, add_noise
+from eitskin_sim.prediction_cache import predicted_log_of
 from eitskin_training.mirror import MIRRORS, Mirror
-from eitskin_training.model import RATIO_FLOOR
 from eitskin_training.recipes import Recipe
 
 MOST_LOST_ROWS: Final = 4
@@ -231,7 +231,7 @@ def load(directory: str) -> TrainingData:
         reference=found.reference_V,
         untouched=found.untouched_V,
         clouds=np.stack([network_input(cloud) for cloud in found.clouds]),
-        log_predicted=np.zeros((len(found.clouds), N_ROWS), dtype=np.float32),
+        log_predicted=predicted_log_of(directory, found),
         labels_kind=found.labels_kind,
         labels=labels,
         train=found.rows(deformations="train", touches="train").astype(np.intp),
@@ -240,9 +240,3 @@ def load(directory: str) -> TrainingData:
         digest=found.digest,
         seed=found.seed,
     )
-
-
-def log_ratio_of(predicted: npt.NDArray[np.float64], reference: npt.NDArray[np.float64]) -> npt.NDArray[np.float32]:
-    """Return (..., 104) log(V_pred / V0), clamped, 0 in weak rows: the head's second input."""
-    ratio = 1.0 + relative_change(predicted, reference)
-    return np.log(np.maximum(ratio, RATIO_FLOOR)).astype(np.float32)

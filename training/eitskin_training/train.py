@@ -163,7 +163,12 @@ def train(
 def _start(recipe: Recipe, seed: int, steps_per_epoch: int, digest: str) -> Run:
     torch.manual_seed(seed)
     model = VD2T(recipe.architecture).to(device())
-    optimiser = torch.optim.AdamW(model.parameters(), lr=recipe.learning_rate, weight_decay=recipe.weight_decay)
+    matrices = [parameter for parameter in model.parameters() if parameter.ndim > 1]
+    others = [
+        parameter for parameter in model.parameters() if parameter.ndim <= 1
+    ]  # a decayed norm would shrink its layer
+    groups = [{"params": matrices, "weight_decay": recipe.weight_decay}, {"params": others, "weight_decay": 0.0}]
+    optimiser = torch.optim.AdamW(groups, lr=recipe.learning_rate, fused=True)
     schedule = None
     if recipe.schedule == "onecycle":
         schedule = torch.optim.lr_scheduler.LambdaLR(
