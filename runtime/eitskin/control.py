@@ -27,14 +27,18 @@ import numpy.typing as npt
 import zmq
 
 from eitskin.curve import ClientKeys, Doorkeeper, ServerKeys
-from eitskin.endpoints import bind, release
+from eitskin.endpoints import bind, release, reopen
 from eitskin.errors import ControlError, EndpointError, SkinError
+from eitskin.guard import Connections
 from eitskin.prediction import check_voltages
 from eitskin_proto.cloud import CLOUD_SHAPE, check_cloud
 from eitskin_proto.table import N_ROWS
 
 LARGEST_REQUEST: Final = 32768
 """Bytes; a cloud with both predictions has 18,000. libzmq drops a client that sends more, before it takes memory."""
+
+MOST_CONNECTIONS: Final = 64
+"""Clients at once; see :mod:`eitskin.guard`."""
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
@@ -76,35 +80,57 @@ class ControlServer:
     def __init__(self, endpoint: str, controlled: Controlled, keys: ServerKeys | None = None) -> None:
         self._controlled = controlled
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._keys = keys
+        self.refused = 0
+        """Requests that were answered with an error."""
+        self.resets = 0
+        """How often a flood of connections made the socket start anew."""
+        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        try:
+            self._open(endpoint)
+        except BaseException:
+            self._end()
+            raise
+        self._thread = threading.Thread(target=self._serve, name="eitskin-control", daemon=True)
+        self._thread.start()
+
+    def _open(self, endpoint: str) -> None:
         self._socket: Any = self._context.socket(zmq.REP)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
         self._socket.setsockopt(zmq.RCVHWM, 4)
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 200)
-        self.refused = 0
-        """Requests that were answered with an error."""
-        self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self._connections = Connections(self._socket)
         try:
-            self.endpoint = bind(self._socket, endpoint, keys=keys, control=True)
+            self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=True)
         except BaseException:
+            self._connections.close()
             self._socket.close(0)
-            self._end()
             raise
-        self._thread = threading.Thread(target=self._serve, name="eitskin-control", daemon=True)
-        self._thread.start()
 
     def _serve(self) -> None:
-        """Block until there is a request; end when the context is terminated."""
+        """Block until there is a request or a connection; end when the context is terminated."""
         while True:
             try:
-                parts = self._socket.recv_multipart()
-                self._socket.send(self._answer(parts))
-            except zmq.ContextTerminated:
+                zmq.select([self._socket, self._connections.monitor], [], [])
+                if self._connections.look() > MOST_CONNECTIONS:
+                    self._start_anew()
+                elif self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                    self._socket.send(self._answer(self._socket.recv_multipart()))
+            except (zmq.ContextTerminated, EndpointError):  # the latter: its address is gone for good
                 break
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
-        self._socket.close()
+        if not self._socket.closed:
+            self._connections.close()
+            self._socket.close()
+
+    def _start_anew(self) -> None:
+        self._connections.close()
+        self._socket.close(0)
+        self.resets += 1
+        reopen(self._open, self.endpoint)
 
     def _answer(self, parts: list[bytes]) -> bytes:
         try:

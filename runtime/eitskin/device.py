@@ -9,6 +9,7 @@ carry a tag and are repeated until their own answer comes, since the line may lo
 """
 
 import time
+from collections import deque
 from typing import Final, Protocol
 
 from eitskin.errors import HandshakeError
@@ -59,7 +60,8 @@ class Device:
         self.deframer = Deframer()
         self.read_ns = 0
         """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
-        self._early: list[bytes] = []
+        self.held: deque[bytes] = deque()
+        """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
         self._tag = 0
         self.hello = self._handshake()
         """What the device said about itself."""
@@ -84,10 +86,11 @@ class Device:
         Raises:
             PortLost: The line is gone.
         """
-        if self._early:
-            early, self._early = self._early, []
+        if self.held:
+            held = list(self.held)
+            self.held.clear()
             self.read_ns = time.perf_counter_ns()
-            return early
+            return held
         data = self.transport.read(timeout_s)
         self.read_ns = time.perf_counter_ns()
         return self.deframer.feed(data)
@@ -181,7 +184,8 @@ class Device:
             payloads = self.deframer.feed(self.transport.read(min(end, repeat) - now))
             for index, payload in enumerate(payloads):
                 if wanted(payload):
-                    self._early = payloads[index + 1 :]
+                    self.held.clear()
+                    self.held.extend(payloads[index + 1 :])
                     return payload
         return None
 

@@ -131,18 +131,30 @@ def bind(socket_: Any, endpoint: str, *, keys: ServerKeys | None, control: bool)
 
 
 def release(endpoint: str) -> None:
-    """Wait until a closed ipc endpoint's file is gone, and remove it if it stays.
+    """Wait until nobody listens on a closed ipc endpoint any more, and remove its file.
 
-    libzmq closes in its own thread and removes the file last; whoever binds again too early would lose the new file.
+    libzmq closes in a thread of its own. Some of its versions then remove the file, 4.3.5 leaves it: who binds again
+    too early would lose the new file to the former, and whoever waits for it to go waits for ever with the latter.
     """
     if not endpoint.startswith("ipc://"):
         return
     path = Path(endpoint.removeprefix("ipc://"))
     end_s = time.perf_counter() + CLOSING_S
-    while path.exists() and time.perf_counter() < end_s:
+    while _listens(path) and time.perf_counter() < end_s:
         time.sleep(0.002)
     with suppress(OSError):
         path.unlink()
+
+
+def _listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:
+            return True  # its queue is full: it lives
+        return True
 
 
 def reopen(open_endpoint: Callable[[str], None], endpoint: str) -> None:

@@ -8,8 +8,6 @@ are limited to a few bytes, and a socket that has collected more topics, message
 would need is closed and opened again. Honest subscribers come back by themselves within a tenth of a second.
 """
 
-import struct
-from contextlib import suppress
 from typing import Any, Final
 
 import zmq
@@ -17,6 +15,7 @@ import zmq
 from eitskin.curve import Doorkeeper, ServerKeys
 from eitskin.endpoints import bind, release, reopen
 from eitskin.errors import EndpointError
+from eitskin.guard import Connections
 
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
@@ -30,11 +29,8 @@ MOST_TOPICS: Final = 32
 MOST_AT_ONCE: Final = 256
 """Subscription messages that may arrive between two frames."""
 
-EVENT: Final = struct.Struct("=H")
-"""How a message of a socket's monitor begins. (pyzmq's own reader would import asyncio: 30 ms, 8 MB.)"""
-
 MOST_CONNECTIONS: Final = 128
-"""Subscribers at once. libzmq aborts the process when an ipc listener runs out of descriptors."""
+"""Subscribers at once; see :mod:`eitskin.guard`."""
 
 
 class Publisher:
@@ -56,7 +52,6 @@ class Publisher:
         self.dropped = 0
         """Frames that the socket did not take."""
         self._topics = 0
-        self._connections = 0
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.endpoint = ""
         """Where frames are published, with the port that a ``*`` became."""
@@ -73,9 +68,8 @@ class Publisher:
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._monitor: Any = self._socket.get_monitor_socket(zmq.EVENT_ACCEPTED | zmq.EVENT_DISCONNECTED)
+        self._connections = Connections(self._socket)
         self._topics = 0
-        self._connections = 0
         try:
             self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
         except EndpointError:
@@ -103,10 +97,7 @@ class Publisher:
 
     def look_at_connections(self) -> None:
         """Count connections; cheap enough for a few times a second, not for each frame."""
-        while self._monitor.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-            (event,) = EVENT.unpack_from(self._monitor.recv_multipart(zmq.NOBLOCK)[0])
-            self._connections += 1 if event == zmq.EVENT_ACCEPTED else -1
-        if self._connections > MOST_CONNECTIONS:
+        if self._connections.look() > MOST_CONNECTIONS:
             self._start_anew()
 
     def send(self, message: memoryview) -> None:
@@ -122,9 +113,7 @@ class Publisher:
         reopen(self._open, self.endpoint)
 
     def _close_socket(self) -> None:
-        with suppress(zmq.ZMQError):
-            self._socket.disable_monitor()
-        self._monitor.close(0)
+        self._connections.close()
         self._socket.close(0)
 
     def close(self) -> None:

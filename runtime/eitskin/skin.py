@@ -87,7 +87,6 @@ class Skin:
             """Where a reference that is captured on request is stored as well."""
             if loaded is not None:
                 self._use(loaded)
-            self.device.start()
         except BaseException:
             self.transport.close()
             raise
@@ -96,6 +95,7 @@ class Skin:
         """How often the device was greeted anew after silence or a reset."""
         self.published = 0
         """Frames packed so far."""
+        self._started = False
         self._fruitless = 0
         self._revision = 0
         self._lock = threading.Lock()
@@ -286,8 +286,13 @@ class Skin:
         self.statistics.add(pipeline.stamps, pipeline.solver, pipeline.touched, pipeline.skipped, pipeline.events)
 
     def _accepted(self, until_ns: int | None) -> Iterator[None]:
-        """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``."""
+        """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``.
+
+        What came before anybody asked is left out: a robot's first frame must not be an old one.
+        """
         device, pipeline = self.device, self.pipeline
+        self._start()
+        backlog = True
         self._heard_ns = time.perf_counter_ns()
         while not self._stopping:
             wait_s = device.silence_s
@@ -297,6 +302,9 @@ class Skin:
                     return
             try:
                 payloads = device.payloads(wait_s)
+                if payloads and (backlog or pipeline.ladder.drops_stale):
+                    payloads = self._newest(payloads)
+                    backlog = False
             except PortReturned:
                 self._recover()
                 continue
@@ -306,8 +314,10 @@ class Skin:
                 continue
             self._heard_ns = read_ns
             self._fruitless = 0
-            newest = self._skip_stale(payloads) if pipeline.ladder.drops_stale else payloads
-            for payload in newest:
+            held = device.held
+            held.extend(payloads)
+            while held:  # what is left when the caller stops asking comes again the next time
+                payload = held.popleft()
                 if payload[0] != MessageType.FRAME:
                     self._take_note(payload)
                 elif pipeline.accept(payload, read_ns):
@@ -320,7 +330,13 @@ class Skin:
             if pipeline.generation_differs:
                 self._recover()
 
-    def _skip_stale(self, payloads: list[bytes]) -> list[bytes]:
+    def _start(self) -> None:
+        """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""
+        if not self._started:
+            self._started = True
+            self.device.start()
+
+    def _newest(self, payloads: list[bytes]) -> list[bytes]:
         """Return what to compute when time is short: of all frames that wait, the newest."""
         while more := self.device.payloads(0.0):
             payloads += more

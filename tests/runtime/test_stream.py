@@ -30,7 +30,24 @@ def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin,
     assert all(frame.solver == "none" and not frame.map.any() for frame in untouched)
     assert all("inference:untouched" in frame.skipped for frame in untouched)
     assert len({frame.sequence for frame in frames}) == len(frames)
-    assert frames[-1].counts == {"lost": 0, "corrupt": 0, "withheld": 0, "overrun": 0}
+    assert frames[-1].counts == {"lost": 0, "corrupt": 0, "withheld": frames[0].counts["withheld"], "overrun": 0}
+
+
+def test_the_first_frame_is_not_one_that_waited_since_before_anybody_asked(virtual_skin, tiny_path):
+    with virtual_skin() as port, opened(port, tiny_path) as skin:
+        last = skin.pipeline.sequence
+        time.sleep(0.4)  # 40 frames wait in the line
+        first = next(skin.frames())
+        assert first.sequence > last + 20
+        assert skin.pipeline.withheld["stale"] == first.sequence - last - 1 == first.counts["withheld"]
+        assert first.counts["lost"] == 0
+
+
+def test_the_device_streams_only_once_frames_are_asked_for(virtual_skin, tiny_path):
+    with virtual_skin() as port, Skin(port, bundle=tiny_path) as skin:
+        assert skin.transport.read(0.2) == b""
+        skin.capture_reference(5)
+        assert next(skin.frames()).sequence >= 5
 
 
 def test_stages_are_stamped_in_order_and_ages_are_small_and_positive(virtual_skin, tiny_path):

@@ -95,6 +95,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
     stack.callback(control.close)
+    realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
     if skin.reference is None:
         _say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
         try:
@@ -105,7 +106,6 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
             raise
     for line in skin.reference.report():
         _say(line)
-    realtime.settle()
     print(f"ready publishing on {publisher.endpoint} control {control.endpoint}", file=sys.stderr, flush=True)
     until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
     serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
