@@ -17,6 +17,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
     "scan": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
+    "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "long runs, faults and drift",
     "peer": "what other tactile libraries do with the same bytes",
 }
