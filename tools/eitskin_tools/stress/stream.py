@@ -1,0 +1,116 @@
+"""One pipeline of the runtime, fed with frames as the wire brings them, that shows what would be published.
+
+Samples become counts of a device with 32-bit converters, packed as FRAME payloads; the pipeline decodes, normalises,
+judges and infers, and the map is taken from where the runtime takes it. Every published map is counted.
+"""
+
+import time
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.bundle import Bundle
+from eitskin.engine import GeometryGraph
+from eitskin.pipeline import Pipeline
+from eitskin.prediction import log_ratio
+from eitskin.reference import Reference
+from eitskin_proto.frames import Frame, full_scale, quantise
+from eitskin_proto.grid import GRID_SHAPE
+from eitskin_proto.messages import Hello
+from eitskin_sim.evaluate import Sheet
+from eitskin_sim.predict import flat_voltages
+from eitskin_tools.stress.samples import Sample
+from eitskin_tools.stress.tally import Tally
+
+Array = npt.NDArray[np.float64]
+
+SAMPLE_BYTES: Final = 4
+
+HELLO: Final = Hello(
+    firmware_version=(1, 0, 0),
+    hardware_id=1,
+    serial_number="STRESS-0001",
+    configuration_digest=0,
+    generation=0,
+    configuration_name="stress",
+    rate_mHz=200_000,
+    rows=104,
+    sample_bytes=SAMPLE_BYTES,
+    volts_per_count=1e-9,
+)
+"""The device that the samples are of."""
+
+
+class Stream:
+    """A pipeline and the device before it.
+
+    Args:
+        bundle: The solvers.
+        tally: Counts what is published.
+        gated: With the bundle's gate; without it every frame is computed.
+    """
+
+    def __init__(self, bundle: Bundle, tally: Tally, *, gated: bool) -> None:
+        if not gated:
+            files = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
+            bundle = replace(bundle, files=files)
+        self.bundle, self.tally = bundle, tally
+        self.pipeline = Pipeline(bundle, HELLO)
+        self._engines = {engine.name: engine for engine in self.pipeline.engines}
+        self._graph = GeometryGraph(bundle)
+        self._sequence = 0
+        self._sheet: Sheet | None = None
+        self._flat: Array | None = None
+        self._volts_per_count = 0.0
+
+    @property
+    def engines(self) -> tuple[str, ...]:
+        """The names that :meth:`show` takes, the most accurate first."""
+        return tuple(self._engines)
+
+    def show(self, sample: Sample, engine: str = "vd2t") -> Array | None:
+        """Return the (30, 45) map that is published of a sample, None if the frame is withheld.
+
+        Args:
+            sample: Its voltages beyond full scale are cut off and marked.
+            engine: Which computes it.
+        """
+        self._prepare(sample)
+        pipeline = self.pipeline
+        pipeline.engines[0] = self._engines[engine]
+        counts, saturation = quantise(sample.voltages, self._volts_per_count, SAMPLE_BYTES)
+        self._sequence += 1
+        frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
+        before = dict(pipeline.withheld)
+        if not (pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True)):
+            self.tally.withheld.update({k: n - before[k] for k, n in pipeline.withheld.items() if n > before[k]})
+            return None
+        shown = pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes
+        image = np.frombuffer(shown, dtype=np.float32).reshape(GRID_SHAPE)
+        self.tally.take(image)
+        self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.events
+        return image.astype(np.float64)
+
+    @property
+    def touched(self) -> bool:
+        """What the gate said of the last frame."""
+        return self.pipeline.touched
+
+    def _prepare(self, sample: Sample) -> None:
+        """Give the pipeline the sample's scale, reference and cloud, where they changed."""
+        volts_per_count = sample.full_scale_V / full_scale(SAMPLE_BYTES)
+        if volts_per_count != self._volts_per_count:
+            self.pipeline.greet(replace(HELLO, volts_per_count=volts_per_count))
+            self._volts_per_count = volts_per_count
+        if sample.flat is not self._flat:
+            spread = np.zeros_like(sample.flat)
+            self.pipeline.use_reference(Reference(sample.flat, spread, 2, HELLO.serial_number, 0, "stress", ""))
+            self._flat = sample.flat
+        if sample.sheet is not self._sheet:
+            predicted = None
+            if self.bundle.uses_prediction:
+                predicted = log_ratio(sample.sheet.predicted(), flat_voltages())
+            self.pipeline.buffers.take(self._graph.geometry(sample.sheet.cloud_mm, predicted, 0))
+            self._sheet = sample.sheet
