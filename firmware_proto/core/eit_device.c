@@ -22,6 +22,8 @@ void eit_device_boot(struct eit_device *device, const struct eit_port *port, con
     device->last_us = port->now_us(port->ctx);
     device->streaming = false;
     device->idle = false;
+    device->switched = false;
+    device->idle_scan = false;
     device->scanning = false;
     device->first = false;
     device->overrun_reported = false;
@@ -37,6 +39,7 @@ void eit_device_boot(struct eit_device *device, const struct eit_port *port, con
     device->committed_generation = 0;
     device->restarting = false;
     device->restart_us = 0;
+    device->leaving = false;
     device->announced = false;
     eit_deframer_init(&device->deframer, device->received, sizeof device->received);
     eit_store_boot(&device->store, port, &device->config);
@@ -112,6 +115,7 @@ static void begin_scan(struct eit_device *device, uint32_t now_us)
     advance(device);
     device->scanning = true;
     eit_scan_begin(&device->scan, &device->config, drives, device->payload, now_us);
+    device->idle_scan = device->idle;
 }
 
 static void send_frame(struct eit_device *device, uint32_t now_us)
@@ -120,7 +124,7 @@ static void send_frame(struct eit_device *device, uint32_t now_us)
     unsigned flags = 0;
 
     flags |= eit_config_is_full(&device->config) ? EIT_FRAME_FLAG_FULL : 0u;
-    flags |= device->scan.drives == device->config.idle_drives && device->idle ? EIT_FRAME_FLAG_IDLE : 0u;
+    flags |= device->idle_scan ? EIT_FRAME_FLAG_IDLE : 0u;
     flags |= device->first ? EIT_FRAME_FLAG_FIRST : 0u;
     flags |= device->store.trial ? EIT_FRAME_FLAG_TRIAL : 0u;
     frame.flags = (uint8_t)flags;
@@ -147,6 +151,11 @@ static void stream(struct eit_device *device, uint32_t now_us)
         return;
     }
     if (!device->scanning) {
+        if (device->switched) { /* the new mode begins now, not when the old one's next scan was due */
+            device->switched = false;
+            device->next_us = now_us;
+            device->remainder = 0;
+        }
         if ((int32_t)(now_us - device->next_us) < 0) {
             return;
         }
@@ -186,9 +195,12 @@ void eit_device_poll(struct eit_device *device)
         device->streaming = false;
         device->restarting = true;
         device->restart_us = now_us;
-        eit_reply_event(device, EIT_EVENT_RESTARTING, now_us, device->store.generation);
     }
     if (device->restarting) {
+        if (!device->leaving) {
+            device->leaving = true;
+            eit_reply_event(device, EIT_EVENT_RESTARTING, now_us, device->store.generation);
+        }
         if ((int32_t)(now_us - device->restart_us) >= 0) {
             device->port->restart(device->port->ctx);
         }
@@ -204,8 +216,10 @@ uint32_t eit_device_idle_us(const struct eit_device *device)
 
     if (device->restarting) {
         due_us = device->restart_us;
+    } else if (device->streaming && device->scanning) {
+        due_us = device->scan.due_us;
     } else if (device->streaming) {
-        due_us = device->scanning ? device->scan.due_us : device->next_us;
+        due_us = device->switched ? device->last_us : device->next_us;
     }
     left_us = due_us - device->port->now_us(device->port->ctx);
     if ((int32_t)left_us <= 0) {

@@ -39,6 +39,8 @@ struct eit_device {
     /* streaming */
     bool streaming;
     bool idle;                   /* the idle mode is on */
+    bool switched;               /* it was switched on or off since the last scan began */
+    bool idle_scan;              /* the present scan is one of the idle mode */
     bool scanning;               /* a scan has begun */
     bool first;                  /* the next frame is the first after START */
     bool overrun_reported;
@@ -55,6 +57,7 @@ struct eit_device {
     uint32_t committed_generation; /* of what this session committed; 0: nothing yet */
     bool restarting;
     uint32_t restart_us;
+    bool leaving;                /* the event before the restart was sent */
     bool announced;              /* the event after boot was sent */
     /* memory for packets */
     uint8_t received[EIT_MAX_REQUEST_BYTES + EIT_CRC_BYTES];

@@ -10,6 +10,7 @@ static struct eit_answer start(struct eit_device *device, const uint8_t *payload
     device->scanning = false;
     device->first = true;
     device->overrun_reported = false;
+    device->switched = false;
     device->frames_left = eit_get32(payload + EIT_START_FRAMES);
     device->dropped = 0;
     device->next_us = now_us;
@@ -20,11 +21,13 @@ static struct eit_answer start(struct eit_device *device, const uint8_t *payload
 static struct eit_answer set_mode(struct eit_device *device, const uint8_t *payload)
 {
     const uint8_t mode = payload[EIT_SET_MODE_MODE];
+    const bool idle = mode == EIT_MODE_IDLE;
 
-    if (mode > EIT_MODE_IDLE || (mode == EIT_MODE_IDLE && device->config.idle_drives == 0)) {
+    if (mode > EIT_MODE_IDLE || (idle && device->config.idle_drives == 0)) {
         return eit_answer(EIT_CODE_BAD_VALUE, mode);
     }
-    device->idle = mode == EIT_MODE_IDLE;
+    device->switched = device->switched || device->idle != idle;
+    device->idle = idle;
     return eit_answer(EIT_CODE_OK, mode);
 }
 
@@ -50,8 +53,8 @@ static struct eit_answer config_read(struct eit_device *device, const uint8_t *p
         status = eit_store_read(&device->store, other, blob, &generation);
     } else if (device->store.active == EIT_NO_SLOT) {
         eit_copy(blob, eit_config_factory_blob(), sizeof blob);
-    } else {
-        status = eit_store_read(&device->store, device->store.active, blob, &generation);
+    } else { /* it runs, even if a rollback has revoked it for the next boot */
+        device->port->storage_read(device->port->ctx, device->store.active, 0, blob, sizeof blob);
     }
     if (status != EIT_OK) {
         return eit_answer(eit_flash_code(status), 0);

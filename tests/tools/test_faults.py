@@ -33,6 +33,7 @@ class Skin:
         self.deframer = Deframer()
         self.frames: list[m.Frame] = []
         self.others: list[m.Message] = []
+        self.events: list[m.Event] = []
         self.serial = self.open()
 
     def open(self) -> serial.Serial:
@@ -49,7 +50,8 @@ class Skin:
     def take(self, data: bytes) -> None:
         for payload in self.deframer.feed(data):
             message = m.unpack(payload)
-            (self.frames if isinstance(message, m.Frame) else self.others).append(message)
+            kind = {m.Frame: self.frames, m.Event: self.events}.get(type(message), self.others)
+            kind.append(message)
 
     @property
     def sequences(self) -> list[int]:
@@ -182,6 +184,8 @@ def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops() -> Non
         host.listen(0.1)
         assert host.port.overruns > 0
         assert host.frames[-1].device_dropped == pytest.approx(host.port.overruns, abs=2)
+        assert host.deframer.corrupt == 0, "packets are dropped whole"
+        assert host.sequences[-1] + 1 - len(host.sequences) == host.frames[-1].device_dropped
 
 
 def test_answers_may_fail_to_come_come_twice_or_late() -> None:
@@ -213,10 +217,8 @@ def test_a_restart_is_announced_before_it_happens() -> None:
     with skin() as host:
         host.tell(m.Restart(tag=4))
         host.listen(0.15)
-        answer, event = host.others
-        assert isinstance(answer, m.Ack)
-        assert isinstance(event, m.Event)
-        assert event.text == "RESTARTING"
+        assert [type(answer) for answer in host.others] == [m.Ack]
+        assert [event.text for event in host.events][-2:] == ["RESTARTING", "CONFIGURATION_CHANGED"]
         assert host.server.device.boots == 2
 
 

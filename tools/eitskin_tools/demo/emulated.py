@@ -65,6 +65,9 @@ def recording(rate_hz: float, scene: Path | None, noise: str, seed: int) -> npt.
 class Relay:
     """Passes bytes between the board and the port, and notes when frames pass.
 
+    What the port does not take yet is kept, and the board is not read meanwhile: its own buffer fills, and the firmware
+    drops whole frames and counts them. Nothing is lost here.
+
     Args:
         board: Descriptor of the board's line.
         port: What the runtime opens.
@@ -87,13 +90,18 @@ class Relay:
     def run(self, until_ns: int) -> None:
         """Relay until the host's clock shows ``until_ns``."""
         while (now := perf_counter_ns()) < until_ns:
-            ready = select.select([self._board, self._port.fileno()], [], [], (until_ns - now) * 1e-9)[0]
-            if self._port.fileno() in ready:
+            port = self._port.fileno()
+            heard = [port] if self._port.unsent else [port, self._board]
+            full = [port] if self._port.unsent else []
+            readable, writable, _ = select.select(heard, full, [], (until_ns - now) * 1e-9)
+            if writable:
+                self._port.flush()
+            if port in readable:
                 os.write(self._board, self._port.read())
-            if self._board in ready:
+            if self._board in readable:
                 data = os.read(self._board, 65536)
                 self._note(data, perf_counter_ns())
-                self._port.write(data)
+                self._port.queue(data)
 
     def _note(self, data: bytes, now: int) -> None:
         for payload in self._deframer.feed(data):

@@ -3,8 +3,10 @@
 Bytes go in, packets come out; time is an argument, so that tests need no clock. ::
 
     receive(bytes, now_ns) -> packets that answer            sweep(now_ns) -> the packet of one scan
+    poll(now_ns) -> packets that nobody asked for            next_ns: when poll has something to do
 
-The device's clock starts at boot and wraps at 2^32 microseconds. The *script's* time starts at the first START after
+``tests/firmware/test_conformance.py`` asks this device, the C core and the emulated board the same questions. The
+device's clock starts at boot and wraps at 2^32 microseconds. The *script's* time starts at the first START after
 the process began, and a reset of the device does not turn it back: the world outside the skin does not reboot.
 """
 
@@ -24,10 +26,16 @@ from eitskin_proto.framing import Deframer, encode
 from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_proto.messages import Ack, Hello
 from eitskin_proto.scan_rows import row_count, table_rows
-from eitskin_tools.skin.store import TRIAL_NS, Answer, ConfigurationStore
+from eitskin_tools.skin.store import Answer, ConfigurationStore
 
 FIRMWARE_VERSION: Final = (1, 0, 0)
 """What HELLO says."""
+
+TRIAL_NS: Final = 30_000_000_000
+"""A device that waits this long for CONFIG_CONFIRM restarts by itself."""
+
+RESTART_NS: Final = 20_000_000
+"""Between the answer to RESTART and the restart, so that the answer leaves."""
 
 CONVERTER_V: Final = 2.5
 """Voltage at the converter that gives full scale; the amplifier's gain stands before it."""
@@ -84,7 +92,8 @@ class VirtualDevice:
         self.store.boot()
         self.streaming = False
         self.sequence = 0
-        self.restart_due = False
+        self._restart_ns = 0
+        self._announced = False
         self._left = 0
         self._first = False
         self._idle = False
@@ -95,8 +104,8 @@ class VirtualDevice:
     def _arrange(self) -> None:
         configuration = self.store.configuration
         self._drives = configuration.idle_drives if self._idle else configuration.drives
-        rate = configuration.idle_rate_millihertz if self._idle else configuration.rate_millihertz
-        self.rate_mHz = rate
+        self.scan_ns = configuration.scan_us(self._drives) * 1000
+        self.rate_mHz = configuration.idle_rate_millihertz if self._idle else configuration.rate_millihertz
         self._rows = table_rows(configuration.full, self._drives)
         self.volts_per_count = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)
 
@@ -106,19 +115,36 @@ class VirtualDevice:
         return 1e12 / self.rate_mHz
 
     @property
-    def trial_ends_ns(self) -> int:
-        """Host clock at which an unconfirmed configuration is given up; 0 while there is none."""
-        return self._boot_ns + TRIAL_NS if self.store.on_trial else 0
+    def next_ns(self) -> int:
+        """Host clock at which :meth:`poll` has something to do; 0 while there is nothing."""
+        trial_ns = self._boot_ns + TRIAL_NS if self.store.on_trial else 0
+        moments = [self._boot_ns if not self._announced else 0, self._restart_ns, trial_ns]
+        return min((moment for moment in moments if moment), default=0)
+
+    def poll(self, now_ns: int) -> list[bytes]:
+        """Return events that are due; boot if a restart is, after RESTART or a trial that nobody confirmed."""
+        packets = []
+        if not self._announced:
+            self._announced = True
+            code = EventCode.ROLLED_BACK if self.store.rolled_back else EventCode.CONFIGURATION_CHANGED
+            packets.append(self.event(code, now_ns, self.store.generation))
+        expired = self.store.on_trial and now_ns >= self._boot_ns + TRIAL_NS
+        if expired or (self._restart_ns and now_ns >= self._restart_ns):
+            packets.append(self.event(EventCode.RESTARTING, now_ns, self.store.generation))
+            self.boot(now_ns)
+        return packets
 
     def device_us(self, now_ns: int) -> int:
         """Return the device clock, modulo 2^32."""
         return (now_ns - self.epoch_ns) // 1000 & 0xFFFFFFFF
 
     def receive(self, data: bytes, now_ns: int) -> list[bytes]:
-        """Return the packets that answer some bytes from the host."""
-        return [
-            encode(answer.pack()) for payload in self._deframer.feed(data) for answer in self._answer(payload, now_ns)
-        ]
+        """Return the packets that answer some bytes from the host; a device about to restart answers nothing more."""
+        packets = []
+        for payload in self._deframer.feed(data):
+            if not self._restart_ns:
+                packets += [encode(answer.pack()) for answer in self._answer(payload, now_ns)]
+        return packets
 
     def event(self, code: EventCode, now_ns: int, detail: int = 0) -> bytes:
         """Return the packet of an event."""
@@ -177,8 +203,8 @@ class VirtualDevice:
             configuration_digest=configuration.digest,
             generation=store.generation,
             configuration_name=configuration.name,
-            rate_mHz=self.rate_mHz,
-            rows=row_count(configuration.full, self._drives),
+            rate_mHz=configuration.rate_millihertz,
+            rows=row_count(configuration.full, configuration.drives),
             sample_bytes=configuration.sample_bytes,
             volts_per_count=self.volts_per_count,
             drives=configuration.drives,
@@ -197,14 +223,14 @@ class VirtualDevice:
     def _answer(self, payload: bytes, now_ns: int) -> list[messages.Message]:
         kind, tag = payload[0], payload[1] if len(payload) > 1 else 0
         if kind not in _REQUESTS:
-            return [Ack(kind, Code.UNKNOWN_TYPE, 0, tag)]
+            return [Ack(kind, Code.UNKNOWN_TYPE, len(payload), tag)]
         layout = _REQUESTS[kind].LAYOUT
         if not layout.size <= len(payload) <= layout.size + layout.max_tail:
-            return [Ack(kind, Code.BAD_LENGTH, layout.size, tag)]
+            return [Ack(kind, Code.BAD_LENGTH, len(payload), tag)]
         try:
             request = messages.unpack(payload)
         except ProtocolError:
-            return [Ack(kind, Code.BAD_VALUE, 0, tag)]
+            return [Ack(kind, Code.BAD_VALUE, len(payload), tag)]
         match request:
             case messages.HelloRequest():
                 return [self.hello(now_ns, tag)]  # whatever the host's version: HELLO names the device's
@@ -218,7 +244,7 @@ class VirtualDevice:
 
     def _do(self, request: messages.Message, now_ns: int) -> Answer:
         store = self.store
-        if isinstance(request, messages.ConfigBegin) and self.streaming:
+        if isinstance(request, messages.ConfigBegin | messages.ConfigRollback) and self.streaming:
             return Code.STREAMING, 0
         steps: dict[type, Callable[..., Answer]] = {
             messages.Start: self._start,
@@ -240,24 +266,26 @@ class VirtualDevice:
             self.script_start_ns = now_ns
         self.streaming, self._first = True, True
         self._left, self._dropped = request.frames, 0
-        return Code.OK, 0
+        return Code.OK, self.sequence
 
     def _stop(self, request: messages.Stop, now_ns: int) -> Answer:
         self.streaming = False
         return Code.OK, self.sequence
 
     def _set_mode(self, request: messages.SetMode, now_ns: int) -> Answer:
-        if request.mode not in (Mode.ACTIVE, Mode.IDLE):
+        idle = request.mode == Mode.IDLE
+        if request.mode not in (Mode.ACTIVE, Mode.IDLE) or (idle and not self.store.configuration.idle_drives):
             return Code.BAD_VALUE, request.mode
-        if request.mode == Mode.IDLE and not self.store.configuration.idle_drives:
-            return Code.INVALID_CONFIGURATION, request.mode
-        self._idle = request.mode == Mode.IDLE
+        self._idle = idle
         self._arrange()
         return Code.OK, request.mode
 
     def _restart(self, request: messages.Restart, now_ns: int) -> Answer:
-        self.restart_due = True
-        return Code.OK, 0
+        code, detail = self.store.may_restart(request.token, now_ns)
+        if code == Code.OK:
+            self.streaming = False
+            self._restart_ns = now_ns + RESTART_NS
+        return code, detail
 
 
 _REQUESTS: Final = {int(kind.LAYOUT.type): kind for kind in messages.PLAIN if kind.LAYOUT.type < MessageType.HELLO}

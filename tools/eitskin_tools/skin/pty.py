@@ -7,7 +7,8 @@ The device holds the master side, the host opens the other one by a name that ou
 
 The device keeps the host's side open as well. Without that, a host that closes its port would turn every read of the
 master into EIO, as if the device itself had gone. Bytes that nobody reads stay in the kernel (18 KiB were measured);
-once that is full the packet is dropped and counted, as a real converter's buffer overruns.
+once that is full, packets are dropped whole and counted, as the firmware does. A packet that the kernel took in part is
+finished before anything else is sent.
 """
 
 import contextlib
@@ -29,7 +30,10 @@ class PtyPort:
     """A pseudo-terminal in raw mode with a stable name; owns both descriptors and the folder of the link."""
 
     overruns: int
-    """Packets dropped, whole or in part, because the host did not read."""
+    """Packets dropped because the host did not read."""
+
+    restart_s = 0.0
+    """A restart of the device does not pull this plug: a converter chip keeps the port."""
 
     def __init__(self, folder: Path | None = None) -> None:
         """Create the port and plug it in.
@@ -41,6 +45,7 @@ class PtyPort:
         self._folder = Path(tempfile.mkdtemp(prefix="eitskin-")) if folder is None else folder
         self.path = self._folder / PORT_NAME
         self.overruns = 0
+        self._rest = b""
         self._master = self._host_side = -1
         self.plug()
 
@@ -48,6 +53,11 @@ class PtyPort:
     def plugged(self) -> bool:
         """Whether the host can open the port."""
         return self._master >= 0
+
+    @property
+    def unsent(self) -> bool:
+        """Whether the rest of a packet waits for room."""
+        return bool(self._rest)
 
     def fileno(self) -> int:
         """Return the descriptor to wait on; -1 while unplugged."""
@@ -72,6 +82,7 @@ class PtyPort:
         self.path.unlink(missing_ok=True)
         master, host_side = self._master, self._host_side
         self._master = self._host_side = -1
+        self._rest = b""
         os.close(host_side)
         os.close(master)
 
@@ -84,34 +95,56 @@ class PtyPort:
         except BlockingIOError:
             return b""
 
+    def flush(self) -> None:
+        """Send what is left of a packet, as far as there is room."""
+        if self._rest and self.plugged:
+            with contextlib.suppress(BlockingIOError):
+                self._rest = self._rest[os.write(self._master, self._rest) :]
+
+    def queue(self, data: bytes) -> None:
+        """Send bytes as far as there is room, and keep the others for :meth:`flush`; watch :attr:`unsent`."""
+        self._rest += data
+        self.flush()
+
     def write(self, data: bytes) -> bool:
-        """Send bytes to the host in one system call.
+        """Send one packet, whole or not at all: in one system call, or with its rest to follow.
 
         Returns:
-            False if the kernel's buffer could not take all of them (counted in :attr:`overruns`).
+            False if the kernel's buffer is full (counted in :attr:`overruns`), or the plug is out.
         """
         if not self.plugged:
             return False
-        try:
-            complete = os.write(self._master, data) == len(data)
-        except BlockingIOError:
-            complete = False
-        self.overruns += not complete
-        return complete
+        self.flush()
+        sent = 0
+        if not self._rest:
+            with contextlib.suppress(BlockingIOError):
+                sent = os.write(self._master, data)
+        if sent == 0:
+            self.overruns += 1
+            return False
+        self._rest = data[sent:]
+        return True
 
     def write_all(self, data: bytes, timeout_s: float) -> bool:
         """Send bytes that may not be dropped (answers), waiting for room.
 
         Returns:
-            False if the host made no room in time.
+            False if the host made no room in time, or the plug is out.
         """
-        view = memoryview(data)
-        while view and self.plugged:
+        if not self.plugged:
+            return False
+        begun, whole = len(self._rest), self._rest + data
+        self._rest = b""
+        sent = 0
+        while sent < len(whole):
             if not select.select([], [self._master], [], timeout_s)[1]:
+                # A packet that has begun must be finished; the others are dropped.
+                inside = sent < begun or (sent > 0 and whole[sent - 1] != 0)
+                self._rest = whole[sent : whole.find(b"\0", sent) + 1] if inside else b""
                 return False
             with contextlib.suppress(BlockingIOError):
-                view = view[os.write(self._master, view) :]
-        return not view
+                sent += os.write(self._master, whole[sent:])
+        return True
 
     def close(self) -> None:
         """Unplug for good and remove the link."""

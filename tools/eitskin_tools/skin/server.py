@@ -1,6 +1,7 @@
 """The loop of the virtual skin's process: scans at absolute deadlines, answers in between, faults at their moments.
 
-The n-th scan after START ends at start + n * period, however late the one before it was, so the rate does not drift. A
+The first scan begins with START, and with a change of mode, and takes as long as the front end needs; each one after it
+ends a period later, however late the one before it was, so the rate does not drift. A
 scan that the process could not make in time is made late, with the device time at which it was due; what is more than
 ``LATEST_NS`` behind is skipped and counted as dropped by the device. The loop waits in ``select`` and nowhere else.
 
@@ -13,15 +14,13 @@ import select
 from collections.abc import Callable
 from pathlib import Path
 from time import perf_counter_ns
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.codes import EventCode
 from eitskin_tools.skin.device import VirtualDevice
 from eitskin_tools.skin.faults import Fault, FaultPlayer
-from eitskin_tools.skin.pty import PtyPort
 
 LATEST_NS: Final = 200_000_000
 """Scans that are due for longer than this are skipped."""
@@ -30,6 +29,42 @@ ANSWER_TIMEOUT_S: Final = 0.5
 """How long an answer waits for a host that does not read."""
 
 Log = Callable[[dict[str, Any]], None]
+
+
+class Port(Protocol):
+    """The device's end of a line with a plug: a pseudo-terminal, or a mocked USB bus."""
+
+    restart_s: float
+    """How long the device is gone from the line when it restarts; 0 if the line does not notice."""
+
+    @property
+    def plugged(self) -> bool:
+        """Whether the host can open the port."""
+
+    @property
+    def unsent(self) -> bool:
+        """Whether the rest of a packet waits for room."""
+
+    def fileno(self) -> int:
+        """Return the descriptor that is readable when the host has written."""
+
+    def plug(self) -> None:
+        """Make the port appear."""
+
+    def unplug(self) -> None:
+        """Make the port vanish."""
+
+    def read(self) -> bytes:
+        """Return what the host has written, without waiting."""
+
+    def flush(self) -> None:
+        """Send what is left of a packet, as far as there is room."""
+
+    def write(self, data: bytes) -> bool:
+        """Send one packet, whole or not at all; False if it was dropped."""
+
+    def write_all(self, data: bytes, timeout_s: float) -> bool:
+        """Send bytes that may not be dropped, waiting for room."""
 
 
 def wire_times(path: Path, capacity: int) -> npt.NDArray[np.int64]:
@@ -52,7 +87,7 @@ class SkinServer:
     def __init__(
         self,
         device: VirtualDevice,
-        port: PtyPort,
+        port: Port,
         player: FaultPlayer | None = None,
         wire_ns: npt.NDArray[np.int64] | None = None,
         log: Log | None = None,
@@ -73,6 +108,7 @@ class SkinServer:
         self._release_ns = 0
         self._replug_ns = 0
         self._logged = 0
+        self._boots = device.boots
         self._stopped = False
 
     def run(self, until_ns: int | None = None) -> None:
@@ -82,38 +118,45 @@ class SkinServer:
             now = self._clock()
             if until_ns is not None and now >= until_ns:
                 return
-            self._turn(now)
+            self.turn(now)
             self._wait(until_ns)
 
     def stop(self) -> None:
         """End :meth:`run` at its next turn; safe from another thread."""
         self._stopped = True
 
-    def _wait(self, until_ns: int | None) -> None:
-        moments = [moment for moment in (until_ns, self._release_ns, self._replug_ns) if moment]
+    def next_ns(self) -> int:
+        """Return when :meth:`turn` has something to do, on the host's clock; 0 if only the host's bytes can tell."""
+        moments = [self._release_ns, self._replug_ns, self.device.next_ns]
         moments += [due for due, _ in self._late[:1]]
-        if self.device.trial_ends_ns:
-            moments.append(self.device.trial_ends_ns)
         if self.device.streaming:
             moments.append(max(int(self._deadline_ns), self._resume_ns))
-        timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
-        select.select([self.port] if self.port.plugged else [], [], [], timeout_s)
+        return min((moment for moment in moments if moment), default=0)
 
-    def _turn(self, now: int) -> None:
+    def _wait(self, until_ns: int | None) -> None:
+        moments = [moment for moment in (until_ns, self.next_ns()) if moment]
+        timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
+        ports = [self.port] if self.port.plugged else []
+        select.select(ports, ports if self.port.unsent else [], [], timeout_s)
+
+    def turn(self, now: int) -> None:
+        """Do everything that is due: plug, answers, scans, restarts."""
         device = self.device
         if self._replug_ns and now >= self._replug_ns:
             self._replug_ns = 0
             self.port.plug()
             self._tell("plug", now)
+        if self.port.unsent:
+            self.port.flush()
         if self._release_ns and now >= self._release_ns:
             self._release_ns = 0
             self.port.write_all(b"".join(self._held), ANSWER_TIMEOUT_S)
             self._held.clear()
         while self._late and now >= self._late[0][0]:
             self.port.write_all(self._late.pop(0)[1], ANSWER_TIMEOUT_S)
-        if device.trial_ends_ns and now >= device.trial_ends_ns:
-            self._boot(now)
         self._listen(now)
+        if device.next_ns and now >= device.next_ns:
+            self._poll(now)
         while device.streaming and self._deadline_ns <= now and self._resume_ns <= now:
             behind = int((now - self._deadline_ns - LATEST_NS) // device.period_ns)
             if behind > 0:
@@ -139,14 +182,18 @@ class SkinServer:
             self._late.append((now + int(late_s * 1e9), b"".join(packets)))
         elif packets:
             self.port.write_all(b"".join(packets), ANSWER_TIMEOUT_S)
-        if device.restart_due:
-            self.port.write_all(device.event(EventCode.RESTARTING, now), ANSWER_TIMEOUT_S)
-            self._boot(now)
-            return
         if device.streaming and (not streaming or device.rate_mHz != rate):
-            self._deadline_ns = now + device.period_ns
+            self._deadline_ns = now + device.scan_ns
             if first:
                 self._tell("start", now, script_time_s=0.0)
+
+    def _poll(self, now: int) -> None:
+        """Let the device report what nobody asked for, and restart if it is time to."""
+        packets = self.device.poll(now)
+        if packets:
+            self.port.write_all(b"".join(packets), ANSWER_TIMEOUT_S)
+        if self.device.boots != self._boots:
+            self._booted(now)
 
     def _scan(self, due_ns: int) -> None:
         device, time_s = self.device, self._time_s(due_ns)
@@ -184,7 +231,8 @@ class SkinServer:
                 self._replug_ns = now + lasts_ns
             case "reset":
                 self.port.write(packet[: len(packet) // 2])
-                self._boot(now)
+                self.device.boot(now)
+                self._booted(now)
                 packet = b""
             case "saturate":
                 pass
@@ -193,9 +241,12 @@ class SkinServer:
         self.player.note(fault, time_s, f"{fault.amount:g}")
         return packet
 
-    def _boot(self, now: int) -> None:
-        self.device.boot(now)
+    def _booted(self, now: int) -> None:
+        self._boots = self.device.boots
         self._tell("boot", now)
+        if self.port.restart_s and self.port.plugged:
+            self.port.unplug()
+            self._replug_ns = now + int(self.port.restart_s * 1e9)
 
     def _time_s(self, now_ns: int) -> float:
         start = self.device.script_start_ns
