@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from eitskin_proto.normalise import relative_change
-from eitskin_training.data import batches, lose_rows, noisy_change, rows_of_electrode
+from eitskin_training.data import batches, lose_rows, noisy_change
 from eitskin_training.mirror import MIRRORS
 from eitskin_training.recipes import recipe
 
@@ -73,9 +73,3 @@ def test_lost_rows_are_zero_and_as_frequent_as_the_recipe_says() -> None:
     lost = (dv == 0).sum(axis=1)
     assert lost.max() == 4
     assert np.mean(lost > 0) == pytest.approx(0.2, abs=0.02)
-    lose_rows(dv, replace(recipe("tiny"), lost_rows=0.0, lost_electrode=1.0), np.random.default_rng(0))
-    assert (dv == 0).sum(axis=1).min() >= 26
-
-
-def test_an_electrode_takes_26_rows_with_it() -> None:
-    assert [int(rows_of_electrode(electrode).sum()) for electrode in range(16)] == [26] * 16

@@ -21,10 +21,12 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.grid import UNIT_OF_PIXEL
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.normalise import relative_change
-from eitskin_proto.table import N_ROWS, TABLE
+from eitskin_proto.table import N_ROWS
+from eitskin_sim.consistency import SAMPLES, Consistency, Filler, fit
 from eitskin_sim.dataset import load as load_set
 from eitskin_sim.noise import Kind, add_noise
 from eitskin_sim.prediction_cache import predicted_log_of
+from eitskin_training.lost import lose_electrodes
 from eitskin_training.mirror import MIRRORS, Mirror
 from eitskin_training.recipes import Recipe
 
@@ -152,6 +154,7 @@ def batches(
     order = rng.permutation(data.train)
     images = {} if mirrored is None else mirrored
     size = min(recipe.batch, len(order))
+    filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
     for start in range(0, len(order) - size + 1, size):
         flip = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
         if flip not in images:
@@ -159,6 +162,8 @@ def batches(
         rows = order[start : start + size]
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         lose_rows(dv, recipe, rng)
+        if filler is not None:
+            lose_electrodes(dv, recipe.lost_electrode, filler, rng)
         predicted = data.log_predicted[data.deformation[rows]]
         if recipe.predicted_dropout:
             predicted[rng.random(len(rows)) < recipe.predicted_dropout] = 0.0
@@ -198,17 +203,15 @@ def assemble(
 
 
 def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Generator) -> None:
-    """Set to 0, in place, the rows that some samples of (B, 104) lose: a few single ones, or all of an electrode."""
+    """Set to 0, in place, the few single rows that some samples of (B, 104) lose."""
     for sample in np.flatnonzero(rng.random(len(dv)) < recipe.lost_rows):
         dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MOST_LOST_ROWS + 1)), replace=False)] = 0.0
-    for sample in np.flatnonzero(rng.random(len(dv)) < recipe.lost_electrode):
-        dv[sample, rows_of_electrode(int(rng.integers(16)))] = 0.0
 
 
-def rows_of_electrode(electrode: int) -> npt.NDArray[np.bool_]:
-    """Return (104,) which rows drive or measure at an electrode."""
-    ends = np.concatenate([TABLE, (TABLE + 1) % 16], axis=1)
-    return np.asarray((ends == electrode).any(axis=1))
+def consistency_of(data: TrainingData, recipe: Recipe) -> Consistency:
+    """Return how rows go together in the training samples under the recipe's noise; the same at every call."""
+    chosen = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    return fit(noisy_change(data, chosen, recipe.noises, recipe.snr_db, np.random.default_rng(0)))
 
 
 def load(directory: str) -> TrainingData:
