@@ -4,9 +4,10 @@ import time
 
 from eitskin.device import Device
 from eitskin.errors import BadReference
+from eitskin.lines import open_line
 from eitskin.normaliser import Normaliser
 from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
-from eitskin.serial_port import DEFAULT_BAUD, SerialPort
+from eitskin.serial_port import DEFAULT_BAUD
 from eitskin_proto.codes import MessageType
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import FrameView
@@ -20,7 +21,7 @@ def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -
     """Return the mean of the next frames of a skin, which must be flat and untouched.
 
     Args:
-        port: Serial port's path.
+        port: Serial port's path, or ``usb:SERIAL``.
         frames: How many, at least 2.
         baud: Bits per second on a real UART.
 
@@ -31,7 +32,7 @@ def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -
         ValueError: Fewer than 2 frames.
     """
     builder = ReferenceBuilder(frames)
-    transport = SerialPort(port, baud)
+    transport = open_line(port, baud)
     try:
         device = Device(transport)
         device.start()

@@ -23,10 +23,11 @@ from eitskin.device import Device
 from eitskin.engine import GeometryGraph
 from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
+from eitskin.lines import open_line
 from eitskin.pipeline import INFER, PACK, PUBLISH, Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
-from eitskin.serial_port import DEFAULT_BAUD, SerialPort
+from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.stats import Statistics
 from eitskin.transport import Transport
 from eitskin_proto.codes import MessageType
@@ -44,7 +45,7 @@ class Skin:
     """An open skin; leave it with ``close`` or as a context manager.
 
     Args:
-        port: A serial port's path, or an open transport, which is then closed with the skin.
+        port: A serial port's path, ``usb:SERIAL``, or an open transport, which is then closed with the skin.
         bundle: A bundle, or its path; None takes the shipped one.
         reference: A reference, or its path; None if it will be captured.
         budget_ms: From read to publish; None for no budget.
@@ -73,7 +74,7 @@ class Skin:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
         self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle)
         loaded = references.load(reference) if isinstance(reference, str | Path) else reference
-        self.transport: Transport = SerialPort(port, baud) if isinstance(port, str) else port
+        self.transport: Transport = open_line(port, baud) if isinstance(port, str) else port
         try:
             self.device = Device(self.transport)
             if loaded is not None:

@@ -12,7 +12,7 @@ from eitskin_tools.cli import UsageError
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--port", help="capture: serial port of the skin, flat and untouched")
+    what.add_argument("--port", help="capture: serial port (or usb:SERIAL) of the skin, flat and untouched")
     what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")

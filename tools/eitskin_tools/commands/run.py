@@ -19,7 +19,7 @@ from eitskin_tools.cli import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--port", required=True, help="serial port of the skin")
+    parser.add_argument("--port", required=True, help="serial port of the skin, or usb:SERIAL")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
     parser.add_argument(
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"

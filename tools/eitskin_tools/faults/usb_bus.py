@@ -6,8 +6,8 @@
     open /dev/bus/usb/001/002 --> LD_PRELOAD --> socket --> ioctl SUBMITURB, REAPURBNDELAY, CLAIMINTERFACE, ...
                                                             IN FIFO of a device, OUT bytes, plug, stall, restart
 
-:class:`BusPort` is a :class:`eitskin_tools.skin.server.Port`, so the virtual skin's server and its faults run behind it.
-Each plug gets a new device number, as on a real bus. What a URB is, how it ends on a short packet, overflows if its buffer
+:class:`BusPort` is a :class:`eitskin_tools.skin.server.Port`: the virtual skin's server and faults run behind it. Each
+plug gets a new device number, as on a real bus. What a URB is, how it ends on a short packet, overflows if its buffer
 is no whole number of packets, or is cut short by an unplug, follows the kernel's usbdevfs.
 """
 

@@ -7,8 +7,8 @@
       the other slot                       slot to try            +-- boot without Confirm -> the slot before
 
 The rules, and the order in which a request is refused, are SPEC.md's, section 6: a committed slot runs if it is
-confirmed, or once on trial; otherwise the other slot if that is confirmed, otherwise the factory configuration, generation
-0. Every operation answers (code, detail) and changes nothing unless the code is OK.
+confirmed, or once on trial; otherwise the other slot if that is confirmed, otherwise the factory configuration,
+generation 0. Every operation answers (code, detail) and changes nothing unless the code is OK.
 """
 
 from dataclasses import dataclass
