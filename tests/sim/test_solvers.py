@@ -4,6 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.grid import UNIT_OF_PIXEL
+from eitskin_sim.solvers import bounded, sbl
+from eitskin_sim.solvers.bounded import bounded_minimum, inverse
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import SATURATED, build_operators, linear_data, log_data
 from eitskin_sim.solvers.sbl import bounded_map, learn, sbl_image, windows_of
@@ -103,6 +105,14 @@ def test_posterior_mean_is_the_regularised_least_squares_under_the_learned_prior
     assert np.allclose(found.mean, expected, rtol=1e-6, atol=1e-9)
 
 
+def test_traces_of_windows_are_those_of_the_dense_formula():
+    operator, _ = problem(20, 30)
+    cells, block = windows_of((5, 6)), np.linalg.inv(np.eye(4) + 0.3)
+    gram = operator.T @ operator
+    expected = [np.trace(block @ gram[np.ix_(window, window)]) for window in cells]
+    assert np.allclose(sbl._window_traces(operator, cells, block), expected, rtol=1e-12)
+
+
 @pytest.mark.parametrize("upper", [np.inf, 0.2])
 def test_bounded_map_meets_its_optimality_conditions(upper):
     operator, data = problem(30, 20)
@@ -113,9 +123,45 @@ def test_bounded_map_meets_its_optimality_conditions(upper):
     slope = operator.T @ (operator @ image - data) / 0.5 + np.linalg.solve(covariance, image)
     free = (image > 0.0) & (image < upper)
     assert free.any()
-    assert np.abs(slope[free]).max() < 1e-5
-    assert slope[image == 0.0].min(initial=0.0) > -1e-5
-    assert slope[image == upper].max(initial=0.0) < 1e-5
+    assert np.abs(slope[free]).max() < 1e-6  # the covariance's floor of 1e-9 is in it
+    assert slope[image == 0.0].min(initial=0.0) > -1e-6
+    assert slope[image == upper].max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("rounds", [1, 25])
+@pytest.mark.parametrize("upper", [np.inf, 1.0, 0.05])
+@pytest.mark.parametrize("seed", range(6))
+def test_bounded_minimum_is_found_by_either_way_of_changing_cells(monkeypatch, seed, upper, rounds):
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((40, 40)) * np.exp(rng.uniform(-3, 3, 40))  # scales of cells differ 400-fold
+    hessian, linear = root.T @ root + 1e-3 * np.eye(40), root.T @ rng.standard_normal(40)
+    monkeypatch.setattr(bounded, "ROUNDS", rounds)
+    image = bounded_minimum(hessian, linear, upper)
+    size = np.sqrt(np.diag(hessian))
+    slope = (hessian @ image - linear) / size  # in units where every cell is worth the same
+    free = (image > 0.0) & (image < upper)
+    assert np.abs(slope[free]).max(initial=0.0) < 1e-8 * np.abs(linear / size).max()
+    assert slope[image == 0.0].min(initial=0.0) > -1e-8
+    assert slope[image == upper].max(initial=0.0) < 1e-8
+
+
+def test_bounded_minimum_of_separate_cells_is_clipping():
+    assert np.allclose(bounded_minimum(np.diag([1.0, 4.0, 2.0]), np.array([-1.0, 2.0, 9.0]), 3.0), [0.0, 0.5, 3.0])
+
+
+def test_quadratic_that_is_not_positive_definite_is_refused():
+    with pytest.raises(ValueError, match="diagonal falls to -1"):
+        bounded_minimum(np.diag([1.0, -1.0]), np.ones(2))
+    with pytest.raises(ValueError, match="not positive definite at row 2"):
+        inverse(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    with pytest.raises(ValueError, match="must be above 0"):
+        bounded_minimum(np.eye(2), np.ones(2), 0.0)
+
+
+def test_inverse_is_the_inverse():
+    root = np.random.default_rng(0).standard_normal((30, 30))
+    matrix = root @ root.T + np.eye(30)
+    assert np.allclose(inverse(matrix) @ matrix, np.eye(30), atol=1e-10)
 
 
 def test_no_data_gives_an_empty_image_and_a_wrong_grid_is_refused():

@@ -7,11 +7,12 @@ The image is a sum over all 2 x 2 windows i of the grid of Gaussian patches, who
     EM step   gamma_i <- tr(B^-1 (Sigma_i + mu_i mu_i^T)) / h         h = 4 cells a window
     coupling  gamma_i <- (gamma_i + beta * sum of neighbours) / (1 + beta * number of neighbours)
 
-with mu_i and Sigma_i the posterior of the patch. Nothing larger than h x h is kept of a window, and the data
-covariance C = s^2 I + A Sigma_0 A^T, 104 x 104, is all that is inverted. Without the coupling each step raises the
+with mu_i and Sigma_i the posterior of the patch. Sigma_0 couples a cell with its eight neighbours alone and is kept
+sparse; of Sigma_i only the trace is asked for, which the whitened operator's columns give pair by pair; the data
+covariance C = s^2 I + A Sigma_0 A^T, 104 x 104, is all that is factorised. Without the coupling each step raises the
 marginal likelihood; with it, a cell is touched more easily beside touched ones (pattern coupling, paper section V.B).
-After the steps the image is the most probable one within bounds, 0 <= x <= upper; without bounds it is the posterior
-mean.
+After the steps the image is the most probable one within bounds, 0 <= x <= upper (:mod:`eitskin_sim.solvers.bounded`);
+without bounds it is the posterior mean.
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy import linalg
+from scipy.sparse import coo_array, csr_array
+
+from eitskin_sim.solvers.bounded import bounded_minimum, inverse
 
 Array = npt.NDArray[np.float64]
 
@@ -40,9 +44,6 @@ CORRELATION: Final = 0.5
 
 NOISE: Final = 0.05
 """s relative to the root mean square of the data: mostly the linearisation's error; 0.03 to 0.1 differ by 0.01."""
-
-BOUNDED_STEPS: Final = 300
-"""Projected steps towards the bounded image."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -99,27 +100,24 @@ def learn(
         raise ValueError(f"the operator has {operator.shape[1]} cells, the grid {shape[0]} x {shape[1]}")
     cells = windows_of(shape)
     block, steps = _block(correlation), (shape[0] - WINDOW[0] + 1, shape[1] - WINDOW[1] + 1)
-    inverse = np.linalg.inv(block)
+    block_inverse = np.linalg.inv(block)
     noise_variance = max(noise**2 * float(np.mean(data**2)), 1e-300)
     variances = np.ones(len(cells))
     likelihoods = []
     for _ in range(iterations):
-        factor, likelihood = _data_covariance(operator, data, cells, variances, block, noise_variance)
+        whitened, white_data, likelihood, _ = _whiten(operator, data, cells, variances, block, noise_variance)
         likelihoods.append(likelihood)
-        back = operator.T @ linalg.cho_solve(factor, data)
-        seen = operator.T @ linalg.cho_solve(factor, operator)
-        mean = variances[:, None] * (back[cells] @ block)
-        inner = np.einsum("ab,wab->w", block, seen[cells[:, :, None], cells[:, None, :]])
-        second = np.einsum("wa,ab,wb->w", mean, inverse, mean) + variances * len(block) - variances**2 * inner
+        mean = variances[:, None] * ((whitened.T @ white_data)[cells] @ block)
+        inner = _window_traces(whitened, cells, block)
+        second = np.einsum("wa,ab,wb->w", mean, block_inverse, mean) + variances * len(block) - variances**2 * inner
         new = _couple((second / len(block)).reshape(steps), coupling)
         change = float(np.linalg.norm(new - variances) / max(float(np.linalg.norm(variances)), 1e-300))
         variances = new
         if change < tolerance:
             break
-    factor, likelihood = _data_covariance(operator, data, cells, variances, block, noise_variance)
-    covariance = _prior(cells, variances, block, operator.shape[1])
-    mean = covariance @ (operator.T @ linalg.cho_solve(factor, data))
-    return Posterior(variances, covariance, mean, (*likelihoods, likelihood), noise_variance)
+    whitened, white_data, likelihood, prior = _whiten(operator, data, cells, variances, block, noise_variance)
+    mean = prior @ (whitened.T @ white_data)
+    return Posterior(variances, prior.toarray(), mean, (*likelihoods, likelihood), noise_variance)
 
 
 def sbl_image(
@@ -153,22 +151,9 @@ def bounded_map(operator: Array, data: Array, covariance: Array, noise_variance:
     n = operator.shape[1]
     # Cells that no window believes in have a variance near zero: a floor keeps the precision finite, and them at zero.
     floored = covariance + 1e-9 * float(np.trace(covariance)) / n * np.eye(n)
-    precision = linalg.cho_solve(linalg.cho_factor(floored), np.eye(n))
-    hessian = operator.T @ operator / noise_variance + precision
-    scale = 1.0 / np.sqrt(np.diag(hessian))  # unit diagonal: the variances differ by many orders
-    hessian *= scale[:, None] * scale
-    linear = scale * (operator.T @ data) / noise_variance
-    step = 1.0 / float(linalg.eigvalsh(hessian, subset_by_index=[n - 1, n - 1])[0])
-    image = np.zeros(n)
-    ahead, momentum = image, 1.0
-    for _ in range(BOUNDED_STEPS):
-        new = np.clip(ahead - step * (hessian @ ahead - linear), 0.0, upper / scale)
-        if float(np.vdot(ahead - new, new - image)) > 0.0:
-            momentum = 1.0
-        faster = 0.5 * (1.0 + np.sqrt(1.0 + 4.0 * momentum**2))
-        ahead = new + (momentum - 1.0) / faster * (new - image)
-        image, momentum = new, faster
-    return np.asarray(image * scale)
+    hessian = inverse(floored)
+    hessian += operator.T @ operator / noise_variance
+    return bounded_minimum(hessian, operator.T @ data / noise_variance, upper)
 
 
 def _block(correlation: float) -> Array:
@@ -176,22 +161,40 @@ def _block(correlation: float) -> Array:
     return np.asarray(correlation ** np.abs(place[:, None] - place).sum(axis=-1).astype(np.float64))
 
 
-def _prior(cells: npt.NDArray[np.intp], variances: Array, block: Array, n: int) -> Array:
-    """Sigma_0 = sum of gamma_i E_i B E_i^T, added up entry by entry."""
-    entries = (cells[:, :, None] * n + cells[:, None, :]).ravel()
-    total = np.bincount(entries, (variances[:, None, None] * block).ravel(), minlength=n * n)
-    return np.asarray(total.reshape(n, n), dtype=np.float64)
+def _prior(cells: npt.NDArray[np.intp], variances: Array, block: Array, n: int) -> csr_array:
+    """Sigma_0 = sum of gamma_i E_i B E_i^T, (n, n)."""
+    shape = (*cells.shape, cells.shape[1])
+    rows, columns = np.broadcast_to(cells[:, :, None], shape), np.broadcast_to(cells[:, None, :], shape)
+    entries = (variances[:, None, None] * block).ravel()
+    return coo_array((entries, (rows.ravel(), columns.ravel())), shape=(n, n)).tocsr()
 
 
-def _data_covariance(
+def _whiten(
     operator: Array, data: Array, cells: npt.NDArray[np.intp], variances: Array, block: Array, noise_variance: float
-) -> tuple[tuple[Array, bool], float]:
-    """Cholesky factor of C, and the log marginal likelihood of the data without its constant."""
-    covariance = operator @ _prior(cells, variances, block, operator.shape[1]) @ operator.T
+) -> tuple[Array, Array, float, csr_array]:
+    """R^-1 A and R^-1 d with C = R R^T, the log marginal likelihood without its constant, and Sigma_0."""
+    prior = _prior(cells, variances, block, operator.shape[1])
+    covariance = operator @ (prior @ operator.T)
     covariance[np.diag_indices_from(covariance)] += noise_variance
-    factor = linalg.cho_factor(covariance, lower=True)
-    log_determinant = 2.0 * float(np.sum(np.log(np.diag(factor[0]))))
-    return factor, -0.5 * (float(data @ linalg.cho_solve(factor, data)) + log_determinant)
+    root = linalg.cholesky(covariance, lower=True)
+    whitened = linalg.solve_triangular(root, operator, lower=True, check_finite=False)
+    white_data = linalg.solve_triangular(root, data, lower=True, check_finite=False)
+    log_determinant = 2.0 * float(np.sum(np.log(np.diag(root))))
+    return whitened, white_data, -0.5 * (float(white_data @ white_data) + log_determinant), prior
+
+
+def _window_traces(whitened: Array, cells: npt.NDArray[np.intp], block: Array) -> Array:
+    """(windows,) sum over the cells a, b of a window of B_ab w_a . w_b, with w the whitened operator's columns."""
+    total = np.zeros(len(cells))
+    products: dict[int, Array] = {}
+    for a in range(cells.shape[1]):
+        for b in range(a + 1):
+            # The same step from cell to cell recurs in all windows: one pass over the columns serves them all.
+            step = int(cells[0, a] - cells[0, b])
+            if step not in products:
+                products[step] = np.einsum("mi,mi->i", whitened[:, : whitened.shape[1] - step], whitened[:, step:])
+            total += (1.0 if a == b else 2.0) * block[a, b] * products[step][cells[:, b]]
+    return total
 
 
 def _couple(variances: Array, coupling: float) -> Array:
