@@ -19,6 +19,9 @@ CLOUD_SHAPE: Final = (3, *GRID_SHAPE)
 LARGEST_MM: Final = 1000.0
 """No coordinate is further than this from the origin: a scan in metres or micrometres would be."""
 
+SPREAD_MM: Final = (5.0, 500.0)
+"""Root mean square distance of the points from their middle: 52 mm when flat, 25 mm when rolled up."""
+
 INPUT_CENTRE_MM: Final = (SHEET_MM[0] / 2, SHEET_MM[1] / 2, 0.0)
 """What the network's input is centred on."""
 
@@ -42,6 +45,8 @@ def check_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
         ValueError: Shape, type, a NaN or infinity, or a coordinate beyond 1000 mm; with the value and the bound.
     """
     try:
+        if np.iscomplexobj(cloud):
+            raise TypeError("complex numbers are no millimetres")
         points = np.array(cloud, dtype=np.float64)
     except (TypeError, ValueError) as error:
         raise ValueError(
@@ -73,7 +78,8 @@ def align_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
         (3, 30, 45) mm.
 
     Raises:
-        ValueError: The cloud is malformed, or its points lie on one line and so have no pose.
+        ValueError: The cloud is malformed, its points lie on one line and so have no pose, or it is far too small or
+            too large.
     """
     points = check_cloud(cloud).reshape(3, -1)
     target = flat_cloud().reshape(3, -1)
@@ -84,6 +90,12 @@ def align_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
         raise ValueError(
             f"the cloud's points lie on one line or in one point (singular values {size[0]:.3g}, {size[1]:.3g}); "
             "expected a surface"
+        )
+    spread = float(np.sqrt(np.mean(np.sum(centred**2, axis=0))))
+    if not SPREAD_MM[0] <= spread <= SPREAD_MM[1]:
+        raise ValueError(
+            f"the cloud's points are {spread:.3g} mm (rms) from their middle, expected {SPREAD_MM[0]:g} to "
+            f"{SPREAD_MM[1]:g} mm: is it in mm?"
         )
     handedness = np.sign(np.linalg.det(left @ right))
     rotation = left @ np.diag([1.0, 1.0, handedness]) @ right

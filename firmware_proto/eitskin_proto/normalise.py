@@ -14,6 +14,9 @@ import numpy.typing as npt
 WEAK_FRACTION: Final = 1e-4
 """A reference row below this fraction of the largest is weak. A healthy sheet's smallest row is at 2e-3."""
 
+RANGE_V: Final = (1e-30, 1e30)
+"""The largest row of anything that was ever measured lies well inside; beyond, 1 / V0 would leave the numbers."""
+
 
 def weak_rows(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
     """Return which rows of a reference are too weak to divide by.
@@ -25,12 +28,16 @@ def weak_rows(reference: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
         (rows,) True where |V0| < WEAK_FRACTION * max |V0|, or where V0 is not finite.
 
     Raises:
-        ValueError: No row is finite and different from zero.
+        ValueError: No row is finite and different from zero, or the largest is outside ``RANGE_V``.
     """
     size = np.abs(np.where(np.isfinite(reference), reference, 0.0))
     largest = float(size.max(initial=0.0))
     if largest == 0.0:
         raise ValueError("a reference of zeros cannot normalise anything; expected at least one row with a voltage")
+    if not RANGE_V[0] <= largest <= RANGE_V[1]:
+        raise ValueError(
+            f"the largest reference row is {largest:.3g} V; expected {RANGE_V[0]:g} to {RANGE_V[1]:g} V; is it damaged?"
+        )
     return np.asarray(size < WEAK_FRACTION * largest)
 
 

@@ -15,6 +15,10 @@ from eitskin_proto.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_
 LARGEST_CHANGE: Final = 1e6
 """Norm of dV. Strong rows are above 1e-4 of the largest, so no working front end changes one by more than 1e4."""
 
+NO_SIGNAL: Final = 1e-3
+"""A frame without a row above this share of its reference carries no current: a touch of contrast 50, on the whole
+sheet, leaves every row a fiftieth."""
+
 
 class Normaliser:
     """Turns counts into dV, and into volts for whoever needs them.
@@ -25,13 +29,15 @@ class Normaliser:
 
     __slots__ = (
         "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
-        "_volts_per_count", "weak_count",
+        "_volts_per_count", "silent", "weak_count",
     )  # fmt: skip
 
     def __init__(self, volts_per_count: float) -> None:
         self._volts_per_count = volts_per_count
         self.weak_count = 0
         """Rows of the reference that carry no information."""
+        self.silent = False
+        """The last frame was refused because no row had a voltage."""
         self._inverse = np.zeros(N_ROWS)
         self._scale = np.zeros(N_ROWS)
         self._offset = np.zeros(N_ROWS)
@@ -90,7 +96,14 @@ class Normaliser:
         """
         np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
-        if not np.dot(self._exact, self._exact) <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
+        square = float(np.dot(self._exact, self._exact))
+        usable = N_ROWS - self.weak_count
+        # dV = -1 in every row has the square `usable`; only a frame that comes near it is looked at row by row.
+        self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
+        if self.silent or not square <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
             return False
         out[:] = self._exact
         return True
+
+    def _is_silent(self) -> bool:
+        return bool(np.abs(self._exact + self._offset).max() < NO_SIGNAL)

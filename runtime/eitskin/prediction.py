@@ -47,7 +47,8 @@ def log_ratio(predicted: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray
     """
     numerator, denominator = check_voltages("predicted", predicted), check_voltages("reference", reference)
     usable = denominator != 0.0
-    ratio = np.abs(numerator) / np.abs(np.where(usable, denominator, 1.0))
+    with np.errstate(over="ignore", under="ignore"):  # an infinite ratio is refused below, by its size
+        ratio = np.abs(numerator) / np.abs(np.where(usable, denominator, 1.0))
     if float(ratio.max(initial=0.0, where=usable)) > 1 / RATIO_FLOOR:
         worst = int(np.argmax(np.where(usable, ratio, 0.0)))
         raise ValueError(

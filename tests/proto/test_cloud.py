@@ -108,3 +108,16 @@ def test_checking_copies_so_that_a_later_change_does_not_reach_in():
     cloud[:] = np.nan
     assert np.isfinite(checked).all()
     assert check_cloud(flat_cloud().astype(np.float32)).dtype == np.float64
+
+
+@pytest.mark.parametrize("scale", [1e-310, 1e-3, 20.0])
+def test_cloud_that_is_far_too_small_or_too_large_is_refused_with_its_bounds(scale):
+    cloud = flat_cloud()
+    centre = cloud.mean(axis=(1, 2), keepdims=True)
+    with pytest.raises(ValueError, match=r"one line or in one point|expected 5 to 500 mm|at most 1000 mm"):
+        align_cloud(scale * (cloud - centre))
+
+
+def test_cloud_of_complex_numbers_is_refused():
+    with pytest.raises(ValueError, match="must be numbers"):
+        align_cloud(flat_cloud() * 1j)

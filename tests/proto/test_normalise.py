@@ -49,3 +49,10 @@ def test_the_bound_of_a_weak_row_is_exact():
 def test_a_reference_of_nothing_is_refused(reference):
     with pytest.raises(ValueError, match="reference of zeros"):
         relative_change(np.ones(3), reference)
+
+
+@pytest.mark.parametrize("largest", [5e-324, 1e-310, 1e-200, 1e200, 1e308])
+def test_reference_that_no_front_end_can_read_is_refused_with_its_bounds(largest):
+    # 1 / 1e-310 overflows: every dV would be infinite, with a warning as the only sign of it.
+    with pytest.raises(ValueError, match="expected 1e-30 to 1e\\+30 V"):
+        inverse_reference(np.linspace(0.1, 1.0, 104) * largest)

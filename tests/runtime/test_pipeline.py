@@ -66,9 +66,22 @@ def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, cou
     pipeline.normaliser.use_scale(float("nan"))
     assert not go(pipeline, payload(counts, 5))
     assert pipeline.withheld == {
-        "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "stale": 0,
+        "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "no_signal": 0,
+        "stale": 0,
     }  # fmt: skip
     assert pipeline.generation_differs
+
+
+def test_a_frame_without_any_voltage_is_no_touch_and_the_next_frame_says_why_it_was_withheld(pipeline, counts, touched):
+    assert not go(pipeline, payload(0 * counts, 1))  # dV = -1 everywhere: once published as a touch
+    assert not go(pipeline, payload(0 * counts, 2))
+    assert pipeline.withheld["no_signal"] == 2
+    assert go(pipeline, payload(touched, 3))
+    assert pipeline.events.count("withheld:no_signal") == 1
+    assert go(pipeline, payload(touched, 4))
+    assert not any("withheld" in event for event in pipeline.events)
+    # A sheet that is touched all over keeps a fiftieth of its voltages: that is a signal.
+    assert go(pipeline, payload((counts // 50).astype(counts.dtype), 5))
 
 
 class Broken:
