@@ -43,7 +43,9 @@ def test_a_series_resistance_is_invisible_to_ideal_electronics() -> None:
     real, before = measure(healthy(), (Detached(4, 1e6),)), measure(healthy())
     driven, sensed = np.isin(FULL_TABLE[:, 0], (3, 4)), np.isin(FULL_TABLE[:, 1], (3, 4))
     assert np.abs(real[driven]).max() < 0.01 * np.abs(before[driven]).max()  # the source is at its compliance
-    assert np.abs(real[sensed]).max() > 2.0 * np.abs(before[sensed]).max()  # a floating wire is near mid potential
+    assert np.median(np.abs(real[sensed])) > 2.0 * np.median(
+        np.abs(before[sensed])
+    )  # a floating wire is near mid potential
 
 
 def test_a_worn_contact_of_the_forward_model_is_a_series_resistance() -> None:
