@@ -107,9 +107,9 @@ _PAPER_NETWORK: Final = Architecture(
 _ROBUST: Final = Recipe(
     name="robust",
     labels="area",
-    architecture=Architecture(widths=(480, 480, 480), hidden=480),
-    epochs=50,
-    batch=256,
+    architecture=Architecture(widths=(544, 544), hidden=544, log_predicted=True, activation="silu"),
+    epochs=24,
+    batch=512,
     learning_rate=4e-3,
     schedule="onecycle",
     weight_decay=1e-2,
@@ -117,18 +117,24 @@ _ROBUST: Final = Recipe(
     noises=("N1", "N2", "N3"),
     flips=True,
     lost_rows=0.05,
-    lost_electrode=0.01,
-    predicted_dropout=0.2,
+    lost_electrode=0.1,
+    predicted_dropout=0.1,
 )
 
 RECIPES: Final[dict[str, Recipe]] = {
     "paper": Recipe(name="paper", labels="units", architecture=_PAPER_NETWORK),
-    "units": replace(_ROBUST, name="units", labels="units", architecture=Architecture(hidden=512, outputs=N_UNITS)),
+    "units": replace(
+        _ROBUST,
+        name="units",
+        labels="units",
+        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs=N_UNITS),
+        lost_electrode=0.15,
+    ),
     "free": replace(_ROBUST, name="free"),
     "tiny": replace(
         _ROBUST,
         name="tiny",
-        architecture=Architecture(widths=(96, 96), cloud_channels=(4, 4), hidden=96),
+        architecture=replace(_ROBUST.architecture, widths=(96, 96), cloud_channels=(4, 4), hidden=96),
         epochs=4,
         batch=64,
     ),
