@@ -20,10 +20,14 @@ import onnxruntime
 
 from eitskin.bundle import EXPORT_HINT, Bundle
 from eitskin.errors import BundleError, MismatchError
+from eitskin.onnx_rows import UncutError, cut
 from eitskin_proto.cloud import flat_cloud, network_input
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
+
+HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx"}
+"""What frames call a head, and its file."""
 
 SMALLEST_MAP: Final = 1e-12
 """A projection below this is zero, not something to scale up."""
@@ -89,31 +93,41 @@ class HeadEngine:
         file: ``head.onnx`` or ``head_int8.onnx``.
         name: What frames call it.
         buffers: Bound as inputs and output.
+        pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
 
     Raises:
-        BundleError: The graph cannot be loaded or has another signature.
+        BundleError: The graph cannot be loaded, or has another signature, or no single pixels can be had from it.
     """
 
-    __slots__ = ("_binding", "_session", "_values", "name")
+    __slots__ = ("_binding", "_map", "_part", "_pixels", "_session", "_values", "name")
 
-    def __init__(self, bundle: Bundle, file: str, name: str, buffers: Buffers) -> None:
+    def __init__(
+        self, bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None
+    ) -> None:
         self.name = name
-        self._session = _session(bundle, file)
+        self._pixels = pixels
+        self._map = buffers.map[0]
+        self._part = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
+        graph = bundle.files[file]
+        self._session = _session(bundle, file, graph if pixels is None else cut(graph, pixels, N_PIXELS))
         arrays = {"dv": buffers.change, "bias": buffers.bias}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
-        _check_signature(file, self._session, {key: value.shape for key, value in arrays.items()}, "map", (1, N_PIXELS))
+        shapes = {key: value.shape for key, value in arrays.items()}
+        _check_signature(file, self._session, shapes, "map", self._part.shape)
         self._binding = self._session.io_binding()
         # The OrtValues borrow the arrays' memory; both must outlive the binding.
         self._values = {key: onnxruntime.OrtValue.ortvalue_from_numpy(value) for key, value in arrays.items()}
         for key, value in self._values.items():
             self._binding.bind_ortvalue_input(key, value)
-        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(buffers.map)
+        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(self._part)
         self._binding.bind_ortvalue_output("map", self._values["map"])
 
     def infer(self) -> None:
-        """Fill the map."""
+        """Fill the map, or its pixels."""
         self._session.run_with_iobinding(self._binding)
+        if self._pixels is not None:
+            self._map[self._pixels] = self._part[0]
 
 
 class ProjectionEngine:
@@ -122,23 +136,52 @@ class ProjectionEngine:
     Args:
         bundle: Where the matrix is.
         buffers: Read and written.
+        pixels: (n,) the only pixels that are computed, ascending; None for all. The largest of them becomes 1.
     """
 
-    __slots__ = ("_change", "_map", "_matrix", "name")
+    __slots__ = ("_change", "_map", "_matrix", "_part", "_pixels", "name")
 
-    def __init__(self, bundle: Bundle, buffers: Buffers) -> None:
+    def __init__(self, bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None) -> None:
         self.name = "tikhonov"
-        self._matrix = bundle.tikhonov()
+        self._matrix = bundle.tikhonov() if pixels is None else bundle.tikhonov()[pixels]
         self._change = buffers.change[0]
         self._map = buffers.map[0]
+        self._pixels = pixels
+        self._part = self._map if pixels is None else np.zeros(len(pixels), dtype=np.float32)
 
     def infer(self) -> None:
         """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""
-        np.matmul(self._matrix, self._change, out=self._map)
-        np.maximum(self._map, 0.0, out=self._map)
-        largest = float(self._map.max())
+        np.matmul(self._matrix, self._change, out=self._part)
+        np.maximum(self._part, 0.0, out=self._part)
+        largest = float(self._part.max())
         if largest > SMALLEST_MAP:
-            np.divide(self._map, largest, out=self._map)
+            np.divide(self._part, largest, out=self._part)
+        if self._pixels is not None:
+            self._map[self._pixels] = self._part
+
+
+class MaskedEngine:
+    """A whole map with all but some pixels set to 0: where a network's last layer cannot be cut.
+
+    Args:
+        engine: Fills the whole map.
+        buffers: Whose map that is.
+        pixels: (n,) those that stay.
+    """
+
+    __slots__ = ("_engine", "_kept", "_map", "name")
+
+    def __init__(self, engine: Engine, buffers: Buffers, pixels: npt.NDArray[np.intp]) -> None:
+        self.name = engine.name
+        self._engine = engine
+        self._map = buffers.map[0]
+        self._kept = np.zeros(N_PIXELS, dtype=np.float32)
+        self._kept[pixels] = 1.0
+
+    def infer(self) -> None:
+        """Fill the map."""
+        self._engine.infer()
+        np.multiply(self._map, self._kept, out=self._map)
 
 
 class GeometryGraph:
@@ -149,7 +192,7 @@ class GeometryGraph:
     """
 
     def __init__(self, bundle: Bundle) -> None:
-        self._session = _session(bundle, "geometry.onnx")
+        self._session = _session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
         expected = {"cloud": (1, 3, 30, 45)}
         _check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
         self._uses_prediction = bundle.uses_prediction
@@ -177,16 +220,42 @@ class GeometryGraph:
         return Geometry(bias, predicted, revision)
 
 
-def engines(bundle: Bundle, buffers: Buffers) -> list[Engine]:
-    """Return every engine that a bundle offers, from the most accurate to the fastest."""
-    found: list[Engine] = [HeadEngine(bundle, "head.onnx", "vd2t", buffers)]
-    if "head_int8.onnx" in bundle.files:
-        found.append(HeadEngine(bundle, "head_int8.onnx", "vd2t-int8", buffers))
-    found.append(ProjectionEngine(bundle, buffers))
-    return found
+def engines(
+    bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None, *, best: str | None = None
+) -> list[Engine]:
+    """Return every engine that a bundle offers, from the most accurate to the fastest.
+
+    Args:
+        bundle: Where they are.
+        buffers: What they read and write.
+        pixels: (n,) the only pixels to compute, ascending; None for all.
+        best: Leave out those before the one of this name.
+
+    Raises:
+        ValueError: The bundle has no solver of this name.
+    """
+    found = ["tikhonov"]
+    found[:0] = [name for name, file in HEADS.items() if file in bundle.files]
+    if best is not None and best not in found:
+        raise ValueError(f"solver {best!r} does not exist; this bundle has {', '.join(found)}")
+    names = found if best is None else found[found.index(best) :]
+    return [
+        _head(bundle, HEADS[name], name, buffers, pixels)
+        if name in HEADS
+        else ProjectionEngine(bundle, buffers, pixels)
+        for name in names
+    ]
 
 
-def _session(bundle: Bundle, file: str) -> Any:
+def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
+    try:
+        return HeadEngine(bundle, file, name, buffers, pixels)
+    except UncutError:
+        assert pixels is not None
+        return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)
+
+
+def _session(bundle: Bundle, file: str, graph: bytes) -> Any:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = 1
     options.inter_op_num_threads = 1
@@ -195,7 +264,7 @@ def _session(bundle: Bundle, file: str) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     try:
-        session = onnxruntime.InferenceSession(bundle.files[file], options, providers=["CPUExecutionProvider"])
+        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         raise BundleError(f"{bundle.path}: {file} cannot be loaded ({_first_line(error)}); {EXPORT_HINT}") from error
     metadata = session.get_modelmeta().custom_metadata_map

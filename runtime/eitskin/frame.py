@@ -4,11 +4,15 @@ On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fie
 message in memory: everything that changes with each frame has a fixed width and stands first, so that it is
 overwritten in place and the time of publishing can be stamped last. Only the texts at the end vary in length. ::
 
-    v n seq device_us age_us touched gate_logit cloud weak_rows host_ns{..} counts{..} shape map | solver skipped ...
+    v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
+
+A subscriber that said it can do without gets a short message, which lacks shape and map, while the map is that of an
+earlier frame: ``map_seq`` says which.
 
 A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
 """
 
+import operator
 import struct
 import time
 from collections.abc import Mapping
@@ -22,6 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import FrameError
+from eitskin.regions import MOST, WHOLE, Region, Regions
 from eitskin_proto.grid import GRID_SHAPE, N_PIXELS
 
 VERSION: Final = 1
@@ -34,6 +39,9 @@ COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
 """Totals since the runtime started."""
 
 MAP_BYTES: Final = 4 * N_PIXELS
+
+FIRST_BYTE: Final = b"\xde"
+"""A frame's message begins with it: a MessagePack map of more than 15 keys."""
 
 LARGEST_MESSAGE: Final = 16384
 """Bytes; a frame has about 6000."""
@@ -84,6 +92,10 @@ class Frame:
     """Revision of the cloud in use; 0 is the flat sheet."""
     weak_rows: int
     """Rows of the reference that carry no information; their dV is 0."""
+    map_sequence: int
+    """``sequence`` of the frame that the map was computed for; an older one if nothing changed since, beyond noise."""
+    regions: Regions
+    """What of the map was computed: the union of these rectangles; the rest is 0."""
     counts: Mapping[str, int]
     """Totals of the runtime: ``COUNTS``."""
     configuration: str
@@ -128,7 +140,10 @@ class FramePacker:
         run: Differs after each start.
     """
 
-    __slots__ = ("_buffer", "_constant", "_end", "_map", "_slots", "_tail_at", "_tails", "_view")
+    __slots__ = (
+        "_buffer", "_constant", "_end", "_map", "_map_at", "_short", "_short_end", "_short_view", "_slots", "_tail_at",
+        "_tails", "_view",
+    )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
 
@@ -148,8 +163,9 @@ class FramePacker:
         constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
         self._constant: dict[str, object] = {**constant, "host": host_id()}
         plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
-                 ("cloud", "u"), ("weak_rows", "u"))  # fmt: skip
-        head += b"\xde" + struct.pack(">H", 1 + len(plain) + 4 + 3 + len(self._constant))
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"))  # fmt: skip
+        entries = 1 + len(plain) + 4 + 4 + len(self._constant)
+        head += FIRST_BYTE + struct.pack(">H", entries)
         key("v")
         head.append(VERSION)
         for name, kind in plain:
@@ -161,6 +177,7 @@ class FramePacker:
             for name in names:
                 key(name)
                 slot(name, "u")
+        self._map_at = len(head)
         head += msgpack.packb("shape") + msgpack.packb(list(GRID_SHAPE)) + msgpack.packb("map")
         head += b"\xc5" + struct.pack(">H", MAP_BYTES)
         map_at = len(head)
@@ -168,8 +185,13 @@ class FramePacker:
         self._buffer = bytearray(head) + bytes(LARGEST_MESSAGE - len(head))
         self._view = memoryview(self._buffer)
         self._map = self._view[map_at : self._tail_at]
-        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...]], bytes] = {}
+        self._short = bytearray(LARGEST_MESSAGE - MAP_BYTES)
+        self._short[: self._map_at] = head[: self._map_at]
+        struct.pack_into(">H", self._short, 1, entries - 2)
+        self._short_view = memoryview(self._short)
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions], bytes] = {}
         self._end = self._tail_at
+        self._short_end = self._map_at
 
     def put(self, name: str, value: float) -> None:
         """Overwrite one number: of ``STAGES``, of ``COUNTS``, or one of the plain fields."""
@@ -188,15 +210,18 @@ class FramePacker:
         """
         self._map[:] = values
 
-    def put_texts(self, solver: str, skipped: tuple[str, ...], events: tuple[str, ...]) -> None:
+    def put_texts(
+        self, solver: str, skipped: tuple[str, ...], events: tuple[str, ...], regions: Regions = (WHOLE,)
+    ) -> None:
         """Replace the texts; recurring combinations are kept ready."""
-        wanted = (solver, skipped, events)
+        wanted = (solver, skipped, events, regions)
         tail = self._tails.get(wanted)
         if tail is None:
             content = {
                 "solver": solver,
                 "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
                 "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
+                "regions": [list(region.bounds) for region in regions],
                 **self._constant,
             }
             tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
@@ -204,34 +229,48 @@ class FramePacker:
                 self._tails[wanted] = tail
         self._end = self._tail_at + len(tail)
         self._view[self._tail_at : self._end] = tail
+        self._short_end = self._map_at + len(tail)
 
     def message(self) -> memoryview:
         """Return the message as it stands; the next ``put`` changes it."""
         return self._view[: self._end]
 
+    def short_message(self) -> memoryview:
+        """Return the message as it stands without shape and map; the next call changes it."""
+        short, whole, at = self._short_view, self._view, self._map_at
+        short[3:at] = whole[3:at]
+        short[at : self._short_end] = whole[self._tail_at : self._end]
+        return short[: self._short_end]
 
-def unpack_frame(message: bytes, received_ns: int) -> Frame:
+
+class MapMissing(FrameError):  # noqa: N818 -- named as the other states of a stream are
+    """A frame without a map, whose map was not received either."""
+
+
+def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -> Frame:
     """Return the frame of a published message.
 
     Args:
         message: Of any origin.
         received_ns: When it was taken from the socket.
+        known: An earlier frame of the same stream, whose map a message without one may mean.
 
     Raises:
+        MapMissing: It has no map, and means another one than ``known`` has.
         FrameError: It is no frame, or one of another version.
     """
     fields = _strict_map(message)
     if fields.get("v") != VERSION:
         raise FrameError(f"frame version: found {fields.get('v')!r}, expected {VERSION}; use the runtime's release")
-    shape = fields.get("shape")
-    if shape != list(GRID_SHAPE):
-        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected {list(GRID_SHAPE)}")
-    raw = fields.get("map")
-    if not isinstance(raw, bytes) or len(raw) != MAP_BYTES:
-        raise FrameError(f"frame map: expected {MAP_BYTES} bytes")
-    values = np.frombuffer(raw, dtype="<f4").reshape(GRID_SHAPE)  # of immutable bytes: read-only
-    if not np.isfinite(values).all():
-        raise FrameError("frame map: holds values that are not finite")
+    sequence = _count(fields, "seq")
+    map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
+    regions = _regions(fields)
+    if "map" in fields:
+        values = _map(fields)
+    elif known is not None and (known.run, known.map_sequence) == (fields.get("run"), map_sequence):
+        values, regions = known.map, known.regions
+    else:
+        raise MapMissing(f"frame {sequence} has the map of frame {map_sequence}, which was not received")
     if not isinstance(fields.get("touched"), bool):
         raise FrameError("frame touched: expected true or false")
     gate_logit = fields.get("gate_logit")
@@ -240,7 +279,7 @@ def unpack_frame(message: bytes, received_ns: int) -> Frame:
     return Frame(
         map=values,
         touched=fields["touched"],
-        sequence=_count(fields, "seq"),
+        sequence=sequence,
         number=_count(fields, "n"),
         device_us=_count(fields, "device_us"),
         host_ns=_counts(fields, "host_ns", STAGES),
@@ -252,6 +291,8 @@ def unpack_frame(message: bytes, received_ns: int) -> Frame:
         gate_logit=gate_logit,
         cloud=_count(fields, "cloud"),
         weak_rows=_count(fields, "weak_rows"),
+        map_sequence=map_sequence,
+        regions=regions,
         counts=_counts(fields, "counts", COUNTS),
         configuration=_text(fields, "configuration"),
         bundle=_text(fields, "bundle"),
@@ -259,6 +300,29 @@ def unpack_frame(message: bytes, received_ns: int) -> Frame:
         run=_text(fields, "run"),
         same_host=_text(fields, "host") == host_id(),
     )
+
+
+def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    shape, raw = fields.get("shape"), fields.get("map")
+    if shape != list(GRID_SHAPE):
+        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected {list(GRID_SHAPE)}")
+    if not isinstance(raw, bytes) or len(raw) != MAP_BYTES:
+        raise FrameError(f"frame map: expected {MAP_BYTES} bytes")
+    values = np.frombuffer(raw, dtype="<f4").reshape(GRID_SHAPE)  # of immutable bytes: read-only
+    if not np.isfinite(values).all():
+        raise FrameError("frame map: holds values that are not finite")
+    return values
+
+
+def _regions(fields: Mapping[str, Any]) -> Regions:
+    found = fields.get("regions", [list(WHOLE.bounds)])
+    try:
+        regions = tuple(Region(*map(operator.index, bounds)) for bounds in found)
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
+    if not 1 <= len(regions) <= MOST:
+        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MOST}")
+    return regions
 
 
 def _strict_map(message: bytes) -> dict[str, Any]:

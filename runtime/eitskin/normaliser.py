@@ -29,11 +29,12 @@ class Normaliser:
 
     __slots__ = (
         "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
-        "_volts_per_count", "silent", "weak_count",
+        "silent", "volts_per_count", "weak_count",
     )  # fmt: skip
 
     def __init__(self, volts_per_count: float) -> None:
-        self._volts_per_count = volts_per_count
+        self.volts_per_count = volts_per_count
+        """V, what one count means."""
         self.weak_count = 0
         """Rows of the reference that carry no information."""
         self.silent = False
@@ -60,11 +61,11 @@ class Normaliser:
         self._inverse[:] = inverse_reference(reference)
         self._offset[:] = self._inverse != 0.0
         self.weak_count = N_ROWS - int(self._offset.sum())
-        self.use_scale(self._volts_per_count)
+        self.use_scale(self.volts_per_count)
 
     def use_scale(self, volts_per_count: float) -> None:
         """Read counts in another unit from the next frame on, in V."""
-        self._volts_per_count = volts_per_count
+        self.volts_per_count = volts_per_count
         np.multiply(self._inverse, volts_per_count, out=self._scale)
 
     def load(self, counts: npt.NDArray[np.int32]) -> None:
@@ -85,7 +86,7 @@ class Normaliser:
 
     def voltages(self) -> npt.NDArray[np.float64]:
         """Return (104,) V of the frame; the next call overwrites them."""
-        np.multiply(self._counts, self._volts_per_count, out=self._voltages)
+        np.multiply(self._counts, self.volts_per_count, out=self._voltages)
         return self._voltages
 
     def change_into(self, out: npt.NDArray[np.float32]) -> bool:

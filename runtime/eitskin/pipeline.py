@@ -1,8 +1,8 @@
 """One frame through decode, normalise, gate and inference, each stage stamped, nothing allocated.
 
 The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
-What it leaves out is stated: ``inference:untouched``, ``inference:no_subscriber``, ``geometry:cloud_unchanged``. A
-frame that is not fit to publish is withheld, with a reason and a count:
+What it leaves out is stated: ``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``,
+``map:region``, ``geometry:cloud_unchanged``. A frame that is not fit to publish is withheld, with a reason and a count:
 
 ====================  ===============================================================
 ``malformed``         an intact packet that is no frame of this device
@@ -10,12 +10,16 @@ frame that is not fit to publish is withheld, with a reason and a count:
 ``configuration``     made under another generation than HELLO named
 ``partial``           an idle scan of some drives only
 ``implausible``       dV is not finite or beyond 1e6, or the map is not finite
+``no_signal``         no row reaches a thousandth of its reference: no current flows
 ``stale``             over budget, and a newer frame was waiting
 ====================  ===============================================================
+
+The next frame that is published says so in its events: ``withheld:implausible``.
 """
 
 import math
 import time
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -29,6 +33,8 @@ from eitskin.gate import Gate
 from eitskin.ladder import Ladder
 from eitskin.normaliser import Normaliser
 from eitskin.reference import Reference
+from eitskin.regions import WHOLE, Regions, pixels
+from eitskin.stillness import REFRESH_FRAMES, Stillness
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import FrameView
 from eitskin_proto.grid import N_PIXELS
@@ -36,19 +42,30 @@ from eitskin_proto.messages import Hello
 from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.unwrap import StreamCounter
 
-REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "stale")
+REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stale")
 """Why frames are withheld."""
+
+WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
+"""The event of the next published frame."""
 
 READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 """Where each stage's stamp stands."""
 
-UNTOUCHED: Final = ("inference:untouched", "geometry:cloud_unchanged")
-NO_SUBSCRIBER: Final = ("inference:no_subscriber", "geometry:cloud_unchanged")
-COMPUTED: Final = ("geometry:cloud_unchanged",)
-COMPUTED_NEW: Final[tuple[str, ...]] = ()
+CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
+UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)
+NO_SUBSCRIBER: Final = ("inference:no_subscriber", *CLOUD_UNCHANGED)
+UNCHANGED: Final = ("inference:unchanged", *CLOUD_UNCHANGED)
 
 WARM_UPS: Final = 30
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Part:
+    """Engines that compute some regions only; made in one thread, used in another."""
+
+    regions: Regions
+    engines: list[Engine]
 
 
 class Pipeline:
@@ -58,17 +75,37 @@ class Pipeline:
         bundle: The solvers.
         hello: Of the device.
         budget_ns: From read to publish; None for no budget.
+        solver: The most accurate solver to use; None for the bundle's best.
+        skip_unchanged: Whether a touched frame keeps the map of an earlier one if only noise lies between them.
 
     Raises:
         BundleError: A solver of the bundle cannot be used.
         BudgetError: Not even the fastest solver meets the budget.
+        ValueError: The bundle has no such solver.
     """
 
-    def __init__(self, bundle: Bundle, hello: Hello, budget_ns: int | None = None) -> None:
+    def __init__(
+        self,
+        bundle: Bundle,
+        hello: Hello,
+        budget_ns: int | None = None,
+        *,
+        solver: str | None = None,
+        skip_unchanged: bool = False,
+    ) -> None:
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
         self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
-        self.engines: list[Engine] = engines(bundle, self.buffers)
+        self.engines: list[Engine] = engines(bundle, self.buffers, best=solver)
+        self._whole = self.engines
+        self.regions: Regions = (WHOLE,)
+        """What of the map is computed."""
+        self._next_part: Part | None = None
+        self._stillness = Stillness() if skip_unchanged else None
+        self.map_sequence = -REFRESH_FRAMES
+        """The frame that this frame's map was computed for."""
+        self._computed = ""
+        """The solver of the map that is held; empty if none is."""
         self.ladder = Ladder(budget_ns, len(self.engines))
         self.counter = StreamCounter()
         self.clock = DeviceClock()
@@ -90,6 +127,12 @@ class Pipeline:
         self.solver = "none"
         self.skipped: tuple[str, ...] = ()
         self.events: tuple[str, ...] = ()
+        self.inferred = False
+        """Whether this frame's map was computed for it."""
+        self._skipped_new: tuple[str, ...] = ()
+        self._skipped = CLOUD_UNCHANGED
+        self._withheld_since: tuple[str, ...] = ()
+        """What the next published frame will say of those before it."""
         self._next_geometry: Geometry | None = None
         self._view = FrameView()
         self._change = self.buffers.change[0]
@@ -98,16 +141,19 @@ class Pipeline:
         """The map of this frame as float32, little-endian; the next frame overwrites it."""
         self.zero_bytes = memoryview(bytes(4 * N_PIXELS))
         """What an untouched frame publishes."""
-        self.engine_ns = self._warm_up()
+        self.engine_ns = self._warm_up(budget_ns)
         """{engine: median time in ns}, measured at the start."""
-        if budget_ns is not None and self.engine_ns[self.engines[-1].name] > budget_ns:
+
+    def _check_budget(self, budget_ns: int | None, engine_ns: dict[str, float]) -> None:
+        """Refuse a budget that not even the fastest solver meets."""
+        if budget_ns is not None and engine_ns[self.engines[-1].name] > budget_ns:
             fastest = self.engines[-1].name
             raise BudgetError(
                 f"a budget of {budget_ns / 1e6:g} ms cannot be met: the fastest solver, {fastest}, takes "
-                f"{self.engine_ns[fastest] / 1e6:.3f} ms here; give --budget-ms more than that"
+                f"{engine_ns[fastest] / 1e6:.3f} ms here; give --budget-ms more than that"
             )
 
-    def _warm_up(self) -> dict[str, float]:
+    def _warm_up(self, budget_ns: int | None) -> dict[str, float]:
         medians = {}
         for engine in self.engines:
             spans = []
@@ -116,6 +162,7 @@ class Pipeline:
                 engine.infer()
                 spans.append(time.perf_counter_ns() - start)
             medians[engine.name] = float(np.median(spans))
+        self._check_budget(budget_ns, medians)
         return medians
 
     @property
@@ -132,10 +179,29 @@ class Pipeline:
     def use_reference(self, reference: Reference) -> None:
         """Normalise against a reference from the next frame on."""
         self.normaliser.use(reference.voltages_V)
+        self._computed = ""
+        if self._stillness is not None:
+            step_V = self.normaliser.volts_per_count
+            self._stillness.use(reference.voltages_V, reference.spread_V, reference.frames, step_V)
 
     def use_geometry(self, geometry: Geometry) -> None:
         """Use a geometry from the next frame on; may be called from another thread."""
         self._next_geometry = geometry
+
+    def use_part(self, part: Part) -> None:
+        """Compute only a part of the map from the next frame on; may be called from another thread."""
+        self._next_part = part
+
+    def part(self, bundle: Bundle, regions: Regions) -> Part:
+        """Return what computes only some regions; made in the caller's thread, in tens of milliseconds.
+
+        Args:
+            bundle: The one that this pipeline was made with.
+            regions: Of which the union is computed.
+        """
+        if regions == (WHOLE,):
+            return Part(regions, self._whole)
+        return Part(regions, engines(bundle, self.buffers, pixels(regions), best=self._whole[0].name))
 
     def accept(self, payload: bytes, read_ns: int) -> bool:
         """Decode a frame and return whether it may go on; the first half of a frame's way.
@@ -179,13 +245,9 @@ class Pipeline:
             wanted: Somebody takes frames; otherwise the gate is all that runs.
         """
         stamps = self.stamps
-        geometry = self._next_geometry
-        if geometry is not None:
-            self._next_geometry = None
-            self.buffers.take(geometry)
-            self.events += ("cloud",)
+        fresh_cloud = self._take_over()
         if not self.normaliser.change_into(self._change):
-            return self._withhold("implausible")
+            return self._withhold("no_signal" if self.normaliser.silent else "implausible")
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
         if gate is not None:
@@ -194,22 +256,67 @@ class Pipeline:
         else:
             self.touched = True  # without a gate every frame is computed
         stamps[GATE] = time.perf_counter_ns()
+        self.inferred = False
         if not self.touched or not wanted:
+            if self.solver != "none" or not 0 <= self.sequence - self.map_sequence < REFRESH_FRAMES:
+                self.map_sequence = self.sequence
             self.solver = "none"
             self.skipped = NO_SUBSCRIBER if self.touched else UNTOUCHED
+        elif self._is_still():
+            self.solver = self._computed
+            self.skipped = UNCHANGED
+        elif not self._infer():
+            return self._withhold("implausible")
         else:
-            engine = self.engines[self.ladder.engine]
-            engine.infer()
-            if not math.isfinite(np.dot(self._map, self._map)):
-                return self._withhold("implausible")
-            self.solver = engine.name
-            self.skipped = COMPUTED if geometry is None else COMPUTED_NEW
+            self.skipped = self._skipped_new if fresh_cloud else self._skipped
+        if self._withheld_since:
+            self.events += self._withheld_since
+            self._withheld_since = ()
         stamps[INFER] = time.perf_counter_ns()
+        return True
+
+    def _take_over(self) -> bool:
+        """Use what other threads brought since the last frame, and return whether it was a cloud."""
+        part = self._next_part
+        if part is not None:
+            self._next_part = None
+            self.engines, self.regions = part.engines, part.regions
+            self._skipped_new = () if part.regions == (WHOLE,) else ("map:region",)
+            self._skipped = (*self._skipped_new, *CLOUD_UNCHANGED)
+            self.buffers.map[:] = 0.0
+            self._computed = ""
+        geometry = self._next_geometry
+        if geometry is None:
+            return False
+        self._next_geometry = None
+        self.buffers.take(geometry)
+        self.events += ("cloud",)
+        self._computed = ""
+        return True
+
+    def _is_still(self) -> bool:
+        """Return whether the map that is held is this frame's too: nothing but noise changed since."""
+        stillness = self._stillness
+        if stillness is None or self._computed != self.engines[self.ladder.engine].name:
+            return False
+        return stillness.still(self._change)
+
+    def _infer(self) -> bool:
+        engine = self.engines[self.ladder.engine]
+        engine.infer()
+        self._computed = ""
+        if not math.isfinite(np.dot(self._map, self._map)):
+            return False
+        self.inferred = True
+        self.solver = self._computed = engine.name
+        self.map_sequence = self.sequence
+        if self._stillness is not None:
+            self._stillness.keep(self._change)
         return True
 
     def judge(self, now_ns: int) -> None:
         """Hold the frame against the budget; an overrun is an event of this very frame."""
-        if self.ladder.judge(now_ns - self.stamps[READ], inferred=self.solver != "none"):
+        if self.ladder.judge(now_ns - self.stamps[READ], inferred=self.inferred):
             self.events += ("overrun",)
 
     def discard(self, payload: bytes) -> None:
@@ -224,4 +331,7 @@ class Pipeline:
 
     def _withhold(self, reason: str) -> bool:
         self.withheld[reason] += 1
+        event = WITHHELD[reason]
+        if event not in self._withheld_since:
+            self._withheld_since += (event,)
         return False

@@ -1,7 +1,16 @@
-"""Publishes frames: one part a message, to whoever subscribed, waiting for nobody.
+r"""Publishes frames: one part a message, to whoever subscribed, waiting for nobody.
 
 The socket is an XPUB: it tells who subscribes, so that a frame nobody wants costs no inference. Every subscriber has a
 bounded queue; a slow one loses frames there, and neither the loop nor its neighbours notice.
+
+Topics say what a subscriber needs. The empty one, which any program in any language may use, gets every frame with its
+whole map. A subscriber that subscribes to the first byte of a frame instead declares by topics of its own that it needs
+a region only (:mod:`eitskin.regions`), or that it does without a map that has not changed. ::
+
+    b""                            everything, always
+    b"\xde"                        every frame, and then one of each:
+    b"eitskin/region/0/30/0/45"    the rows and columns that are needed
+    b"eitskin/unchanged"           ... or b"eitskin/always"
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
 are limited to a few bytes, and a socket that has collected more topics, messages or connections than any honest crowd
@@ -15,7 +24,9 @@ import zmq
 from eitskin.curve import Doorkeeper, ServerKeys
 from eitskin.endpoints import bind, release, reopen
 from eitskin.errors import EndpointError
+from eitskin.frame import FIRST_BYTE
 from eitskin.guard import Connections
+from eitskin.regions import ALWAYS, UNCHANGED, WHOLE, Region, Regions, union
 
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
@@ -23,10 +34,10 @@ QUEUE_FRAMES: Final = 400
 LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
-MOST_TOPICS: Final = 32
-"""Topics that may be subscribed to at once; frames have one, the empty one."""
+MOST_TOPICS: Final = 400
+"""Subscriptions at once, of all subscribers; each has one or three."""
 
-MOST_AT_ONCE: Final = 256
+MOST_AT_ONCE: Final = 512
 """Subscription messages that may arrive between two frames."""
 
 MOST_CONNECTIONS: Final = 128
@@ -51,8 +62,16 @@ class Publisher:
         """How often a flood made the socket start anew."""
         self.dropped = 0
         """Frames that the socket did not take."""
-        self._topics = 0
+        self._topics: dict[bytes, int] = {}
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self.wanted = False
+        """Whether anybody subscribes, as of the last ``look``."""
+        self.regions: Regions = (WHOLE,)
+        """What of the map all subscribers together need."""
+        self.takes_short = False
+        """Whether every subscriber does without a map that has not changed."""
+        self.joined = True
+        """Somebody came or went since this was set to False: the next frame must carry its map."""
         self.endpoint = ""
         """Where frames are published, with the port that a ``*`` became."""
         try:
@@ -68,18 +87,15 @@ class Publisher:
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
         self._connections = Connections(self._socket)
-        self._topics = 0
+        self._topics = {}
+        self._judge()
         try:
             self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
         except EndpointError:
             self._close_socket()
             raise
-
-    @property
-    def wanted(self) -> bool:
-        """Whether anybody subscribes, as of the last ``look``."""
-        return self._topics > 0
 
     def look(self) -> None:
         """Take note of who came and went since the last time; never waits."""
@@ -87,13 +103,31 @@ class Publisher:
         while self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
             message = self._socket.recv(zmq.NOBLOCK)
             seen += 1
-            if message[:1] == b"\x01":
-                self._topics += 1
-            elif message[:1] == b"\x00":
-                self._topics -= 1
-            if self._topics > MOST_TOPICS or seen > MOST_AT_ONCE:
+            topic, joins = message[1:], message[:1] == b"\x01"
+            if joins or message[:1] == b"\x00":
+                self._count(topic, joins)
+            if sum(self._topics.values()) > MOST_TOPICS or seen > MOST_AT_ONCE:
                 self._start_anew()
                 return
+        if seen:
+            self._judge()
+
+    def _count(self, topic: bytes, joins: bool) -> None:
+        count = self._topics.get(topic, 0) + (1 if joins else -1)
+        if count > 0:
+            self._topics[topic] = count
+        else:
+            self._topics.pop(topic, None)
+
+    def _judge(self) -> None:
+        """Make of the topics what the loop must know."""
+        topics = self._topics
+        plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
+        declared = [region for topic in topics if (region := Region.from_topic(topic)) is not None]
+        self.wanted = plain or FIRST_BYTE in topics
+        self.regions = (WHOLE,) if plain else union(declared)
+        self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
+        self.joined = True
 
     def look_at_connections(self) -> None:
         """Count connections; cheap enough for a few times a second, not for each frame."""

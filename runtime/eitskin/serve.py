@@ -29,11 +29,16 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
 
     def wanted() -> bool:
         publisher.look()
+        if publisher.regions is not regions[0]:
+            regions[0] = publisher.regions
+            skin.set_regions(publisher.regions)
         return publisher.wanted
 
+    regions = [publisher.regions]
     for _ in skin.readings(wanted, until_ns):
         if publisher.wanted:
-            publisher.send(skin.pack())
+            publisher.send(skin.pack(short=publisher.takes_short and not publisher.joined))
+            publisher.joined = False
         else:
             skin.pass_over()
         skin.finish()

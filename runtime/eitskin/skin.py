@@ -8,7 +8,7 @@ and ``stop`` may come from other threads at any time; the loop picks them up bet
 import secrets
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
@@ -19,6 +19,7 @@ import numpy.typing as npt
 
 from eitskin import reference as references
 from eitskin.bundle import Bundle, load_bundle
+from eitskin.cutter import Cutter
 from eitskin.device import Device
 from eitskin.engine import GeometryGraph
 from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
@@ -27,6 +28,7 @@ from eitskin.lines import open_line
 from eitskin.pipeline import INFER, PACK, PUBLISH, Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.regions import Region, union
 from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.stats import Statistics
 from eitskin.transport import Transport
@@ -36,6 +38,8 @@ from eitskin_proto.messages import Event
 CAPTURE_S = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
 
+
+MAP_UNCHANGED = ("map:unchanged",)
 
 MOST_FRUITLESS = 5
 """How often a device is greeted anew without a single payload in between."""
@@ -50,6 +54,9 @@ class Skin:
         reference: A reference, or its path; None if it will be captured.
         budget_ms: From read to publish; None for no budget.
         baud: Bits per second on a real UART.
+        solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8`` or ``tikhonov``; None for the bundle's best.
+        skip_unchanged: Whether a frame keeps the map of an earlier one while only noise lies between them
+            (:mod:`eitskin.stillness`).
 
     Raises:
         BundleError: The bundle cannot be used.
@@ -58,7 +65,7 @@ class Skin:
         MismatchError: Bundle, device or reference belong to another protocol, grid, device or configuration.
         BadReference: The reference's file cannot be used.
         BudgetError: No solver meets the budget.
-        ValueError: The budget is not positive.
+        ValueError: The budget is not positive, or the bundle has no such solver.
     """
 
     def __init__(
@@ -69,6 +76,8 @@ class Skin:
         reference: Reference | str | Path | None = None,
         budget_ms: float | None = None,
         baud: int = DEFAULT_BAUD,
+        solver: str | None = None,
+        skip_unchanged: bool = False,
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
@@ -80,7 +89,9 @@ class Skin:
             if loaded is not None:
                 loaded.check(self.device.hello)
             budget_ns = None if budget_ms is None else round(budget_ms * 1e6)
-            self.pipeline = Pipeline(self.bundle, self.device.hello, budget_ns)
+            self.pipeline = Pipeline(
+                self.bundle, self.device.hello, budget_ns, solver=solver, skip_unchanged=skip_unchanged
+            )
             self._geometry = GeometryGraph(self.bundle)
             self.pipeline.buffers.take(self._geometry.geometry(None, None, 0))
             self.reference: Reference | None = None
@@ -105,6 +116,7 @@ class Skin:
         self._heard_ns = time.perf_counter_ns()
         self._pending_events: tuple[str, ...] = ()
         self._capture: _Capture | None = None
+        self._cutter = Cutter(self.pipeline, self.bundle)
         self.packer = FramePacker(
             configuration=self.device.configuration,
             bundle=self.bundle.id,
@@ -212,6 +224,16 @@ class Skin:
             self.pipeline.use_geometry(geometry)
             return geometry.revision
 
+    # -- regions -------------------------------------------------------------------------------------------------------
+
+    def set_regions(self, regions: Iterable[Region]) -> None:
+        """Compute only the union of some regions, from a frame soon after; none of them means the whole sheet.
+
+        What computes them is made in a thread of its own, since cutting a network takes tens of milliseconds; until
+        then frames have what they had before. Every frame says what it has.
+        """
+        self._cutter.want(union(regions))
+
     # -- frames --------------------------------------------------------------------------------------------------------
 
     def frames(self, *, timeout_s: float | None = None) -> Iterator[Frame]:
@@ -250,17 +272,24 @@ class Skin:
             if self.pipeline.compute(wanted()):
                 yield
 
-    def pack(self) -> memoryview:
-        """Return the message of the frame that the pipeline holds, with publishing stamped as now."""
+    def pack(self, *, short: bool = False) -> memoryview:
+        """Return the message of the frame that the pipeline holds, with publishing stamped as now.
+
+        Args:
+            short: Leave the map out if it is that of an earlier frame, which every subscriber has.
+        """
         pipeline, packer, stamps = self.pipeline, self.packer, self.pipeline.stamps
         self.published += 1
-        packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
+        short = short and pipeline.map_sequence != pipeline.sequence
+        if not short:
+            packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
         packer.put("n", self.published)
         packer.put("seq", pipeline.sequence)
         packer.put("device_us", pipeline.device_us)
         packer.put("gate_logit", pipeline.gate_logit)
         packer.put("cloud", pipeline.buffers.revision)
         packer.put("weak_rows", pipeline.normaliser.weak_count)
+        packer.put("map_seq", pipeline.map_sequence)
         packer.put("lost", pipeline.counter.lost)
         packer.put("corrupt", self.device.deframer.corrupt)
         packer.put("withheld", sum(pipeline.withheld.values()))
@@ -268,13 +297,15 @@ class Skin:
         stamps[PACK] = time.perf_counter_ns()
         pipeline.judge(stamps[PACK])
         packer.put("overrun", pipeline.ladder.overruns)
-        packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events)
+        if short:
+            pipeline.skipped += MAP_UNCHANGED
+        packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events, pipeline.regions)
         for index in range(PUBLISH):
             packer.put(STAGES[index], stamps[index])
         stamps[PUBLISH] = time.perf_counter_ns()
         packer.put(STAGES[PUBLISH], stamps[PUBLISH])
         packer.put("age_us", max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000))
-        return packer.message()
+        return packer.short_message() if short else packer.message()
 
     def pass_over(self) -> None:
         """Leave out packing, since nobody takes the frame."""

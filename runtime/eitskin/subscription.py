@@ -2,6 +2,10 @@
 
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
+
+A subscriber may say that it needs a region only, or that it does without maps that have not changed; it still finds
+one in every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads everything that
+waits and returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
 """
 
 import time
@@ -12,7 +16,8 @@ import zmq
 
 from eitskin.curve import ClientKeys
 from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
-from eitskin.frame import LARGEST_MESSAGE, Frame, unpack_frame
+from eitskin.frame import FIRST_BYTE, LARGEST_MESSAGE, Frame, MapMissing, unpack_frame
+from eitskin.regions import ALWAYS, UNCHANGED, WHOLE, Region
 
 MODES: Final = ("latest", "all")
 
@@ -28,10 +33,12 @@ class Subscription:
         mode: ``latest`` or ``all``.
         timeout_s: How long to wait for a frame; None waits for ever.
         max_age_s: Oldest frame that is good enough; None takes any.
+        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
+        skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, or the mode does not exist.
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
         EndpointError: ZeroMQ cannot make sense of the endpoint.
     """
 
@@ -42,6 +49,8 @@ class Subscription:
         mode: str = "latest",
         timeout_s: float | None = None,
         max_age_s: float | None = None,
+        region_mm: tuple[float, float, float, float] | None = None,
+        skip_unchanged: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
         if mode not in MODES:
@@ -49,6 +58,9 @@ class Subscription:
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
+        self.region = WHOLE if region_mm is None else Region.from_mm(*region_mm)
+        """What this side needs, in pixels; ``frame.map[region.slices]``."""
+        modest = region_mm is not None or skip_unchanged
         self._timeout_ms = -1 if timeout_s is None else max(1, round(timeout_s * 1000))
         self._max_age_s = max_age_s
         self.endpoint = endpoint
@@ -58,6 +70,10 @@ class Subscription:
         """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
         self.rejected = 0
         """Messages that were no frames."""
+        self.mapless = 0
+        """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        self._known: Frame | None = None
+        self._newest_only = mode == "latest" and modest
         self._run = ""
         self._number = 0
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
@@ -65,7 +81,7 @@ class Subscription:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
-        if mode == "latest":
+        if mode == "latest" and not modest:
             self._socket.setsockopt(zmq.CONFLATE, 1)
         if keys is not None:
             keys.apply(self._socket)
@@ -74,7 +90,9 @@ class Subscription:
         except zmq.ZMQError as error:
             self.close()
             raise EndpointError(f"{endpoint} cannot be connected to: {error.strerror}") from error
-        self._socket.setsockopt(zmq.SUBSCRIBE, b"")
+        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
+        for topic in declared:
+            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
 
     def next_frame(self) -> Frame:
         """Return the next frame, waiting for it.
@@ -92,17 +110,30 @@ class Subscription:
                 raise NoFrame(
                     f"no frame from {self.endpoint} within {self._timeout_ms / 1000:g} s; is the runtime running?"
                 )
-            message = self._socket.recv()
-            try:
-                frame = unpack_frame(message, time.perf_counter_ns())
-            except FrameError:
-                self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+            frame = self._take()
+            if frame is None:
                 continue
-            self._count(frame)
             age_s = frame.age_s
             if self._max_age_s is not None and age_s > self._max_age_s:
                 raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
             return frame
+
+    def _take(self) -> Frame | None:
+        """Return the frame of the next message, or of the newest one that waits; None if there is none in it."""
+        frame = None
+        while True:
+            message = self._socket.recv()
+            try:
+                frame = unpack_frame(message, time.perf_counter_ns(), self._known)
+            except MapMissing:
+                self.mapless += 1
+            except FrameError:
+                self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+            else:
+                self._known = frame
+                self._count(frame)
+            if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                return frame
 
     def _count(self, frame: Frame) -> None:
         if frame.run == self._run and frame.number > self._number:
@@ -136,6 +167,8 @@ def subscribe(
     *,
     timeout_s: float | None = None,
     max_age_s: float | None = None,
+    region_mm: tuple[float, float, float, float] | None = None,
+    skip_unchanged: bool = False,
     keys: ClientKeys | None = None,
 ) -> Subscription:
     """Return an open subscription to a runtime's frames, to be iterated.
@@ -145,10 +178,20 @@ def subscribe(
         mode: ``latest`` for a control loop, ``all`` for a recorder.
         timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`; None waits for ever.
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
+        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
+        skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, or the mode does not exist.
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
         EndpointError: ZeroMQ cannot make sense of the endpoint.
     """
-    return Subscription(endpoint, mode=mode, timeout_s=timeout_s, max_age_s=max_age_s, keys=keys)
+    return Subscription(
+        endpoint,
+        mode=mode,
+        timeout_s=timeout_s,
+        max_age_s=max_age_s,
+        region_mm=region_mm,
+        skip_unchanged=skip_unchanged,
+        keys=keys,
+    )

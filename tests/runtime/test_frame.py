@@ -18,7 +18,8 @@ def packer():
 
 
 def filled(packer, **numbers):
-    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2, "weak_rows": 1}
+    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2}
+    values |= {"weak_rows": 1, "map_seq": 7}
     values |= {name: 10 + index for index, name in enumerate(COUNTS)}
     values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
     for name, value in (values | numbers).items():

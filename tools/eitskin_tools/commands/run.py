@@ -16,6 +16,9 @@ from typing import Any
 
 from eitskin_tools.cli import UsageError
 
+SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
+"""From the most accurate to the fastest."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -33,6 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
+    parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov")
+    parser.add_argument(
+        "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
+    )
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
@@ -63,6 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
                 bundle=arguments.bundle,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
+                solver=arguments.solver,
+                skip_unchanged=not arguments.every_map,
                 **keywords,
             )
         )
@@ -121,6 +130,8 @@ def _check(arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+    if arguments.solver is not None and arguments.solver not in SOLVERS:
+        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
 

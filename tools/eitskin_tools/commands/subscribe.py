@@ -19,6 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")
     parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail at a frame older than this")
+    parser.add_argument(
+        "--region", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help="only this rectangle is needed, in mm"
+    )
+    parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
@@ -34,13 +38,21 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     from eitskin.curve import load_client_keys
     from eitskin.endpoints import default_publish
+    from eitskin.regions import Region
     from eitskin.subscription import subscribe
 
+    if arguments.region is not None:
+        try:
+            Region.from_mm(*arguments.region)
+        except ValueError as error:
+            raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
     subscription = subscribe(
         arguments.endpoint or default_publish(),
         arguments.mode,
         timeout_s=arguments.timeout_s,
+        region_mm=None if arguments.region is None else tuple(arguments.region),
+        skip_unchanged=arguments.skip_unchanged,
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
@@ -85,6 +97,7 @@ def _summary(
         "rate_hz": round(subscription.received / elapsed_s, 3) if elapsed_s > 0 else 0.0,
         "lost": subscription.lost,
         "rejected": subscription.rejected,
+        "mapless": subscription.mapless,
         "latency_us": quantiles(np.array(latencies)),
         "stages_us": {stage: quantiles(np.array(spans)) for stage, spans in stages.items()},
     }
