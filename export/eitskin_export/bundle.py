@@ -22,6 +22,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
@@ -84,3 +85,41 @@ def write(path: Path, files: dict[str, bytes], facts: dict[str, Any]) -> str:
             archive.writestr(zipfile.ZipInfo(name, date_time=_DATE), data)
     os.replace(beside, path)
     return hashlib.sha256(head).hexdigest()[:16]
+
+
+def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
+    """Return the members of a bundle and its facts, as :func:`write` took them.
+
+    Raises:
+        SkinError: A member is missing or is not the one that the manifest vouches for.
+        OSError: The file cannot be read.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            facts = json.loads(archive.read(MANIFEST))
+            listed = facts.pop("files")
+            files = {name: archive.read(name) for name in listed}
+    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        raise SkinError(f"{path} is no bundle ({error}); make one with 'eitskin export'") from error
+    for name, data in files.items():
+        found = hashlib.sha256(data).hexdigest()
+        if found != listed[name]["sha256"]:
+            raise MismatchError(f"{path}: {name}", found=found, expected=listed[name]["sha256"], hint="export it again")
+    for name in ("format", "version", "protocol_id", "grid_id"):
+        del facts[name]
+    return files, facts
+
+
+def amend(path: Path, metrics: dict[str, Any]) -> str:
+    """Add metrics to a bundle's card, the graphs as they are, and return its new id.
+
+    Args:
+        path: The bundle; replaced in one rename.
+        metrics: What to add to, or replace in, the manifest's ``metrics``.
+
+    Raises:
+        SkinError: It is no whole bundle.
+        OSError: The file cannot be read or written.
+    """
+    files, facts = read(path)
+    return write(path, files, {**facts, "metrics": {**facts.get("metrics", {}), **metrics}})

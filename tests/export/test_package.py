@@ -47,7 +47,7 @@ def test_the_bundle_is_what_the_runtime_reads(exported: tuple[Path, dict[str, An
     loaded = load_bundle(path)
     assert loaded.id == result["bundle"]
     assert loaded.labels == "area"
-    assert not loaded.uses_prediction
+    assert loaded.uses_prediction
     assert set(loaded.files) == {"geometry.onnx", "head.onnx", "head_int8.onnx", "tikhonov.npy", "gate.npz"}
     assert result["parity"]["map through the runtime"] < parity.TOLERANCE
 
@@ -145,3 +145,29 @@ def test_a_projection_of_another_shape_or_with_holes_is_refused() -> None:
         bundle.projection_bytes(PROJECTION.T)
     with pytest.raises(ValueError, match="finite"):
         bundle.projection_bytes(np.full((1350, 104), np.nan))
+
+
+def test_a_card_grows_without_touching_the_graphs(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    path, result = exported
+    copy = tmp_path / "copy.eitskin"
+    copy.write_bytes(path.read_bytes())
+    identity = bundle.amend(copy, {"phantoms": {"one": 1.0}})
+    before, after = load_bundle(path), load_bundle(copy)
+    assert after.id == identity != result["bundle"]
+    assert after.files == before.files
+    assert after.manifest["metrics"] == {**before.manifest["metrics"], "phantoms": {"one": 1.0}}
+
+
+def test_a_changed_bundle_is_not_amended(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
+    files, facts = bundle.read(exported[0])
+    broken = tmp_path / "broken.eitskin"
+    bundle.write(broken, files, facts)
+    content = bytearray(broken.read_bytes())
+    at = content.index(files["tikhonov.npy"])
+    content[at + 200] ^= 1
+    broken.write_bytes(content)
+    with pytest.raises(SkinError):
+        bundle.amend(broken, {})
+    (tmp_path / "text.eitskin").write_text("no bundle")
+    with pytest.raises(SkinError, match="is no bundle"):
+        bundle.read(tmp_path / "text.eitskin")

@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -11,18 +12,29 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("run_folder", metavar="RUN", help="folder of 'eitskin train'")
     parser.add_argument("--out", required=True, metavar="FILE", help="the bundle, by custom FILE.eitskin")
     parser.add_argument("--data", metavar="DIR", help="the run's data set, if it has moved")
+    parser.add_argument(
+        "--phantoms", action="append", default=[], metavar="FILE", help="score these too and write it on the card"
+    )
+    parser.add_argument("--seeds", type=int, default=3, help="noise draws of each phantom (default 3)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Export and report."""
     from eitskin_export import package
+    from eitskin_export.bundle import amend
+    from eitskin_tools.cli import UsageError
 
+    out = Path(arguments.out)
+    if arguments.seeds < 1:
+        raise UsageError(f"--seeds is {arguments.seeds}; expected at least 1")
     found = package.trained(Path(arguments.run_folder))
     data = package.data_of(found, arguments.data)
-    result = package.export(
-        found, data, Path(arguments.out), tell=lambda text: print(text, file=sys.stderr, flush=True)
-    )
+    result = package.export(found, data, out, tell=_tell)
+    if arguments.phantoms:
+        result["phantoms"] = _phantoms(arguments.phantoms, arguments.seeds, str(result["labels"]), out)
+        result["bundle"] = amend(out, {"phantoms": result["phantoms"]})
+        result["bytes"] = out.stat().st_size
     if arguments.json:
         print(json.dumps(result))
         return 0
@@ -37,4 +49,37 @@ def run(arguments: argparse.Namespace) -> int:
     for family, noises in result["held_out"].items():
         scores = ", ".join(f"{noise} CC {entry['cc']:.4f}" for noise, entry in noises.items())
         print(f"unseen bends of family {family}: {scores}")
+    for name, noises in result.get("phantoms", {}).items():
+        scores = ", ".join(f"{noise} CC {entry['mean']['cc']:.4f}" for noise, entry in noises["vd2t"].items())
+        print(f"phantoms of {name}: {scores}")
     return 0
+
+
+def _tell(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)
+
+
+def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[str, Any]:
+    """Return {file: {solver: {noise: report}}} of both heads on the phantoms whose truth has the bundle's labels."""
+    from eitskin_sim.noise import KINDS
+    from eitskin_sim.scene import load_phantoms
+    from eitskin_tools.evaluation import NETWORKS, evaluate_named
+
+    found: dict[str, Any] = {}
+    for path in paths:
+        phantoms = [one for one in load_phantoms(path) if one.truth == labels]
+        if not phantoms:
+            _tell(f"{path} holds no phantoms with {labels} labels; left out")
+            continue
+        _tell(f"scoring {len(phantoms)} phantoms of {path}")
+        found[Path(path).name] = {
+            name: {
+                noise: evaluate_named(
+                    phantoms, name, noise=noise, snr_db=50.0, reference=None, seeds=seeds, bundle=bundle
+                )
+                for noise in KINDS
+                if noise != "none"
+            }
+            for name in NETWORKS
+        }
+    return found
