@@ -1,7 +1,13 @@
-"""Looks at what the runtime depends on, and says what to do about each problem; changes nothing."""
+"""Looks at what the runtime depends on, and says what to do about each problem; changes nothing.
+
+``examine`` needs no device: ports, USB devices, permissions, latency timers, bundles, limits. ``greet`` opens one port
+and asks who is there, how fast it answers and what it runs. Both return plain values and a list of problems, each of
+which says what to do.
+"""
 
 import os
 import resource
+import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,24 +17,41 @@ from eitskin.bundle import LABELS, default_path, load_bundle
 from eitskin.device import Device
 from eitskin.endpoints import runtime_folder
 from eitskin.errors import SkinError
-from eitskin.serial_port import SerialPort
+from eitskin.lines import open_line
+from eitskin.serial_port import DEFAULT_BAUD
+from eitskin.transport import Transport
+from eitskin_proto.codes import HelloFlag, MessageType
+from eitskin_proto.framing import encode
+from eitskin_proto.messages import Hello, Time, TimeRequest
 
 SLOW_LATENCY_MS: Final = 1
 """An FTDI adapter holds bytes back for up to this long at best; 16 ms is what it comes with."""
 
+SLOW_ANSWER_MS: Final = 5.0
+"""A round trip of this length at best has been held back somewhere: USB frames take 1 ms, a UART 0.2 ms."""
+
+ROUND_TRIPS: Final = 10
+"""Of which the shortest counts."""
+
+SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"))
+
 
 def examine() -> dict[str, Any]:
-    """Return ports, bundles, limits and problems as plain values."""
+    """Return ports, USB devices, bundles, limits and problems as plain values."""
     problems: list[str] = []
     ports = [_port(info, problems) for info in sorted(list_ports.comports())]
+    usb = _usb(problems)
     bundles = [_bundle(labels, problems) for labels in LABELS]
     try:
         folder = str(runtime_folder())
     except SkinError as error:
         folder = "unusable"
         problems.append(str(error))
+    if not ports and not usb:
+        problems.append("no port and no USB device of a skin: plug the skin in, or start a virtual one: 'eitskin sim'")
     return {
         "ports": ports,
+        "usb": usb,
         "bundles": bundles,
         "limits": [f"endpoints in {folder}", _limit("real-time priority", resource.RLIMIT_RTPRIO),
                    _limit("locked memory", resource.RLIMIT_MEMLOCK), _limit("open files", resource.RLIMIT_NOFILE)],
@@ -36,18 +59,23 @@ def examine() -> dict[str, Any]:
     }  # fmt: skip
 
 
-def greet(port: str, baud: int) -> dict[str, Any]:
-    """Return what the device on a port says about itself.
+def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
+    """Return what the device on a port says about itself, how its line is, and what is wrong with either.
+
+    Args:
+        port: A serial port's path, or ``usb:SERIAL``.
+        baud: Bits per second on a real UART.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used.
         MismatchError: It was built for another protocol_id or grid_id.
     """
-    transport = SerialPort(port, baud)
+    transport = open_line(port, baud)
     try:
         device = Device(transport)
         hello = device.hello
+        answer_ms = None if hello.flags & HelloFlag.STREAMING else _round_trip_ms(transport, device)
         return {
             "serial_number": hello.serial_number,
             "firmware": ".".join(map(str, hello.firmware_version)),
@@ -58,9 +86,48 @@ def greet(port: str, baud: int) -> dict[str, Any]:
             "rows": hello.rows,
             "sample_bytes": hello.sample_bytes,
             "uptime_s": hello.uptime_ms / 1000,
+            "flags": [flag.name for flag in HelloFlag if hello.flags & flag],
+            "line": transport.report(),
+            "answer_ms": answer_ms,
+            "problems": _device_problems(port, hello, answer_ms),
         }
     finally:
         transport.close()
+
+
+def _round_trip_ms(transport: Transport, device: Device) -> float | None:
+    """Return the shortest of a few questions for the time, in ms; None if none was answered."""
+    best: float | None = None
+    for tag in range(1, ROUND_TRIPS + 1):
+        asked_s = time.perf_counter()
+        transport.write(encode(TimeRequest(tag=tag).pack()))
+        while (waited_s := time.perf_counter() - asked_s) < 0.5:
+            answers = [payload for payload in device.payloads(0.5 - waited_s) if payload[0] == MessageType.TIME]
+            if any(Time.unpack(payload).tag == tag for payload in answers):
+                took_ms = (device.read_ns * 1e-9 - asked_s) * 1e3
+                best = took_ms if best is None else min(best, took_ms)
+                break
+    return None if best is None else round(best, 3)
+
+
+def _device_problems(port: str, hello: Hello, answer_ms: float | None) -> list[str]:
+    found = []
+    if hello.flags & HelloFlag.FACTORY:
+        found.append(f"no configuration is stored, the built-in one runs: 'eitskin flash write paper --port {port}'")
+    if hello.flags & HelloFlag.TRIAL:
+        found.append("the configuration is on trial and goes back within 30 s: let 'eitskin flash write' finish")
+    if hello.flags & HelloFlag.ROLLED_BACK:
+        found.append(
+            f"the last flashed configuration was never confirmed and was given up: flash it again, --port {port}"
+        )
+    if hello.flags & HelloFlag.STREAMING:
+        found.append("it streams to nobody: a program ended without stopping it; 'eitskin run' starts it anew")
+    if answer_ms is not None and answer_ms > SLOW_ANSWER_MS:
+        found.append(
+            f"it answers after {answer_ms:g} ms at best, expected at most {SLOW_ANSWER_MS:g}: a latency timer (see the "
+            "port above), a hub, or a busy machine"
+        )
+    return found
 
 
 def _port(info: Any, problems: list[str]) -> dict[str, Any]:
@@ -79,6 +146,33 @@ def _port(info: Any, problems: list[str]) -> dict[str, Any]:
                 'with ATTR{latency_timer}="1"'
             )
     return {"port": info.device, "description": info.description, "id": usb, "state": state}
+
+
+def _usb(problems: list[str]) -> list[dict[str, Any]]:
+    """Return the skins with USB endpoints of their own."""
+    from eitskin import usb_port  # noqa: PLC0415 -- pyusb is only loaded by who uses it
+
+    try:
+        found = usb_port.devices()
+    except SkinError as error:
+        problems.append(str(error))
+        return []
+    rule = any((folder / usb_port.RULE_FILE.name).is_file() for folder in SYSTEM_RULES)
+    listed = []
+    for one in found:
+        state = "usable" if one.usable else "no permission"
+        if not one.usable:
+            problems.append(
+                f"{one.node}: run {usb_port.RULE}" + (" (the rule is there: plug it in again)" if rule else "")
+            )
+        elif not one.serial_number:
+            state = "no serial number"
+            problems.append(f"{one.node}: the device tells no serial number, so that two of them cannot be told apart")
+        listed.append(
+            {"port": one.port, "node": one.node, "id": f"{usb_port.VENDOR_ID:04x}:{usb_port.PRODUCT_ID:04x}",
+             "serial_number": one.serial_number, "state": state, "udev_rule": rule}
+        )  # fmt: skip
+    return listed
 
 
 def _bundle(labels: str, problems: list[str]) -> dict[str, Any]:

@@ -6,9 +6,11 @@ a read blocks in slices, and ``cancel`` takes effect at the end of one. Driver e
 """
 
 import errno
+import os
 import time
 from array import array
 from contextlib import suppress
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -36,8 +38,44 @@ MOST_STALLS: Final = 10
 
 VENDOR_CLASS: Final = 0xFF
 
-RULE: Final = f"sudo cp {Path(__file__).with_name('60-eitskin.rules')} /etc/udev/rules.d/ and plug it in again"
+RULE_FILE: Final = Path(__file__).with_name("60-eitskin.rules")
+"""Lets users open the device; shipped with the package."""
+
+RULE: Final = f"sudo cp {RULE_FILE} /etc/udev/rules.d/ and plug it in again"
 """What to do about permissions."""
+
+
+@dataclass(frozen=True, slots=True)
+class Found:
+    """A device of ours on the bus, opened or not."""
+
+    serial_number: str
+    """Empty if this user may not read it, or there is none."""
+    node: str
+    """``/dev/bus/usb/001/002``; changes with every plug."""
+    usable: bool
+    """Whether this user may open it."""
+
+    @property
+    def port(self) -> str:
+        """What to give as a port's name."""
+        return f"{USB_PREFIX}{self.serial_number}"
+
+
+def devices(backend: Any = None) -> list[Found]:
+    """Return the devices of ours that are on the bus.
+
+    Raises:
+        TransportError: libusb is not installed.
+    """
+    listed = []
+    for device in _ours(backend):
+        node = f"/dev/bus/usb/{device.bus or 0:03}/{device.address or 0:03}"
+        usable = not os.path.exists(node) or os.access(node, os.R_OK | os.W_OK)
+        listed.append(Found(_serial(device), node, usable))
+        with suppress(usb.core.USBError):
+            usb.util.dispose_resources(device)
+    return listed
 
 
 class UsbPort:
@@ -142,11 +180,15 @@ def _serial(device: Any) -> str:
         return ""
 
 
-def _find(serial_number: str, backend: Any) -> Any:
+def _ours(backend: Any) -> list[Any]:
     try:
-        found = list(usb.core.find(find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, backend=backend))
+        return list(usb.core.find(find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, backend=backend))
     except usb.core.NoBackendError as error:
         raise TransportError("libusb is not installed: apt-get install libusb-1.0-0") from error
+
+
+def _find(serial_number: str, backend: Any) -> Any:
+    found = _ours(backend)
     if serial_number:
         found = [device for device in found if _serial(device) == serial_number]
     if not found:

@@ -71,18 +71,9 @@ def skin(*faults: str) -> Iterator[Skin]:
             yield host
         finally:
             host.serial.close()
-            stop_server(server, port)
+            server.stop()
             thread.join(5.0)
             assert not thread.is_alive()
-
-
-def stop_server(server: SkinServer, port: PtyPort) -> None:
-    """End a server that waits for the host: its time is up, and one byte wakes it."""
-    server.stop()
-    if port.plugged:
-        with serial.Serial(str(port.path)) as waker:
-            waker.write(b"\0")
-            time.sleep(0.02)
 
 
 def test_a_clean_stream_has_every_frame_and_no_other_byte() -> None:

@@ -1,32 +1,33 @@
 """Pulling the plug again and again: each time the stream must resume, with no descriptor and no thread left behind.
 
-``python -m eitskin_tools.faults.hotplug --cycles N``. A virtual device on a pseudo-terminal streams to a host over
-:class:`eitskin.hotplug.HotPlug`; after some frames the port vanishes and returns under another number. One JSON line
-comes last; exit status 1 if a stream did not resume or something leaked.
+``python -m eitskin_tools.faults.hotplug [--cycles N] [--usb-cycles N]``. A virtual skin streams to a host over
+:class:`eitskin.hotplug.HotPlug`; after some frames the port vanishes and returns, first a pseudo-terminal under another
+number, then a device on a mocked USB bus under a real libusb. One JSON line comes last; exit status 1 if a stream did
+not resume or something leaked. Where umockdev is missing, the USB part says so and does not count.
 """
 
 import argparse
 import json
 import os
+import subprocess
 import sys
 import threading
 import time
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Final
-
-import numpy as np
-import numpy.typing as npt
 
 from eitskin.device import Device
 from eitskin.errors import HandshakeError, PortLost, PortReturned
 from eitskin.hotplug import HotPlug
+from eitskin.lines import open_line
 from eitskin_proto.codes import MessageType
 from eitskin_proto.frames import FrameView
-from eitskin_proto.table import N_ROWS
 from eitskin_proto.unwrap import StreamCounter
+from eitskin_tools.faults.usb_skin import MockedUsb, Puller, Steady, missing
 from eitskin_tools.skin.configure import configuration_for
 from eitskin_tools.skin.device import Identity, VirtualDevice
-from eitskin_tools.skin.faults import Fault, FaultPlayer
 from eitskin_tools.skin.pty import PtyPort
 from eitskin_tools.skin.server import SkinServer
 
@@ -38,27 +39,6 @@ OUT_S: Final = 0.03
 
 PATIENCE_S: Final = 30.0
 """A stream that has not resumed by then is broken."""
-
-
-class _Ramp:
-    """Voltages that are not all alike."""
-
-    def voltages(self, time_s: float) -> npt.NDArray[np.float64]:
-        return np.linspace(-0.1, -0.001, N_ROWS)
-
-
-class _Puller(FaultPlayer):
-    """Pulls the plug at the next scan after ``pull`` was set."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.pull = threading.Event()
-
-    def due(self, time_s: float) -> list[Fault]:
-        if not self.pull.is_set():
-            return []
-        self.pull.clear()
-        return [Fault("unplug", time_s, amount=OUT_S)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,58 +54,114 @@ class Figures:
     leaked_threads: int
     seconds: float
 
+    @property
+    def wrong(self) -> bool:
+        """Whether a stream did not resume, or something was left behind."""
+        return self.resumed != self.cycles or any((self.resets, self.leaked_descriptors, self.leaked_threads))
+
 
 def pull(cycles: int, rate_hz: float = 200.0) -> Figures:
-    """Pull the plug so many times and return the figures."""
-    descriptors, threads = len(os.listdir("/proc/self/fd")), threading.active_count()
-    started_s = time.perf_counter()
-    counter, puller = StreamCounter(), _Puller()
+    """Pull the plug of a pseudo-terminal so many times and return the figures."""
+    puller = Puller()
+    before, started_s = _held(), time.perf_counter()
     with PtyPort() as port:
-        device = VirtualDevice(_Ramp(), configuration_for(rate_hz), time.perf_counter_ns(), Identity())
+        device = VirtualDevice(Steady(), configuration_for(rate_hz), time.perf_counter_ns(), Identity())
         server = SkinServer(device, port, puller)
         serving = threading.Thread(target=server.run, daemon=True)
         serving.start()
-        line = HotPlug(str(port.path), give_up_s=PATIENCE_S)
         try:
-            resumed, frames = _follow(line, puller, counter, cycles)
+            followed = follow(str(port.path), cycles, lambda: puller.ask("unplug", OUT_S))
         finally:
-            server.stop()  # ends with its next scan: the device still streams
+            server.stop()
             serving.join(PATIENCE_S)
-            line.close()
+    return _figures(cycles, followed, before, started_s)
+
+
+def pull_usb(cycles: int) -> dict[str, object]:
+    """Pull a device off a mocked USB bus so many times and return the figures, or why it could not be done."""
+    lacking = missing()
+    if lacking:
+        return {"not_run": lacking}
+    command = [sys.executable, "-m", "eitskin_tools.faults.hotplug", "--host"]
+    last = ""
+    with (
+        MockedUsb() as usb,
+        subprocess.Popen(
+            [*command, usb.port, "--cycles", str(cycles)], env=usb.environment, stdout=subprocess.PIPE, text=True
+        ) as host,
+    ):
+        for line in host.stdout or ():
+            if line.startswith("pull"):
+                usb.tell(f"unplug {OUT_S}")
+            last = line
+    figures: dict[str, object] = json.loads(last)
+    return figures
+
+
+def _host(port: str, cycles: int) -> Figures:
+    """Follow a device whose plug the parent process pulls when this one writes a line."""
+    open_line(port).close()  # libusb keeps a thread and some descriptors from its first use on
+    before, started_s = _held(), time.perf_counter()
+    followed = follow(port, cycles, lambda: print("pull", flush=True))
+    return _figures(cycles, followed, before, started_s)
+
+
+def _held() -> tuple[int, int]:
+    """Return how many descriptors and threads this process has."""
+    return len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))
+
+
+def _figures(
+    cycles: int, followed: tuple[int, int, StreamCounter], before: tuple[int, int], started_s: float
+) -> Figures:
+    resumed, frames, counter = followed
+    after = _held()
     return Figures(
         cycles=cycles,
         resumed=resumed,
         frames=frames,
         lost_and_counted=counter.lost,
         resets=counter.resets,
-        leaked_descriptors=len(os.listdir("/proc/self/fd")) - descriptors,
-        leaked_threads=threading.active_count() - threads,
+        leaked_descriptors=after[0] - before[0],
+        leaked_threads=after[1] - before[1],
         seconds=round(time.perf_counter() - started_s, 1),
     )
 
 
-def _follow(line: HotPlug, puller: _Puller, counter: StreamCounter, cycles: int) -> tuple[int, int]:
-    """Stream, and pull the plug after every few frames; return how often it resumed, and the frames."""
-    skin, view = Device(line), FrameView()
-    skin.start()
-    resumed, frames, since = 0, 0, 0
-    heard_s = time.perf_counter()
-    while resumed < cycles and time.perf_counter() - heard_s < PATIENCE_S:
-        try:
-            for payload in skin.payloads(1.0):
-                if payload[0] == MessageType.FRAME:
-                    view.load(payload)
-                    counter.step(view.sequence, view.device_us)
-                    frames, since, heard_s = frames + 1, since + 1, time.perf_counter()
-            if since >= FRAMES and not puller.pull.is_set() and line.returns == resumed:
-                puller.pull.set()
-        except PortReturned:
-            if not _greet(skin):
+def follow(port: str, cycles: int, pull_plug: Callable[[], None]) -> tuple[int, int, StreamCounter]:
+    """Stream, and have the plug pulled after every few frames; return how often it resumed, the frames, the counter."""
+    counter, view = StreamCounter(), FrameView()
+    line = HotPlug(port, give_up_s=PATIENCE_S)
+    resumed = frames = since = 0
+    try:
+        skin = Device(line)
+        skin.start()
+        asked, heard_s = False, time.perf_counter()
+        while time.perf_counter() - heard_s < PATIENCE_S:
+            try:
+                for payload in skin.payloads(1.0):
+                    if payload[0] == MessageType.FRAME:
+                        view.load(payload)
+                        counter.step(view.sequence, view.device_us)
+                        frames, since, heard_s = frames + 1, since + 1, time.perf_counter()
+                if since >= FRAMES and resumed < line.returns:
+                    resumed, asked = line.returns, False
+                if since >= FRAMES and resumed == cycles:
+                    break
+                if since >= FRAMES and not asked:
+                    asked = True
+                    pull_plug()
+            except PortReturned:
+                if not _greet(skin):
+                    break
+                since = 0
+            except PortLost:
                 break
-            resumed, since = line.returns, 0
-        except PortLost:
-            break
-    return resumed, frames
+        with suppress(HandshakeError, PortLost, PortReturned):
+            skin.stop()
+    finally:
+        line.close()
+    return resumed, frames, counter
 
 
 def _greet(skin: Device) -> bool:
@@ -143,11 +179,17 @@ def _greet(skin: Device) -> bool:
 def main(argv: list[str] | None = None) -> int:
     """Run it and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--cycles", type=int, default=500)
-    figures = pull(parser.parse_args(argv).cycles)
-    wrong = figures.resumed != figures.cycles or figures.leaked_descriptors != 0 or figures.leaked_threads != 0
-    print(json.dumps({"hotplug": asdict(figures)}))
-    return 1 if wrong or figures.resets else 0
+    parser.add_argument("--cycles", type=int, default=500, help="on a pseudo-terminal (default 500)")
+    parser.add_argument("--usb-cycles", type=int, default=50, help="on a mocked USB bus (default 50)")
+    parser.add_argument("--host", metavar="PORT", help=argparse.SUPPRESS)
+    arguments = parser.parse_args(argv)
+    if arguments.host:
+        print(json.dumps(asdict(_host(arguments.host, arguments.cycles))))
+        return 0
+    figures = pull(arguments.cycles)
+    usb = pull_usb(arguments.usb_cycles) if arguments.usb_cycles else {"not_run": "no cycles were asked for"}
+    print(json.dumps({"hotplug": asdict(figures), "usb": usb}))
+    return 1 if figures.wrong or ("not_run" not in usb and Figures(**usb).wrong) else 0  # type: ignore[arg-type]
 
 
 if __name__ == "__main__":

@@ -2,8 +2,8 @@
 
 ``python -m eitskin_tools.faults.soak --seconds S [--port PORT]``. The board says in each frame how many scans it could
 not send; a gap that it did not count was lost on the line, and must show as corrupt packets, of which each explains two
-frames at most (a damaged delimiter joins two packets). With ``--port`` a device that is there is soaked instead. One JSON
-line comes last; the exit status is 1 if a number is missing without account.
+frames at most (a damaged delimiter joins two packets). With ``--port`` a device that is there is soaked instead. One
+JSON line comes last; the exit status is 1 if a number is missing without account.
 """
 
 import argparse

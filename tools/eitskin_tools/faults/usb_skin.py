@@ -2,10 +2,10 @@
 
 ::
 
-    host: pyusb, real libusb --(LD_PRELOAD, UMOCKDEV_DIR)--> umockdev --> this process: usb_bus, the virtual skin's server
-      one line a command on its standard input: unplug SECONDS, stall, quit          one JSON object at the start
+    host: pyusb, real libusb --(LD_PRELOAD, UMOCKDEV_DIR)--> umockdev --> this process: usb_bus, the skin's server
+      one line a command on its standard input: unplug SECONDS, stall          one JSON object at the start
 
-The host's programs need the bus's environment variables and nothing else: ``eitskin run --port usb:SERIAL`` is unchanged.
+The host's programs need the bus's environment and nothing else: ``eitskin run --port usb:SERIAL`` is unchanged.
 """
 
 import json
@@ -31,9 +31,6 @@ from eitskin_tools.skin.server import SkinServer
 WRAPPER: Final = "umockdev-wrapper"
 """Debian's program that preloads umockdev's library."""
 
-START_S: Final = 60.0
-"""How long the process may take to make its bus."""
-
 
 class Steady:
     """Voltages that are not all alike, with a ripple that a reference can be taken of."""
@@ -49,11 +46,6 @@ class Puller(FaultPlayer):
     def __init__(self) -> None:
         super().__init__()
         self._asked: list[Fault] = []
-
-    @property
-    def waiting(self) -> bool:
-        """Whether something that was asked for has not happened yet."""
-        return bool(self._asked)
 
     def ask(self, kind: str, amount: float) -> None:
         """Ask for a fault; may be called from another thread."""
@@ -95,13 +87,17 @@ class MockedUsb:
         self._process = subprocess.Popen(
             [WRAPPER, sys.executable, "-m", "eitskin_tools.faults.usb_skin", serial_number, str(rate_hz)],
             stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+            env={name: value for name, value in os.environ.items() if name != "UMOCKDEV_DIR"},
         )  # fmt: skip
         assert self._process.stdout is not None
+        self.bus: dict[str, str] = {}
+        """The environment variables that show this bus."""
         line = self._process.stdout.readline()
         if not line:
             self.close()
             raise SkinError(missing() or "the mocked USB bus ended before it began")
-        self.environment = {**os.environ, **json.loads(line)}
+        self.bus = json.loads(line)
+        self.environment = {**os.environ, **self.bus}
         """Of a host process that is to see this bus instead of the machine's."""
 
     def tell(self, command: str) -> None:
@@ -121,6 +117,8 @@ class MockedUsb:
             self._process.wait()
         if self._process.stdout is not None:
             self._process.stdout.close()
+        if self.bus:
+            shutil.rmtree(self.bus["UMOCKDEV_DIR"], ignore_errors=True)
 
     def __enter__(self) -> Self:
         return self

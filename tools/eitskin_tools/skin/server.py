@@ -10,6 +10,7 @@ the wire: the moment from which latency is counted. The call itself (about 10 us
 counted too. The time is negative where the line had no room for the whole frame.
 """
 
+import os
 import select
 from collections.abc import Callable
 from pathlib import Path
@@ -110,20 +111,28 @@ class SkinServer:
         self._logged = 0
         self._boots = device.boots
         self._stopped = False
+        self._wake = -1
 
     def run(self, until_ns: int | None = None) -> None:
         """Serve until the clock shows ``until_ns``, or for ever."""
         self._tell("boot", self._clock())
-        while not self._stopped:
-            now = self._clock()
-            if until_ns is not None and now >= until_ns:
-                return
-            self.turn(now)
-            self._wait(until_ns)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        try:
+            while not self._stopped:
+                now = self._clock()
+                if until_ns is not None and now >= until_ns:
+                    return
+                self.turn(now)
+                self._wait(until_ns)
+        finally:
+            wake, self._wake = self._wake, -1
+            os.close(wake)
 
     def stop(self) -> None:
-        """End :meth:`run` at its next turn; safe from another thread."""
+        """End :meth:`run`, whatever it waits for; safe from another thread."""
         self._stopped = True
+        if self._wake >= 0:
+            os.eventfd_write(self._wake, 1)
 
     def next_ns(self) -> int:
         """Return when :meth:`turn` has something to do, on the host's clock; 0 if only the host's bytes can tell."""
@@ -137,7 +146,7 @@ class SkinServer:
         moments = [moment for moment in (until_ns, self.next_ns()) if moment]
         timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
         ports = [self.port] if self.port.plugged else []
-        select.select(ports, ports if self.port.unsent else [], [], timeout_s)
+        select.select([*ports, self._wake], ports if self.port.unsent else [], [], timeout_s)
 
     def turn(self, now: int) -> None:
         """Do everything that is due: plug, answers, scans, restarts."""
