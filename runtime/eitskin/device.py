@@ -15,7 +15,7 @@ from typing import Final, Protocol
 from eitskin.errors import HandshakeError
 from eitskin.transport import Transport
 from eitskin_proto import messages
-from eitskin_proto.codes import Code, MessageType
+from eitskin_proto.codes import Code, HelloFlag, MessageType, Mode
 from eitskin_proto.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.framing import Deframer, encode, wire_bytes
 from eitskin_proto.messages import Ack, Hello
@@ -33,6 +33,9 @@ LARGEST_VOLTS_PER_COUNT: Final = 1e3
 
 SILENCE_S: Final = 1.0
 """A stream that is silent for so long, and for 20 frames, is looked after."""
+
+IDLE_SILENCE_S: Final = 5.0
+"""The same in the idle mode."""
 
 
 class Wanted(Protocol):
@@ -62,6 +65,8 @@ class Device:
         """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
         self.held: deque[bytes] = deque()
         """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
+        self.idle = False
+        """It scans a few drives only, at a rate that HELLO does not tell."""
         self._tag = 0
         self.hello = self._handshake()
         """What the device said about itself."""
@@ -75,6 +80,8 @@ class Device:
     @property
     def silence_s(self) -> float:
         """How long without a frame is too long."""
+        if self.idle:
+            return IDLE_SILENCE_S
         return max(SILENCE_S, 20e3 / max(self.hello.rate_mHz, 1))
 
     def payloads(self, timeout_s: float | None = None) -> list[bytes]:
@@ -96,11 +103,14 @@ class Device:
         return self.deframer.feed(data)
 
     def start(self) -> None:
-        """Start streaming; what was sent before is thrown away.
+        """Start streaming whole scans; what was sent before is thrown away.
 
         Raises:
             HandshakeError: The device refused or did not answer.
         """
+        if self.hello.flags & HelloFlag.IDLE or self.idle:
+            self._request(messages.SetMode(self._next_tag(), Mode.ACTIVE))
+            self.idle = False
         self._request(messages.Start(self._next_tag()))
 
     def stop(self) -> None:
@@ -110,6 +120,15 @@ class Device:
             HandshakeError: The device refused or did not answer.
         """
         self._request(messages.Stop(self._next_tag()))
+
+    def ask_mode(self, mode: Mode) -> None:
+        """Ask for another mode and return at once; the frames say when it has come about.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+        self.idle = mode == Mode.IDLE
+        self.transport.write(encode(messages.SetMode(self._next_tag(), mode).pack()))
 
     def recover(self) -> None:
         """Greet the device again after silence or a reset, and stream on if nothing changed.
@@ -158,7 +177,7 @@ class Device:
         hello.check()
         return hello
 
-    def _request(self, message: messages.Start | messages.Stop) -> None:
+    def _request(self, message: messages.Start | messages.Stop | messages.SetMode) -> None:
         kind = message.LAYOUT.type
 
         def answers(payload: bytes) -> bool:

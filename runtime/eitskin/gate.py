@@ -30,6 +30,7 @@ class Gate:
 
     Args:
         arrays: mean and scale (208,), w1 (208, hidden), b1 (hidden,), w2 (hidden,), b2 and threshold of one value.
+        rows: How many rows dV has, where it is not the whole table's 104: then 2 * rows instead of 208.
 
     Raises:
         BundleError: An array is missing, has a wrong shape, or is not finite.
@@ -37,10 +38,10 @@ class Gate:
 
     __slots__ = ("_hidden", "_logarithms", "_output", "_shift", "_weights", "change", "features", "logit", "threshold")
 
-    def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]]) -> None:
+    def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
         values = {name: _finite(arrays, name) for name in FIELDS}
         hidden = values["b1"].size
-        shapes = {"mean": (2 * N_ROWS,), "scale": (2 * N_ROWS,), "w1": (2 * N_ROWS, hidden), "w2": (hidden,)}
+        shapes = {"mean": (2 * rows,), "scale": (2 * rows,), "w1": (2 * rows, hidden), "w2": (hidden,)}
         for name, shape in shapes.items():
             if values[name].shape != shape:
                 raise BundleError(f"gate.npz: {name} has shape {values[name].shape}, expected {shape}; export it again")
@@ -56,10 +57,10 @@ class Gate:
         self._shift = float(values["b2"].reshape(-1)[0])
         self.threshold = float(values["threshold"].reshape(-1)[0])
         """The logit above which a frame counts as touched."""
-        self.features = np.ones(2 * N_ROWS + 1, dtype=np.float32)
-        self.change = self.features[:N_ROWS]
-        """(104,) dV, to be filled before ``touched``."""
-        self._logarithms = self.features[N_ROWS : 2 * N_ROWS]
+        self.features = np.ones(2 * rows + 1, dtype=np.float32)
+        self.change = self.features[:rows]
+        """(104,) or (rows,) dV, to be filled before ``touched``."""
+        self._logarithms = self.features[rows : 2 * rows]
         self._hidden = np.zeros(hidden, dtype=np.float32)
         self.logit = 0.0
         """Of the last frame judged."""

@@ -89,6 +89,19 @@ class Normaliser:
         np.multiply(self._counts, self.volts_per_count, out=self._voltages)
         return self._voltages
 
+    def rows_into(
+        self, rows: npt.NDArray[np.intp], scale: npt.NDArray[np.float64], offset: npt.NDArray[np.float64]
+    ) -> None:
+        """Write what turns the counts of some rows into dV: dV = counts * scale - offset.
+
+        Args:
+            rows: (n,) of the table.
+            scale: (n,) written.
+            offset: (n,) written; 0 in weak rows.
+        """
+        np.take(self._scale, rows, out=scale, mode="clip")
+        np.take(self._offset, rows, out=offset, mode="clip")
+
     def change_into(self, out: npt.NDArray[np.float32]) -> bool:
         """Write dV and return whether all of it is plausible.
 

@@ -2,13 +2,14 @@
 
 The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
 What it leaves out is stated: ``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``,
-``map:region``, ``geometry:cloud_unchanged``. A frame that is not fit to publish is withheld, with a reason and a count:
+``map:region``, ``acquisition:idle``, ``geometry:cloud_unchanged``. A frame that is not fit to publish is withheld, with
+a reason and a count:
 
 ====================  ===============================================================
 ``malformed``         an intact packet that is no frame of this device
 ``duplicate``         the same sequence number again
 ``configuration``     made under another generation than HELLO named
-``partial``           an idle scan of some drives only
+``partial``           a scan of some drives only, without a gate for them
 ``implausible``       dV is not finite or beyond 1e6, or the map is not finite
 ``no_signal``         no row reaches a thousandth of its reference: no current flows
 ``stale``             over budget, and a newer frame was waiting
@@ -30,6 +31,7 @@ from eitskin.engine import Buffers, Engine, Geometry, engines
 from eitskin.errors import BudgetError
 from eitskin.frame import STAGES
 from eitskin.gate import Gate
+from eitskin.idle import IdleGate
 from eitskin.ladder import Ladder
 from eitskin.normaliser import Normaliser
 from eitskin.reference import Reference
@@ -54,6 +56,7 @@ READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
 UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)
 NO_SUBSCRIBER: Final = ("inference:no_subscriber", *CLOUD_UNCHANGED)
+IDLE: Final = ("acquisition:idle", "inference:idle", *CLOUD_UNCHANGED)
 UNCHANGED: Final = ("inference:unchanged", *CLOUD_UNCHANGED)
 
 WARM_UPS: Final = 30
@@ -106,6 +109,11 @@ class Pipeline:
         """The frame that this frame's map was computed for."""
         self._computed = ""
         """The solver of the map that is held; empty if none is."""
+        self._computed_sequence = 0
+        self.idle_gate: IdleGate | None = None
+        """Judges frames of a few drives; without one they are withheld."""
+        self.idle = False
+        """Whether this frame is one of them."""
         self.ladder = Ladder(budget_ns, len(self.engines))
         self.counter = StreamCounter()
         self.clock = DeviceClock()
@@ -116,6 +124,20 @@ class Pipeline:
         """A frame carried another one: the device must be asked what it runs now."""
         self.withheld = dict.fromkeys(REASONS, 0)
         """Frames that were not fit to publish."""
+        self._begin()
+        self._next_geometry: Geometry | None = None
+        self._view = FrameView()
+        self._change = self.buffers.change[0]
+        self._map = self.buffers.map[0]
+        self.map_bytes = memoryview(self._map).cast("B")
+        """The map of this frame as float32, little-endian; the next frame overwrites it."""
+        self.zero_bytes = memoryview(bytes(4 * N_PIXELS))
+        """What an untouched frame publishes."""
+        self.engine_ns = self._warm_up(budget_ns)
+        """{engine: median time in ns}, measured at the start."""
+
+    def _begin(self) -> None:
+        """Set what is known of the frame in hand, before there is one."""
         self.stamps = [0] * len(STAGES)
         """``perf_counter_ns`` at the end of each stage of this frame."""
         self.sequence = 0
@@ -133,16 +155,6 @@ class Pipeline:
         self._skipped = CLOUD_UNCHANGED
         self._withheld_since: tuple[str, ...] = ()
         """What the next published frame will say of those before it."""
-        self._next_geometry: Geometry | None = None
-        self._view = FrameView()
-        self._change = self.buffers.change[0]
-        self._map = self.buffers.map[0]
-        self.map_bytes = memoryview(self._map).cast("B")
-        """The map of this frame as float32, little-endian; the next frame overwrites it."""
-        self.zero_bytes = memoryview(bytes(4 * N_PIXELS))
-        """What an untouched frame publishes."""
-        self.engine_ns = self._warm_up(budget_ns)
-        """{engine: median time in ns}, measured at the start."""
 
     def _check_budget(self, budget_ns: int | None, engine_ns: dict[str, float]) -> None:
         """Refuse a budget that not even the fastest solver meets."""
@@ -227,13 +239,20 @@ class Pipeline:
         if view.generation != self.generation:
             self.generation_differs = True
             return self._withhold("configuration")
-        if view.drives != ALL_DRIVES:
+        idle = view.drives != ALL_DRIVES
+        if idle and (self.idle_gate is None or view.drives != self.idle_gate.drives):
             return self._withhold("partial")
+        if idle != self.idle:
+            self.idle = idle
+            self.events += ("idle" if idle else "awake",)
         if view.saturation:
             self.events += ("saturated",)
         self.sequence, self.device_us = step.sequence, step.device_us
         self.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
-        self.normaliser.load(view.counts)
+        if self.idle_gate is not None and idle:
+            self.idle_gate.load(view.counts)
+        else:
+            self.normaliser.load(view.counts)
         self.stamps[READ] = read_ns
         self.stamps[DECODE] = time.perf_counter_ns()
         return True
@@ -246,6 +265,8 @@ class Pipeline:
         """
         stamps = self.stamps
         fresh_cloud = self._take_over()
+        if self.idle:
+            return self._compute_idle()
         if not self.normaliser.change_into(self._change):
             return self._withhold("no_signal" if self.normaliser.silent else "implausible")
         stamps[NORMALISE] = time.perf_counter_ns()
@@ -258,22 +279,45 @@ class Pipeline:
         stamps[GATE] = time.perf_counter_ns()
         self.inferred = False
         if not self.touched or not wanted:
-            if self.solver != "none" or not 0 <= self.sequence - self.map_sequence < REFRESH_FRAMES:
-                self.map_sequence = self.sequence
-            self.solver = "none"
+            self._compute_nothing()
             self.skipped = NO_SUBSCRIBER if self.touched else UNTOUCHED
         elif self._is_still():
-            self.solver = self._computed
+            self.solver, self.map_sequence = self._computed, self._computed_sequence
             self.skipped = UNCHANGED
         elif not self._infer():
             return self._withhold("implausible")
         else:
             self.skipped = self._skipped_new if fresh_cloud else self._skipped
+        self._name_withheld()
+        stamps[INFER] = time.perf_counter_ns()
+        return True
+
+    def _compute_idle(self) -> bool:
+        """Judge a frame of a few drives; there is no map in it."""
+        gate, stamps = self.idle_gate, self.stamps
+        assert gate is not None
+        touched = gate.touched(self.normaliser)
+        if touched is None:
+            return self._withhold("implausible")
+        self.touched, self.gate_logit = touched, gate.gate.logit
+        stamps[NORMALISE] = stamps[GATE] = time.perf_counter_ns()
+        self.inferred = False
+        self._compute_nothing()
+        self.skipped = IDLE
+        self._name_withheld()
+        stamps[INFER] = time.perf_counter_ns()
+        return True
+
+    def _compute_nothing(self) -> None:
+        """Leave the map at zero; it is a new one, if the last was not, and again now and then."""
+        if self.solver != "none" or not 0 <= self.sequence - self.map_sequence < REFRESH_FRAMES:
+            self.map_sequence = self.sequence
+        self.solver = "none"
+
+    def _name_withheld(self) -> None:
         if self._withheld_since:
             self.events += self._withheld_since
             self._withheld_since = ()
-        stamps[INFER] = time.perf_counter_ns()
-        return True
 
     def _take_over(self) -> bool:
         """Use what other threads brought since the last frame, and return whether it was a cloud."""
@@ -309,7 +353,7 @@ class Pipeline:
             return False
         self.inferred = True
         self.solver = self._computed = engine.name
-        self.map_sequence = self.sequence
+        self.map_sequence = self._computed_sequence = self.sequence
         if self._stillness is not None:
             self._stillness.keep(self._change)
         return True

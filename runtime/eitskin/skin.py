@@ -24,15 +24,16 @@ from eitskin.device import Device
 from eitskin.engine import GeometryGraph
 from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
+from eitskin.idle import IdleGate, IdleMode
 from eitskin.lines import open_line
-from eitskin.pipeline import INFER, PACK, PUBLISH, Pipeline
+from eitskin.pipeline import INFER, PACK, PUBLISH, READ, Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
 from eitskin.regions import Region, union
 from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.stats import Statistics
 from eitskin.transport import Transport
-from eitskin_proto.codes import MessageType
+from eitskin_proto.codes import MessageType, Mode
 from eitskin_proto.messages import Event
 
 CAPTURE_S = 30.0
@@ -57,15 +58,17 @@ class Skin:
         solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8`` or ``tikhonov``; None for the bundle's best.
         skip_unchanged: Whether a frame keeps the map of an earlier one while only noise lies between them
             (:mod:`eitskin.stillness`).
+        idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
+            (:mod:`eitskin.idle`); None scans all of them always.
 
     Raises:
-        BundleError: The bundle cannot be used.
+        BundleError: The bundle cannot be used, or has no idle gate where one is asked for.
         TransportError: The port is missing, busy, denied or lost.
-        HandshakeError: The device does not answer, or measures in a way that cannot be used.
+        HandshakeError: The device does not answer, or measures in a way that cannot be used, or idles in another way.
         MismatchError: Bundle, device or reference belong to another protocol, grid, device or configuration.
         BadReference: The reference's file cannot be used.
         BudgetError: No solver meets the budget.
-        ValueError: The budget is not positive, or the bundle has no such solver.
+        ValueError: The budget or idle_after_s is not positive, or the bundle has no such solver.
     """
 
     def __init__(
@@ -78,6 +81,7 @@ class Skin:
         baud: int = DEFAULT_BAUD,
         solver: str | None = None,
         skip_unchanged: bool = False,
+        idle_after_s: float | None = None,
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
@@ -92,6 +96,10 @@ class Skin:
             self.pipeline = Pipeline(
                 self.bundle, self.device.hello, budget_ns, solver=solver, skip_unchanged=skip_unchanged
             )
+            self._idle: IdleMode | None = None
+            if idle_after_s is not None:
+                self._idle = IdleMode(idle_after_s)
+                self.pipeline.idle_gate = IdleGate(self.bundle.gate_arrays(), self.device.hello)
             self._geometry = GeometryGraph(self.bundle)
             self.pipeline.buffers.take(self._geometry.geometry(None, None, 0))
             self.reference: Reference | None = None
@@ -108,6 +116,8 @@ class Skin:
         self.published = 0
         """Frames packed so far."""
         self._started = False
+        self._sent_map = -1
+        """The frame whose map went out last."""
         self._fruitless = 0
         self._revision = 0
         self._lock = threading.Lock()
@@ -267,20 +277,31 @@ class Skin:
             )
         for _ in self._accepted(until_ns):
             capture = self._capture
-            if capture is not None:
+            if capture is not None and not self.pipeline.idle:
                 self._feed_capture(capture)
             if self.pipeline.compute(wanted()):
+                self._choose_mode(whole=capture is not None)
                 yield
+
+    def _choose_mode(self, *, whole: bool) -> None:
+        """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
+        pipeline = self.pipeline
+        if self._idle is not None:
+            touched = whole or pipeline.touched
+            mode = self._idle.step(pipeline.stamps[READ], touched=touched, idle=pipeline.idle)
+            if mode is not None:
+                self.device.ask_mode(mode)
 
     def pack(self, *, short: bool = False) -> memoryview:
         """Return the message of the frame that the pipeline holds, with publishing stamped as now.
 
         Args:
-            short: Leave the map out if it is that of an earlier frame, which every subscriber has.
+            short: Leave the map out if it is that of the frame before, which every subscriber has.
         """
         pipeline, packer, stamps = self.pipeline, self.packer, self.pipeline.stamps
         self.published += 1
-        short = short and pipeline.map_sequence != pipeline.sequence
+        short = short and pipeline.map_sequence == self._sent_map
+        self._sent_map = pipeline.map_sequence
         if not short:
             packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
         packer.put("n", self.published)
@@ -424,6 +445,9 @@ class Skin:
             "overruns": pipeline.ladder.overruns,
             "level": pipeline.ladder.level,
             "cloud": pipeline.buffers.revision,
+            "idle": pipeline.idle,
+            "mode_changes": 0 if self._idle is None else self._idle.switches,
+            "regions": [list(region.bounds) for region in pipeline.regions],
             "clock_drift_ppm": round(pipeline.clock.drift_ppm, 3),
             "serial_number": self.device.hello.serial_number,
             "configuration": self.device.configuration,
@@ -454,6 +478,8 @@ class Skin:
         self._stopping = True
         with suppress(SkinError):  # the port may be gone; then there is nothing to stop
             self.device.stop()
+            if self.device.idle:
+                self.device.ask_mode(Mode.ACTIVE)  # whoever comes next finds it as it was
         self.transport.close()
 
     def __enter__(self) -> Self:

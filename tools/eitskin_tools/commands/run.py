@@ -40,6 +40,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
     )
+    parser.add_argument(
+        "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
+    )
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
@@ -72,6 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
                 budget_ms=arguments.budget_ms,
                 solver=arguments.solver,
                 skip_unchanged=not arguments.every_map,
+                idle_after_s=arguments.idle_after,
                 **keywords,
             )
         )
@@ -126,7 +130,7 @@ def _check(arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
-    for name in ("seconds", "budget_ms", "reconnect"):
+    for name in ("seconds", "budget_ms", "reconnect", "idle_after"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
