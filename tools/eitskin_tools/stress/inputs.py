@@ -8,6 +8,7 @@ finite and from 0 to 1; frames are withheld, each counted by its reason; or the 
 import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -79,7 +80,8 @@ def attacks(sample: Sample) -> Iterator[Attack]:
     yield from _counts(sound, rng)
     frames = [_frame(n, sound) for n in range(1, 6)]
     for value in VOLTS:
-        yield Attack("volts per count", f"{value:g}", frames, hello={"volts_per_count": value})
+        nothing = 0.0 < value < 1e-20  # the frames then read next to no voltage at all
+        yield Attack("volts per count", f"{value:g}", frames, hello={"volts_per_count": value}, touchless=nothing)
     yield from _references(sample.flat, frames)
     yield from _geometries(sample, frames)
     yield from _payloads(sound, rng)
@@ -140,16 +142,12 @@ def _geometries(sample: Sample, frames: Sequence[bytes]) -> Iterator[Attack]:
         "complex": sound * 1j,
     }
     for name, cloud in clouds.items():
-        yield Attack("cloud", name, frames, geometry=lambda skin, cloud=cloud: skin.set_cloud(cloud))
+        yield Attack("cloud", name, frames, geometry=partial(Skin.set_cloud, cloud=cloud))
     for value in (np.nan, np.inf, 0.0, DENORMAL, 1e-300, 1e30, 1e308, -1.0):
         volts = np.full(len(sample.flat), value)
-        yield Attack(
-            "prediction", f"all {value:g} V", frames, geometry=lambda skin, volts=volts: skin.set_cloud(sound, volts)
-        )
-        yield Attack(
-            "prediction", f"flat {value:g} V", frames,
-            geometry=lambda skin, volts=volts: skin.set_cloud(sound, sample.flat, volts),
-        )  # fmt: skip
+        for name, pair in (("all", (volts, None)), ("flat", (sample.flat, volts))):
+            use = partial(Skin.set_cloud, cloud=sound, predicted=pair[0], predicted_flat=pair[1])
+            yield Attack("prediction", f"{name} {value:g} V", frames, geometry=use)
 
 
 def _payloads(sound: npt.NDArray[np.int32], rng: np.random.Generator) -> Iterator[Attack]:
@@ -159,7 +157,7 @@ def _payloads(sound: npt.NDArray[np.int32], rng: np.random.Generator) -> Iterato
     yield Attack("wire", "every type, no body", [good, *(bytes([kind]) for kind in range(256)), _frame(2, sound)])
     yield Attack("wire", "every length", [good[:n] for n in range(1, len(good))] + [_frame(2, sound)])
     yield Attack("wire", "too long", [good + bytes(n) for n in (1, 4, 100)] + [_frame(2, sound)])
-    heads = []
+    heads: list[bytes] = []
     for offset in range(20):
         for value in (0, 1, 127, 128, 255):
             damaged = bytearray(_frame(2 + len(heads), sound))

@@ -40,7 +40,7 @@ class Subjects:
 
     def __init__(self, bundle: Bundle, tally: Tally) -> None:
         self.labels: Labels = "units" if bundle.labels == "units" else "area"
-        self.tally = tally
+        self.bundle, self.tally = bundle, tally
         self.plain = Stream(bundle, tally, gated=False)
         self.gated = Stream(bundle, tally, gated=True) if bundle.gate_arrays() is not None else None
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.bundle import Bundle
-from eitskin.engine import GeometryGraph
+from eitskin.engine import Engine, GeometryGraph
 from eitskin.pipeline import Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import Reference
@@ -92,6 +92,10 @@ class Stream:
         self.tally.take(image)
         self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.events
         return image.astype(np.float64)
+
+    def engine(self, name: str) -> Engine:
+        """Return one of the pipeline's engines, for those who fill its buffers themselves."""
+        return self._engines[name]
 
     @property
     def touched(self) -> bool:

@@ -55,7 +55,7 @@ class Effort:
 
 
 FULL: Final = Effort(samples=8, draws=3, levels=99, element_size_mm=2.4)
-QUICK: Final = Effort(samples=3, draws=1, levels=4, element_size_mm=4.5)
+QUICK: Final = Effort(samples=2, draws=1, levels=4, element_size_mm=4.5)
 """Under a minute of one core for all sweeps."""
 
 
