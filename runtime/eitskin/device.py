@@ -4,6 +4,7 @@ The handshake is the gate: a device of another protocol, table or grid is refuse
 carry a tag and are repeated until their own answer comes, since the line may lose either. ::
 
     HELLO_REQUEST -> HELLO: protocol, ids, serial number, configuration, rows, volts per count
+    TIME_REQUEST  -> TIME                                            a few times; the quickest counts
     START         -> ACK, FRAME, FRAME, ...                          frames before the ACK belong to an older stream
     (silence)     -> HELLO_REQUEST: the same serial number and configuration -> START, else refuse
 """
@@ -12,13 +13,14 @@ import time
 from collections import deque
 from typing import Final, Protocol
 
+from eitskin.clock import TimeSample
 from eitskin.errors import HandshakeError
 from eitskin.transport import Transport
 from eitskin_proto import messages
 from eitskin_proto.codes import Code, HelloFlag, MessageType, Mode
 from eitskin_proto.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.framing import Deframer, encode, wire_bytes
-from eitskin_proto.messages import Ack, Hello
+from eitskin_proto.messages import Ack, Hello, Time
 from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.table import N_FULL_ROWS, N_ROWS
 
@@ -36,6 +38,13 @@ SILENCE_S: Final = 1.0
 
 IDLE_SILENCE_S: Final = 5.0
 """The same in the idle mode."""
+
+
+TIME_QUESTIONS: Final = 5
+"""Asked before each stream; the shortest round trip bounds the clock best."""
+
+TIME_ANSWER_S: Final = 0.1
+"""A device that does not answer this question within this time is not asked again: it only makes ages better."""
 
 
 class Wanted(Protocol):
@@ -70,6 +79,8 @@ class Device:
         self._tag = 0
         self.hello = self._handshake()
         """What the device said about itself."""
+        self.time_sample: TimeSample | None = None
+        """Its clock, asked just before the stream was started; None if it gave no answer."""
         check_usable(self.hello, transport.line_bytes_per_s)
 
     @property
@@ -111,7 +122,30 @@ class Device:
         if self.hello.flags & HelloFlag.IDLE or self.idle:
             self._request(messages.SetMode(self._next_tag(), Mode.ACTIVE))
             self.idle = False
+        self.time_sample = self.ask_time()
         self._request(messages.Start(self._next_tag()))
+
+    def ask_time(self) -> TimeSample | None:
+        """Return the device's clock from the quickest of a few questions; None if one was not answered in time.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+        best: TimeSample | None = None
+        for _ in range(TIME_QUESTIONS):
+            tag = self._next_tag()
+
+            def answers(payload: bytes, tag: int = tag) -> bool:
+                return payload[0] == MessageType.TIME and len(payload) == Time.LAYOUT.size and payload[1] == tag
+
+            asked_ns = time.perf_counter_ns()
+            payload = self._exchange(encode(messages.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
+            if payload is None:
+                return best
+            sample = TimeSample(Time.unpack(payload).device_us, asked_ns, time.perf_counter_ns())
+            if best is None or sample.round_trip_ns < best.round_trip_ns:
+                best = sample
+        return best
 
     def stop(self) -> None:
         """Stop streaming.

@@ -7,7 +7,6 @@ which says what to do.
 
 import os
 import resource
-import time
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,19 +18,14 @@ from eitskin.endpoints import runtime_folder
 from eitskin.errors import SkinError
 from eitskin.lines import open_line
 from eitskin.serial_port import DEFAULT_BAUD
-from eitskin.transport import Transport
-from eitskin_proto.codes import HelloFlag, MessageType
-from eitskin_proto.framing import encode
-from eitskin_proto.messages import Hello, Time, TimeRequest
+from eitskin_proto.codes import HelloFlag
+from eitskin_proto.messages import Hello
 
 SLOW_LATENCY_MS: Final = 1
 """An FTDI adapter holds bytes back for up to this long at best; 16 ms is what it comes with."""
 
 SLOW_ANSWER_MS: Final = 5.0
 """A round trip of this length at best has been held back somewhere: USB frames take 1 ms, a UART 0.2 ms."""
-
-ROUND_TRIPS: Final = 10
-"""Of which the shortest counts."""
 
 SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"))
 
@@ -75,7 +69,8 @@ def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
     try:
         device = Device(transport)
         hello = device.hello
-        answer_ms = None if hello.flags & HelloFlag.STREAMING else _round_trip_ms(transport, device)
+        sample = None if hello.flags & HelloFlag.STREAMING else device.ask_time()
+        answer_ms = None if sample is None else round(sample.round_trip_ns / 1e6, 3)
         return {
             "serial_number": hello.serial_number,
             "firmware": ".".join(map(str, hello.firmware_version)),
@@ -93,21 +88,6 @@ def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
         }
     finally:
         transport.close()
-
-
-def _round_trip_ms(transport: Transport, device: Device) -> float | None:
-    """Return the shortest of a few questions for the time, in ms; None if none was answered."""
-    best: float | None = None
-    for tag in range(1, ROUND_TRIPS + 1):
-        asked_s = time.perf_counter()
-        transport.write(encode(TimeRequest(tag=tag).pack()))
-        while (waited_s := time.perf_counter() - asked_s) < 0.5:
-            answers = [payload for payload in device.payloads(0.5 - waited_s) if payload[0] == MessageType.TIME]
-            if any(Time.unpack(payload).tag == tag for payload in answers):
-                took_ms = (device.read_ns * 1e-9 - asked_s) * 1e3
-                best = took_ms if best is None else min(best, took_ms)
-                break
-    return None if best is None else round(best, 3)
 
 
 def _device_problems(port: str, hello: Hello, answer_ms: float | None) -> list[str]:

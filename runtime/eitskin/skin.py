@@ -388,6 +388,7 @@ class Skin:
         if not self._started:
             self._started = True
             self.device.start()
+            self.pipeline.clock.anchor(self.device.time_sample)
 
     def _newest(self, payloads: list[bytes]) -> list[bytes]:
         """Return what to compute when time is short: of all frames that wait, the newest."""
@@ -421,6 +422,7 @@ class Skin:
                 continue  # it vanished once more while it was greeted
         self.recoveries += 1
         self.pipeline.greet(self.device.hello)
+        self.pipeline.clock.anchor(self.device.time_sample)
         self._pending_events = (*self._pending_events, "recovered")
         self._heard_ns = time.perf_counter_ns()
 
@@ -449,6 +451,7 @@ class Skin:
             "mode_changes": 0 if self._idle is None else self._idle.switches,
             "regions": [list(region.bounds) for region in pipeline.regions],
             "clock_drift_ppm": round(pipeline.clock.drift_ppm, 3),
+            "wire_delay_us": pipeline.clock.shortest_delay_us,
             "serial_number": self.device.hello.serial_number,
             "configuration": self.device.configuration,
             "bundle": self.bundle.id,
