@@ -16,7 +16,7 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import asdict, dataclass
-from typing import Final
+from typing import Any, Final
 
 from eitskin.device import Device
 from eitskin.errors import HandshakeError, PortLost, PortReturned
@@ -77,7 +77,7 @@ def pull(cycles: int, rate_hz: float = 200.0) -> Figures:
     return _figures(cycles, followed, before, started_s)
 
 
-def pull_usb(cycles: int) -> dict[str, object]:
+def pull_usb(cycles: int) -> dict[str, Any]:
     """Pull a device off a mocked USB bus so many times and return the figures, or why it could not be done."""
     lacking = missing()
     if lacking:
@@ -94,7 +94,7 @@ def pull_usb(cycles: int) -> dict[str, object]:
             if line.startswith("pull"):
                 usb.tell(f"unplug {OUT_S}")
             last = line
-    figures: dict[str, object] = json.loads(last)
+    figures: dict[str, Any] = json.loads(last)
     return figures
 
 
@@ -189,7 +189,7 @@ def main(argv: list[str] | None = None) -> int:
     figures = pull(arguments.cycles)
     usb = pull_usb(arguments.usb_cycles) if arguments.usb_cycles else {"not_run": "no cycles were asked for"}
     print(json.dumps({"hotplug": asdict(figures), "usb": usb}))
-    return 1 if figures.wrong or ("not_run" not in usb and Figures(**usb).wrong) else 0  # type: ignore[arg-type]
+    return 1 if figures.wrong or ("not_run" not in usb and Figures(**usb).wrong) else 0
 
 
 if __name__ == "__main__":

@@ -9,6 +9,7 @@ The host's programs need the bus's environment and nothing else: ``eitskin run -
 """
 
 import json
+import math
 import os
 import shutil
 import subprocess
@@ -37,7 +38,8 @@ class Steady:
 
     def voltages(self, time_s: float) -> npt.NDArray[np.float64]:
         """Return the (104,) V at a time since the first START."""
-        return np.linspace(-0.1, -0.001, N_ROWS) * (1.0 + 1e-4 * np.sin(40.0 * time_s))
+        rows: npt.NDArray[np.float64] = np.linspace(-0.1, -0.001, N_ROWS)
+        return rows * (1.0 + 1e-4 * math.sin(40.0 * time_s))
 
 
 class Puller(FaultPlayer):

@@ -10,11 +10,14 @@ from typing import Any, Final
 from eitskin.errors import HandshakeError
 from eitskin.transport import Transport
 from eitskin_proto import framing, messages
-from eitskin_proto.codes import Code
+from eitskin_proto.codes import Code, MessageType
 from eitskin_proto.errors import ProtocolError
 
 ANSWER_TIMEOUT_S: Final = 0.6
 """A device answers within 0.5 s (SPEC.md, section 3)."""
+
+KNOWN_TYPES: Final = frozenset(int(kind) for kind in MessageType)
+"""Newer firmware may send others."""
 
 ATTEMPTS: Final = 4
 """How often a request is sent before the device counts as silent."""
@@ -132,6 +135,8 @@ class Exchange:
                 return None
             found = None
             for payload in self._deframer.feed(data):
+                if payload[0] not in KNOWN_TYPES:
+                    continue  # newer firmware may say more than this host understands (SPEC.md, section 2)
                 message = messages.unpack(payload)
                 if isinstance(message, messages.Event):
                     self.events.append(message)

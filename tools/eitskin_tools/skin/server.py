@@ -145,7 +145,7 @@ class SkinServer:
     def _wait(self, until_ns: int | None) -> None:
         moments = [moment for moment in (until_ns, self.next_ns()) if moment]
         timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
-        ports = [self.port] if self.port.plugged else []
+        ports = [self.port.fileno()] if self.port.plugged else []
         select.select([*ports, self._wake], ports if self.port.unsent else [], [], timeout_s)
 
     def turn(self, now: int) -> None:
