@@ -9,7 +9,7 @@ from eitskin_tools.faults import fuzz
 
 
 def test_mutated_frames_are_never_accepted_and_intact_ones_never_lost(core, capsys):
-    assert fuzz.main(["--frames", "10000", "--seed", "3"]) == 0
+    assert fuzz.main(["--frames", "10000", "--seed", "3", "--guided-seconds", "0"]) == 0
     report = json.loads(capsys.readouterr().out)
     figures = report["fuzz"]["stream"]
     assert figures["sent"] == 10_000
@@ -32,3 +32,9 @@ def test_a_receiver_that_accepts_damage_is_noticed(core, monkeypatch):
     figures = fuzz.stream(500, 1)
     assert figures["accepted_damaged"] > 0
     assert figures["disagreements"] > 0
+
+
+def test_a_crash_under_the_guided_fuzzer_fails_the_command(core, monkeypatch, capsys):
+    monkeypatch.setattr(fuzz, "guided", lambda seconds: {"executions": 1, "crashes": 1})
+    assert fuzz.main(["--frames", "100"]) == 1
+    assert json.loads(capsys.readouterr().out)["wrong"] == 1

@@ -3,12 +3,18 @@
 ``python -m eitskin_tools.faults.fuzz [--frames N] [--seed S]`` sends N frames, each with its own sequence number; about
 half of them are mutated: flips, drops, inserts, truncation, repeats, splices with the next one. A frame is intact
 if its bytes and the delimiter before it are. A tenth as many payloads are damaged before the check is put on, so that
-the decoders behind it are reached, too. One JSON line comes last; exit status 1 if anything was wrong.
+the decoders behind it are reached, too. Then libFuzzer, where clang is installed, bends the whole C device's input for
+a bounded time, guided by what it covers, under the address and undefined-behaviour sanitizers; the same is done without
+guidance by ``make -C firmware_proto check`` on every machine. One JSON line comes last; exit status 1 if anything was
+wrong.
 """
 
 import argparse
 import json
 import random
+import re
+import shutil
+import subprocess
 import sys
 from collections import Counter
 from collections.abc import Callable
@@ -21,6 +27,7 @@ from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import Frame, FrameView, frame_bytes
 from eitskin_proto.scan_rows import row_count
 from eitskin_tools.faults.core import OK, CoreDeframer, library
+from eitskin_tools.faults.firmware import FOLDER
 
 BATCH: Final = 500
 """Frames in one stretch of the stream."""
@@ -137,17 +144,42 @@ def behind_the_check(count: int, seed: int) -> dict[str, int]:
     return dict(figures)
 
 
+def guided(seconds: int) -> dict[str, int | str]:
+    """Let libFuzzer bend the C device's input for some seconds; return the figures, or why it could not be done."""
+    if seconds <= 0 or shutil.which("clang") is None:
+        return {"not_run": "no seconds were asked for" if seconds <= 0 else "clang not found: apt-get install clang"}
+    done = subprocess.run(
+        ["make", "-s", "-C", str(FOLDER), "libfuzzer", f"FUZZ_SECONDS={seconds}"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    said = done.stdout + done.stderr
+    runs = re.search(r"Done (\d+) runs in (\d+) second", said)
+    covered = re.findall(r"cov: (\d+)", said)
+    if done.returncode != 0 or runs is None:
+        print(said[-3000:], file=sys.stderr)
+    return {
+        "executions": int(runs[1]) if runs else 0,
+        "seconds": int(runs[2]) if runs else 0,
+        "covered_edges": int(covered[-1]) if covered else 0,
+        "crashes": int(done.returncode != 0),
+    }
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run it and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--frames", type=int, default=1_000_000)
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--guided-seconds", type=int, default=60, help="of libFuzzer; 0 for none (default 60)")
     arguments = parser.parse_args(argv)
     frames = stream(arguments.frames, arguments.seed)
     sealed = behind_the_check(max(1, arguments.frames // 10), arguments.seed)
     wrong = sum(frames[key] for key in ("accepted_damaged", "lost_intact", "disagreements", "canary"))
     wrong += sealed["disagreements"]
-    print(json.dumps({"fuzz": {"stream": frames, "behind_the_check": sealed}, "wrong": wrong}))
+    libfuzzer = guided(arguments.guided_seconds)
+    wrong += int(libfuzzer.get("crashes", 0))
+    figures = {"stream": frames, "behind_the_check": sealed, "libfuzzer": libfuzzer}
+    print(json.dumps({"fuzz": figures, "wrong": wrong}))
     return 1 if wrong else 0
 
 
