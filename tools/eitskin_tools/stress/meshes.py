@@ -95,8 +95,8 @@ def _explain_slit(samples: Sequence[Sample], aspect: float) -> str:
     plain = [_with_slit(sample.scene, ASPECTS[0]) for sample in samples]
     error, share = _error(samples, [_with_slit(s.scene, aspect) for s in samples], plain)
     return (
-        f"at {aspect:.3g} V differs from that at {ASPECTS[0]:g} by {error:.2g} rms, {share:.2g} of what the touches change: voltages come from "
-        "differences within elements, so a thin element loses no digits"
+        f"at {aspect:.3g} V differs from that at {ASPECTS[0]:g} by {error:.2g} rms, {share:.2g} of what the touches "
+        "change: voltages come from differences within elements, so a thin element loses no digits"
     )
 
 
