@@ -11,21 +11,23 @@
       gate.npz          the touch gate (optional)
 
 A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
-SHA-256 of the manifest, which holds the SHA-256 of everything else.
+SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
+each time: a session keeps its own copy of the weights, so that another one in Python would only cost memory.
 """
 
 import hashlib
 import io
 import json
-import zipfile
-from collections.abc import Mapping
+import mmap
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, Self
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.archive import BadArchiveError, Member, members
 from eitskin.errors import BundleError, MismatchError
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
@@ -47,9 +49,43 @@ LARGEST_FILE: Final = 256 << 20
 EXPORT_HINT: Final = "make it again with 'eitskin export'"
 
 
+class Files(Mapping[str, bytes]):
+    """The files of a bundle by name; each access reads and checks one.
+
+    Args:
+        path: Of the bundle.
+        digests: SHA-256 of every file.
+    """
+
+    def __init__(self, path: Path, digests: Mapping[str, str]) -> None:
+        self._path = path
+        self._digests = digests
+
+    def __getitem__(self, name: str) -> bytes:
+        expected = self._digests[name]
+        with _Opened(self._path) as archive:
+            data = _member(archive.members, name, LARGEST_FILE, self._path, check=False)
+        found = hashlib.sha256(data).hexdigest()
+        if found != expected:
+            raise BundleError(
+                f"{self._path}: {name} is damaged: sha256 found {found[:16]}, expected {expected[:16]}; "
+                f"copy the bundle again, or {EXPORT_HINT}"
+            )
+        return data
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._digests
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._digests)
+
+    def __len__(self) -> int:
+        return len(self._digests)
+
+
 @dataclass(frozen=True, slots=True)
 class Bundle:
-    """A checked bundle, in memory."""
+    """A checked bundle."""
 
     path: Path
     manifest: dict[str, Any]
@@ -90,12 +126,13 @@ class Bundle:
         """Return the touch gate's arrays, or None for a bundle without a gate."""
         if "gate.npz" not in self.files:
             return None
-        archive = _load_array(self.files["gate.npz"], "gate.npz")
-        if isinstance(archive, np.ndarray):
-            raise BundleError(f"gate.npz: found a single array, expected an archive; {EXPORT_HINT}")
         try:
-            return {name: archive[name] for name in archive.files}
-        except (ValueError, OSError, zipfile.BadZipFile) as error:
+            found = members(self.files["gate.npz"])
+            return {
+                name.removesuffix(".npy"): _load_array(member.read(LARGEST_MANIFEST), "gate.npz")
+                for name, member in found.items()
+            }
+        except BadArchiveError as error:
             raise BundleError(f"gate.npz: {error}; {EXPORT_HINT}") from error
 
 
@@ -110,61 +147,70 @@ def default_path(labels: str = "area") -> Path:
     return Path(__file__).parent / "bundles" / f"{LABELS[labels]}.eitskin"
 
 
-def load_bundle(path: str | Path | None = None) -> Bundle:
+def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bundle:
     """Return a bundle whose every byte was checked.
 
     Args:
         path: The file; None takes the shipped bundle of area labels.
+        lazily: Check each file only when it is used.
 
     Raises:
         BundleError: It cannot be read, is damaged or incomplete.
         MismatchError: It was made for another format version, protocol_id or grid_id.
     """
     where = default_path() if path is None else Path(path)
-    try:
-        with zipfile.ZipFile(where) as archive:
-            raw = _member(archive, "manifest.json", LARGEST_MANIFEST)
-            manifest = _manifest(raw, where)
-            _check_ids(manifest, where)
-            files = {name: _checked(archive, name, entry, where) for name, entry in manifest["files"].items()}
-    except FileNotFoundError as error:
-        raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
-    except (zipfile.BadZipFile, zipfile.LargeZipFile, NotImplementedError, EOFError, RuntimeError) as error:
-        raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
-    except OSError as error:
-        raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
-    missing = [name for name in REQUIRED if name not in files]
+    with _Opened(where) as archive:
+        raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
+        present = set(archive.members)
+    manifest = _manifest(raw, where)
+    _check_ids(manifest, where)
+    missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in present or name not in manifest["files"]]
     if missing:
-        raise BundleError(f"{where} lacks {', '.join(missing)}; {EXPORT_HINT}")
+        raise BundleError(f"{where} lacks {', '.join(dict.fromkeys(missing))}; {EXPORT_HINT}")
+    files = Files(where, {name: str(entry["sha256"]) for name, entry in manifest["files"].items()})
+    if not lazily:
+        for name in files:
+            files[name]
     return Bundle(where, manifest, files, hashlib.sha256(raw).hexdigest()[:16])
 
 
-def _member(archive: zipfile.ZipFile, name: str, largest: int) -> bytes:
-    try:
-        info = archive.getinfo(name)
-    except KeyError as error:
-        raise BundleError(f"{archive.filename} has no {name}; {EXPORT_HINT}") from error
-    if info.file_size > largest:
-        raise BundleError(f"{archive.filename}: {name} claims {info.file_size} bytes, expected at most {largest}")
-    with archive.open(info) as stream:  # a bounded read: the claim may be a lie
-        data = stream.read(largest + 1)
-    if len(data) > largest:
-        raise BundleError(f"{archive.filename}: {name} is longer than {largest} bytes")
-    return data
+class _Opened:
+    """The members of an archive, mapped into memory while the block lasts."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.members: Mapping[str, Member] = {}
+
+    def __enter__(self) -> Self:
+        where = self._path
+        try:
+            with where.open("rb") as stream:
+                self._map = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+        except FileNotFoundError as error:
+            raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
+        except OSError as error:
+            raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
+        except ValueError as error:
+            raise BundleError(f"{where} is no intact bundle (it is empty); {EXPORT_HINT}") from error
+        try:
+            self.members = members(self._map)
+        except BadArchiveError as error:
+            self._map.close()
+            raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.members = {}
+        self._map.close()
 
 
-def _checked(archive: zipfile.ZipFile, name: str, entry: dict[str, Any], where: Path) -> bytes:
+def _member(found: Mapping[str, Member], name: str, largest: int, where: Path, *, check: bool = True) -> bytes:
+    if name not in found:
+        raise BundleError(f"{where} has no {name}; {EXPORT_HINT}")
     try:
-        data = _member(archive, name, LARGEST_FILE)
-    except zipfile.BadZipFile as error:
-        raise BundleError(f"{where}: {name} is damaged ({error}); {EXPORT_HINT}") from error
-    found = hashlib.sha256(data).hexdigest()
-    if found != entry["sha256"]:
-        raise BundleError(
-            f"{where}: {name} is damaged: sha256 found {found[:16]}, expected {str(entry['sha256'])[:16]}; "
-            f"copy the bundle again, or {EXPORT_HINT}"
-        )
-    return data
+        return found[name].read(largest, check=check)
+    except BadArchiveError as error:
+        raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
 
 
 def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
@@ -211,5 +257,5 @@ def _check_ids(manifest: dict[str, Any], where: Path) -> None:
 def _load_array(data: bytes, name: str) -> Any:
     try:
         return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError, zipfile.BadZipFile) as error:
+    except (ValueError, OSError, EOFError) as error:
         raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import zmq
-from zmq import auth
 
 from eitskin.errors import EndpointError
 
@@ -71,7 +70,7 @@ def make_keys(folder: str | Path) -> list[Path]:
     before = os.umask(0o077)
     try:
         clients.mkdir(parents=True, exist_ok=True)
-        names = (*auth.create_certificates(where, "server"), *auth.create_certificates(where, "client"))
+        names = (*_auth().create_certificates(where, "server"), *_auth().create_certificates(where, "client"))
     finally:
         os.umask(before)
     (where / "client.key").rename(clients / "client.key")
@@ -107,7 +106,7 @@ def load_client_keys(server_key: str | Path, client_secret: str | Path) -> Clien
     """
     public, secret = _certificate(Path(client_secret))
     try:
-        server, _ = auth.load_certificate(server_key)
+        server, _ = _auth().load_certificate(server_key)
     except (OSError, ValueError) as error:
         raise EndpointError(f"{server_key} is no CURVE key: {error}") from error
     return ClientKeys(public, secret, server)
@@ -124,7 +123,7 @@ class Doorkeeper:
     """
 
     def __init__(self, context: Any, keys: ServerKeys) -> None:
-        self._authenticator = auth.Authenticator(context)
+        self._authenticator = _auth().Authenticator(context)
         self._authenticator.configure_curve(domain=DOMAIN, location=str(keys.clients))
         self._authenticator.start()
         self._thread = threading.Thread(target=self._serve, name="eitskin-curve", daemon=True)
@@ -143,15 +142,22 @@ class Doorkeeper:
         self._thread.join()
 
 
-def _answer(authenticator: auth.Authenticator, question: list[bytes]) -> None:
+def _answer(authenticator: Any, question: list[bytes]) -> None:
     handling = authenticator.handle_zap_message(question)
     with suppress(StopIteration):  # a coroutine that never waits: one step runs it to its end
         handling.send(None)
 
 
+def _auth() -> Any:
+    """Return pyzmq's keys module, which loads logging and hashing: only who uses keys pays for it."""
+    from zmq import auth  # noqa: PLC0415
+
+    return auth
+
+
 def _certificate(path: Path) -> tuple[bytes, bytes]:
     try:
-        public, secret = auth.load_certificate(path)
+        public, secret = _auth().load_certificate(path)
     except (OSError, ValueError) as error:
         raise EndpointError(
             f"{path} is no CURVE key ({error}); 'eitskin doctor --make-curve-keys DIR' makes keys"

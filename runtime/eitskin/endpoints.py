@@ -14,7 +14,6 @@ a living socket is "in use", a dead one is removed, anything else is left alone 
 """
 
 import errno
-import ipaddress
 import os
 import socket
 import stat
@@ -90,6 +89,8 @@ def needs_keys(endpoint: str, *, control: bool) -> bool:
 
 
 def _is_loopback(host: str) -> bool:
+    import ipaddress  # noqa: PLC0415 -- only TCP needs it
+
     try:
         return ipaddress.ip_address(host.strip("[]")).is_loopback
     except ValueError:

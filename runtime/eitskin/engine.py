@@ -19,8 +19,7 @@ import numpy.typing as npt
 import onnxruntime
 
 from eitskin.bundle import EXPORT_HINT, Bundle
-from eitskin.errors import BundleError, MismatchError
-from eitskin.onnx_rows import UncutError, cut
+from eitskin.errors import BundleError, MismatchError, UncutError
 from eitskin_proto.cloud import flat_cloud, network_input
 from eitskin_proto.grid import N_PIXELS
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
@@ -109,7 +108,11 @@ class HeadEngine:
         self._map = buffers.map[0]
         self._part = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
         graph = bundle.files[file]
-        self._session = _session(bundle, file, graph if pixels is None else cut(graph, pixels, N_PIXELS))
+        if pixels is not None:
+            from eitskin.onnx_rows import cut  # noqa: PLC0415 -- only regions need it
+
+            graph = cut(graph, pixels, N_PIXELS)
+        self._session = _session(bundle, file, graph)
         arrays = {"dv": buffers.change, "bias": buffers.bias}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
@@ -221,7 +224,12 @@ class GeometryGraph:
 
 
 def engines(
-    bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None, *, best: str | None = None
+    bundle: Bundle,
+    buffers: Buffers,
+    pixels: npt.NDArray[np.intp] | None = None,
+    *,
+    best: str | None = None,
+    alone: bool = False,
 ) -> list[Engine]:
     """Return every engine that a bundle offers, from the most accurate to the fastest.
 
@@ -230,6 +238,7 @@ def engines(
         buffers: What they read and write.
         pixels: (n,) the only pixels to compute, ascending; None for all.
         best: Leave out those before the one of this name.
+        alone: Leave out those behind the first.
 
     Raises:
         ValueError: The bundle has no solver of this name.
@@ -239,6 +248,8 @@ def engines(
     if best is not None and best not in found:
         raise ValueError(f"solver {best!r} does not exist; this bundle has {', '.join(found)}")
     names = found if best is None else found[found.index(best) :]
+    if alone:
+        del names[1:]
     return [
         _head(bundle, HEADS[name], name, buffers, pixels)
         if name in HEADS

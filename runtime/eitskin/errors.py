@@ -14,6 +14,7 @@
     │   └── PortReturned       it vanished and is open again: shake hands anew
     ├── HandshakeError         nobody answered, or the answer was a refusal
     ├── BundleError            a bundle that is damaged or incomplete
+    │   └── UncutError         a network of which no region can be computed by itself
     ├── BadReference           a reference that cannot be used
     ├── EndpointError          an address that may not or cannot be bound or reached
     ├── ControlError           the runtime refused a request
@@ -46,6 +47,7 @@ __all__ = [
     "SkinError",
     "StaleFrame",
     "TransportError",
+    "UncutError",
 ]
 
 
@@ -83,6 +85,10 @@ class HandshakeError(SkinError):
 
 class BundleError(SkinError):
     """A bundle is damaged, incomplete or unreadable."""
+
+
+class UncutError(BundleError):
+    """A network's last layer is of a kind of which no single outputs can be had."""
 
 
 class BadReference(SkinError):

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BundleError
+from eitskin.errors import BundleError, UncutError
 
 GRAPH: Final = 7
 """Field of ModelProto; those of GraphProto and TensorProto follow."""
@@ -28,10 +28,6 @@ DTYPES: Final = {1: "<f4", 2: "u1", 3: "i1", 6: "<i4", 7: "<i8"}
 
 THROUGH: Final = frozenset({"Sigmoid", "Add", "Mul", "Cast"})
 """Operators that keep every output apart from the others."""
-
-
-class UncutError(BundleError):
-    """The last layer is of a kind of which no single outputs can be had."""
 
 
 @dataclass(frozen=True, slots=True)

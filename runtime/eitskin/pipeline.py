@@ -2,8 +2,8 @@
 
 The pipeline owns the memory that a frame passes through and the decisions about it; it knows no socket and no port.
 What it leaves out is stated: ``inference:untouched``, ``inference:no_subscriber``, ``inference:unchanged``,
-``map:region``, ``acquisition:idle``, ``geometry:cloud_unchanged``. A frame that is not fit to publish is withheld, with
-a reason and a count:
+``map:region``, ``map:untouched``, ``acquisition:idle``, ``geometry:cloud_unchanged``. A frame that is not fit to
+publish is withheld, with a reason and a count:
 
 ====================  ===============================================================
 ``malformed``         an intact packet that is no frame of this device
@@ -37,6 +37,7 @@ from eitskin.normaliser import Normaliser
 from eitskin.reference import Reference
 from eitskin.regions import WHOLE, Regions, pixels
 from eitskin.stillness import REFRESH_FRAMES, Stillness
+from eitskin.watch import Watch
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import FrameView
 from eitskin_proto.grid import N_PIXELS
@@ -55,9 +56,13 @@ READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
 UNTOUCHED: Final = ("inference:untouched", *CLOUD_UNCHANGED)
+LOOKED: Final = ("map:untouched", *CLOUD_UNCHANGED)
 NO_SUBSCRIBER: Final = ("inference:no_subscriber", *CLOUD_UNCHANGED)
 IDLE: Final = ("acquisition:idle", "inference:idle", *CLOUD_UNCHANGED)
 UNCHANGED: Final = ("inference:unchanged", *CLOUD_UNCHANGED)
+
+PROJECTION: Final = "tikhonov"
+"""The solver whose maps cannot say that nothing touches."""
 
 WARM_UPS: Final = 30
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
@@ -98,8 +103,9 @@ class Pipeline:
     ) -> None:
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
+        self.watch = Watch()
         self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
-        self.engines: list[Engine] = engines(bundle, self.buffers, best=solver)
+        self.engines: list[Engine] = engines(bundle, self.buffers, best=solver, alone=budget_ns is None)
         self._whole = self.engines
         self.regions: Regions = (WHOLE,)
         """What of the map is computed."""
@@ -213,7 +219,10 @@ class Pipeline:
         """
         if regions == (WHOLE,):
             return Part(regions, self._whole)
-        return Part(regions, engines(bundle, self.buffers, pixels(regions), best=self._whole[0].name))
+        return Part(
+            regions,
+            engines(bundle, self.buffers, pixels(regions), best=self._whole[0].name, alone=len(self._whole) == 1),
+        )
 
     def accept(self, payload: bytes, read_ns: int) -> bool:
         """Decode a frame and return whether it may go on; the first half of a frame's way.
@@ -278,9 +287,12 @@ class Pipeline:
             self.touched = True  # without a gate every frame is computed
         stamps[GATE] = time.perf_counter_ns()
         self.inferred = False
-        if not self.touched or not wanted:
+        if not self.touched and wanted and self.watch.looks() and self._look():
+            self.touched = True
+            self.skipped = self._skipped_new if fresh_cloud else self._skipped
+        elif not self.touched or not wanted:
             self._compute_nothing()
-            self.skipped = NO_SUBSCRIBER if self.touched else UNTOUCHED
+            self.skipped = NO_SUBSCRIBER if self.touched else LOOKED if self.inferred else UNTOUCHED
         elif self._is_still():
             self.solver, self.map_sequence = self._computed, self._computed_sequence
             self.skipped = UNCHANGED
@@ -344,6 +356,17 @@ class Pipeline:
         if stillness is None or self._computed != self.engines[self.ladder.engine].name:
             return False
         return stillness.still(self._change)
+
+    def _look(self) -> bool:
+        """Infer a frame that the gate calls untouched, and return whether its map shows a strong touch all the same."""
+        if self.engines[self.ladder.engine].name == PROJECTION:
+            return False  # scaled to 1 whatever it shows
+        before = self.solver, self.map_sequence
+        if self._infer() and self.watch.overrules(self._map):
+            self.events += ("gate_overruled",)
+            return True
+        self.solver, self.map_sequence = before
+        return False
 
     def _infer(self) -> bool:
         engine = self.engines[self.ladder.engine]

@@ -14,10 +14,9 @@ and it is named wherever a reference is reported.
 import hashlib
 import json
 import os
-import tempfile
+import time
 from contextlib import suppress
 from dataclasses import dataclass
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
 
@@ -161,7 +160,7 @@ class ReferenceBuilder:
             serial_number=hello.serial_number,
             configuration_digest=hello.configuration_digest,
             configuration_name=hello.configuration_name,
-            captured_utc=datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
+            captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         )
 
 
@@ -185,6 +184,8 @@ def save(reference: Reference, path: str | Path) -> None:
         "spread_V": reference.spread_V.tolist(),
     }
     content["sha256"] = _digest(content)
+    import tempfile  # noqa: PLC0415 -- 10 ms that a stream does not need
+
     where = Path(path)
     try:
         handle, name = tempfile.mkstemp(dir=where.parent, prefix=f".{where.name}.")

@@ -5,7 +5,7 @@ solvers. Then the stream runs, and the loop blocks in the transport's ``read`` a
 and ``stop`` may come from other threads at any time; the loop picks them up between two frames.
 """
 
-import secrets
+import os
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator
@@ -85,7 +85,7 @@ class Skin:
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
-        self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle)
+        self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
         loaded = references.load(reference) if isinstance(reference, str | Path) else reference
         self.transport: Transport = open_line(port, baud) if isinstance(port, str) else port
         try:
@@ -131,7 +131,7 @@ class Skin:
             configuration=self.device.configuration,
             bundle=self.bundle.id,
             serial_number=self.device.hello.serial_number,
-            run=secrets.token_hex(4),
+            run=os.urandom(4).hex(),
         )
 
     # -- reference -----------------------------------------------------------------------------------------------------

@@ -9,8 +9,8 @@ import eitskin
 from eitskin.bundle import default_path, load_bundle
 from eitskin.cutter import Cutter
 from eitskin.engine import Buffers, GeometryGraph, MaskedEngine, engines
-from eitskin.errors import BundleError
-from eitskin.onnx_rows import UncutError, cut
+from eitskin.errors import BundleError, UncutError
+from eitskin.onnx_rows import cut
 from eitskin.pipeline import Pipeline
 from eitskin.regions import WHOLE, Region, pixels, union
 
@@ -113,7 +113,9 @@ def test_bytes_that_are_no_network_are_refused():
 def test_a_solver_that_does_not_exist_is_named_with_those_that_do(tiny, hello):
     with pytest.raises(ValueError, match="solver 'magic' does not exist; this bundle has vd2t, vd2t-int8, tikhonov"):
         Pipeline(tiny, hello, solver="magic")
-    assert [engine.name for engine in Pipeline(tiny, hello, solver="vd2t-int8").engines] == ["vd2t-int8", "tikhonov"]
+    chosen = Pipeline(tiny, hello, 10**9, solver="vd2t-int8")
+    assert [engine.name for engine in chosen.engines] == ["vd2t-int8", "tikhonov"]
+    assert [engine.name for engine in Pipeline(tiny, hello).engines] == ["vd2t"]  # without a budget nothing else runs
 
 
 def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, hello, monkeypatch):
