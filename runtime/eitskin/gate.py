@@ -4,9 +4,11 @@ A distance to the reference cannot tell: bending changes dV up to nine times as 
 untouched and touched sheets at many deformations; its manifest entry states the false-alarm rate on deformations that
 it was not trained on. A frame that it calls untouched costs no inference. ::
 
-    dV (104) -> [dV, log max(1 + dV, 1e-3)] -> (x - mean) / scale -> relu(. w1 + b1) -> . w2 + b2 > threshold
+    dV (104) -> [dV, log max(1 + dV, floor)] -> (x - mean) / scale -> relu(. w1 + b1) [-> relu(. w2 + b2)] -> logit
+    touched: logit > threshold
 
-Everything is written into arrays made at the start.
+With one hidden layer the last weights are w2 and b2, with two they are w3 and b3. Everything is written into arrays
+made at the start.
 """
 
 from collections.abc import Mapping
@@ -18,43 +20,59 @@ import numpy.typing as npt
 from eitskin.errors import BundleError
 from eitskin_proto.table import N_ROWS
 
-LARGEST_DROP: Final = -0.999
-"""dV is cut off here before log(1 + dV), as in training; V/V0 reaches 5e-4 on a healthy sheet."""
+FLOOR: Final = 1e-3
+"""V / V0 is not taken for less before the logarithm, where a gate names no floor of its own."""
 
 FIELDS: Final = ("mean", "scale", "w1", "b1", "w2", "b2", "threshold")
 """Arrays of gate.npz."""
+
+EXTRAS: Final = ("floor", "w3", "b3")
+"""Arrays that a gate may have besides."""
 
 
 class Gate:
     """Judges dV: fill ``change``, then call :meth:`touched`, once a frame.
 
     Args:
-        arrays: mean and scale (208,), w1 (208, hidden), b1 (hidden,), w2 (hidden,), b2 and threshold of one value.
+        arrays: mean and scale (208,), w1 (208, h), b1 (h,), threshold of one value; w2 (h,) and b2 of one value, or w2
+            (h, g), b2 (g,), w3 (g,) and b3 of one value; floor of one value, if it is not ``FLOOR``.
         rows: How many rows dV has, where it is not the whole table's 104: then 2 * rows instead of 208.
 
     Raises:
         BundleError: An array is missing, has a wrong shape, or is not finite.
     """
 
-    __slots__ = ("_hidden", "_logarithms", "_output", "_shift", "_weights", "change", "features", "logit", "threshold")
+    __slots__ = (
+        "_drop", "_first", "_hidden", "_logarithms", "_output", "_second", "_second_bias", "_second_hidden", "_shift",
+        "change", "features", "logit", "threshold",
+    )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
-        values = {name: _finite(arrays, name) for name in FIELDS}
-        hidden = values["b1"].size
-        shapes = {"mean": (2 * rows,), "scale": (2 * rows,), "w1": (2 * rows, hidden), "w2": (hidden,)}
+        deep = "w3" in arrays
+        names = (*FIELDS, *(name for name in EXTRAS if name in arrays or (deep and name == "b3")))
+        values = {name: _finite(arrays, name) for name in names}
+        hidden, last = values["b1"].size, values["b2"].size
+        shapes = {"mean": (2 * rows,), "scale": (2 * rows,), "w1": (2 * rows, hidden)}
+        shapes |= {"w2": (hidden, last), "w3": (last,)} if deep else {"w2": (hidden,)}
         for name, shape in shapes.items():
             if values[name].shape != shape:
                 raise BundleError(f"gate.npz: {name} has shape {values[name].shape}, expected {shape}; export it again")
         scale = values["scale"]
         if not (np.abs(scale) > 0).all():
             raise BundleError("gate.npz: scale holds a zero, expected every feature to vary; export it again")
+        floor = float(values["floor"].reshape(-1)[0]) if "floor" in values else FLOOR
+        if not 0.0 < floor < 1.0:
+            raise BundleError(f"gate.npz: floor is {floor:g}, expected more than 0 and less than 1; export it again")
+        self._drop = floor - 1.0
         # Standardisation and bias are folded into the first layer, the bias as the weights of a feature that is 1:
         # on a paced loop every operation costs microseconds of cold cache, whatever its size.
         weights = values["w1"] / scale[:, None]
         bias = values["b1"] - values["mean"] @ weights
-        self._weights = np.ascontiguousarray(np.vstack([weights, bias[None]]), dtype=np.float32)
-        self._output = np.asarray(values["w2"], dtype=np.float32).reshape(hidden)
-        self._shift = float(values["b2"].reshape(-1)[0])
+        self._first = np.ascontiguousarray(np.vstack([weights, bias[None]]), dtype=np.float32)
+        self._second = np.ascontiguousarray(values["w2"], dtype=np.float32) if deep else None
+        self._second_bias = np.asarray(values["b2"], dtype=np.float32).reshape(last)
+        self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
+        self._shift = float(values["b3" if deep else "b2"].reshape(-1)[0])
         self.threshold = float(values["threshold"].reshape(-1)[0])
         """The logit above which a frame counts as touched."""
         self.features = np.ones(2 * rows + 1, dtype=np.float32)
@@ -62,16 +80,23 @@ class Gate:
         """(104,) or (rows,) dV, to be filled before ``touched``."""
         self._logarithms = self.features[rows : 2 * rows]
         self._hidden = np.zeros(hidden, dtype=np.float32)
+        self._second_hidden = np.zeros(last, dtype=np.float32)
         self.logit = 0.0
         """Of the last frame judged."""
 
     def touched(self) -> bool:
         """Return whether the sheet is touched, by ``change``."""
-        np.maximum(self.change, LARGEST_DROP, out=self._logarithms)
+        np.maximum(self.change, self._drop, out=self._logarithms)
         np.log1p(self._logarithms, out=self._logarithms)
-        np.matmul(self.features, self._weights, out=self._hidden)
-        np.maximum(self._hidden, 0.0, out=self._hidden)
-        self.logit = float(np.dot(self._hidden, self._output)) + self._shift
+        hidden = self._hidden
+        np.matmul(self.features, self._first, out=hidden)
+        np.maximum(hidden, 0.0, out=hidden)
+        if self._second is not None:
+            np.matmul(hidden, self._second, out=self._second_hidden)
+            hidden = self._second_hidden
+            np.add(hidden, self._second_bias, out=hidden)
+            np.maximum(hidden, 0.0, out=hidden)
+        self.logit = float(np.dot(hidden, self._output)) + self._shift
         return self.logit > self.threshold
 
 

@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, HandshakeError
-from eitskin.gate import FIELDS, Gate
+from eitskin.gate import EXTRAS, FIELDS, Gate
 from eitskin.normaliser import LARGEST_CHANGE, Normaliser
 from eitskin_proto.codes import Mode
 from eitskin_proto.messages import Hello
@@ -62,7 +62,7 @@ class IdleGate:
             )
         self._rows = table_rows(False, self.drives)
         count = len(self._rows)
-        self.gate = Gate({name: arrays[PREFIX + name] for name in FIELDS if PREFIX + name in arrays}, count)
+        self.gate = Gate({name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}, count)
         self._scale = np.zeros(count)
         self._offset = np.zeros(count)
         self._exact = np.zeros(count)

@@ -155,6 +155,29 @@ def test_the_gate_computes_what_its_formula_says(change):
     assert gate.logit == pytest.approx(logit, abs=1e-3)  # float32 sums of 208 terms of order one
 
 
+def test_a_gate_of_two_hidden_layers_and_a_floor_computes_what_its_formula_says(change):
+    rng = np.random.default_rng(2)
+    arrays = {
+        "mean": rng.normal(size=208), "scale": rng.uniform(0.5, 2, 208), "w1": 0.1 * rng.normal(size=(208, 48)),
+        "b1": rng.normal(size=48), "w2": 0.1 * rng.normal(size=(48, 16)), "b2": rng.normal(size=16),
+        "w3": rng.normal(size=16), "b3": np.array([0.3]), "threshold": np.array(0.1), "floor": np.array(0.05),
+    }  # fmt: skip
+    gate = Gate(arrays)
+    change[5] = -0.99
+    features = np.concatenate([change, np.log(np.maximum(1 + change.astype(np.float64), 0.05))])
+    hidden = np.maximum((features - arrays["mean"]) / arrays["scale"] @ arrays["w1"] + arrays["b1"], 0)
+    logit = np.maximum(hidden @ arrays["w2"] + arrays["b2"], 0) @ arrays["w3"] + 0.3
+    gate.change[:] = change
+    assert gate.touched() == (logit > 0.1)
+    assert gate.logit == pytest.approx(logit, abs=1e-3)  # float32 sums of 208 terms of order one
+    with pytest.raises(BundleError, match="b3"):
+        Gate({name: value for name, value in arrays.items() if name != "b3"})
+    with pytest.raises(BundleError, match=r"w2 has shape \(16, 48\), expected \(48, 16\)"):
+        Gate(arrays | {"w2": arrays["w2"].T})
+    with pytest.raises(BundleError, match="floor is 0, expected more than 0"):
+        Gate(arrays | {"floor": np.array(0.0)})
+
+
 def test_the_gate_survives_a_voltage_that_changed_its_sign(tiny):
     gate = Gate(tiny.gate_arrays())
     gate.change[:] = -3.0

@@ -12,6 +12,7 @@ from eitskin.errors import BudgetError
 from eitskin.pipeline import Pipeline
 from eitskin.reference import Reference
 from eitskin.skin import Skin
+from eitskin.watch import AUDIT_FRAMES
 from eitskin_proto.frames import Frame
 from eitskin_proto.scan_rows import row_count
 
@@ -82,6 +83,70 @@ def test_a_frame_without_any_voltage_is_no_touch_and_the_next_frame_says_why_it_
     assert not any("withheld" in event for event in pipeline.events)
     # A sheet that is touched all over keeps a fiftieth of its voltages: that is a signal.
     assert go(pipeline, payload((counts // 50).astype(counts.dtype), 5))
+
+
+class Blind:
+    """A gate that sees nothing."""
+
+    logit = -9.0
+
+    def touched(self):
+        return False
+
+
+class Sees:
+    """A network that shows a touch everywhere as soon as any voltage has changed."""
+
+    name = "vd2t"
+
+    def __init__(self, buffers):
+        self.buffers = buffers
+
+    def infer(self):
+        self.buffers.map[:] = np.abs(self.buffers.change).max() > 0.01
+
+
+def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
+    pipeline._gate, pipeline.engines[0] = Blind(), Sees(pipeline.buffers)
+    for sequence in range(1, AUDIT_FRAMES):
+        assert go(pipeline, payload(touched, sequence))
+        assert pipeline.solver == "none"
+    for sequence in range(AUDIT_FRAMES, AUDIT_FRAMES + 3):  # and from then on every frame
+        assert go(pipeline, payload(touched, sequence))
+        assert (pipeline.touched, pipeline.solver, pipeline.events) == (True, "vd2t", ("gate_overruled",))
+        assert not pipeline.map_is_zero
+    assert pipeline.watch.overruled == 3
+    assert go(pipeline, payload(counts, AUDIT_FRAMES + 3))  # the touch is over: one more look, then the gate alone
+    assert (pipeline.touched, pipeline.solver, pipeline.skipped[0]) == (False, "none", "map:untouched")
+    assert go(pipeline, payload(counts, AUDIT_FRAMES + 4))
+    assert pipeline.skipped[0] == "inference:untouched"
+
+
+def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
+    pipeline.engines[0] = Sees(pipeline.buffers)
+    solvers, skipped = set(), []
+    for sequence in range(1, 2 * AUDIT_FRAMES + 1):
+        assert go(pipeline, payload(counts, sequence))
+        solvers.add(pipeline.solver)
+        skipped.append(pipeline.skipped[0])
+    assert solvers == {"none"}
+    assert skipped.count("map:untouched") == 2
+    assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
+
+
+def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(counts, sequence), wanted=False)
+        assert not pipeline.inferred
+
+
+def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
+    pipeline = Pipeline(tiny, hello, solver="tikhonov")
+    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
+    pipeline._gate = Blind()
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(touched, sequence))
+        assert pipeline.solver == "none"
 
 
 class Broken:
