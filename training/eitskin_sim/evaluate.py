@@ -10,9 +10,8 @@ without noise::
     predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
 """
 
-import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final, Literal, get_args
 
@@ -21,11 +20,13 @@ import numpy.typing as npt
 
 from eitskin_proto.grid import map_from_units
 from eitskin_sim.area import area_map
+from eitskin_sim.family import draw
 from eitskin_sim.metrics import Score, scaled, score, touched_units
 from eitskin_sim.noise import Kind, add_noise
 from eitskin_sim.parts import Bend, Phantom, Scene
 from eitskin_sim.predict import flat_voltages, predict
 from eitskin_sim.scanned import scanned_cloud
+from eitskin_sim.shift import shifted
 from eitskin_sim.solve import solve_scene
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import (
@@ -53,8 +54,30 @@ DATA_MM: Final = 1.2
 SCAN_SEED: Final = 20_000
 """The scan's noise has its own seeds, apart from those of the voltages."""
 
-MEASURES: Final = ("cc", "psnr_db", "rie", "localisation_mm", "exact")
-"""What is reported of each phantom and of their mean."""
+SHIFT_SEED: Final = 21_000
+"""Shifts of touches too: the same draw whatever the noise."""
+
+CloudKind = Literal["scan", "flat", "other"]
+"""Which cloud the solvers are given: the scan of the sheet, the flat sheet's, or that of another deformation."""
+
+CLOUDS: Final[tuple[str, ...]] = get_args(CloudKind)
+"""The kinds of cloud."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Under which conditions phantoms are measured."""
+
+    noise: Kind = "N2"
+    """Definition of the voltages' noise."""
+    snr_db: float = 50.0
+    """Its level."""
+    seeds: int = 1
+    """Draws of noise, scan and shift for each phantom: 0 to seeds - 1."""
+    shift_px: float = 0.0
+    """Every touch is moved by up to this part of a pixel along x and y."""
+    cloud: CloudKind = "scan"
+    """What the solvers know of the shape; the others are ablations."""
 
 
 @dataclass(slots=True)
@@ -105,6 +128,17 @@ class Case:
 
 Solver = Callable[[Case], Array]
 """From a case to a (30, 45) map, judged as it is."""
+
+Results = list[tuple[Phantom, list[Score]]]
+"""Every phantom's scores, one a seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One solver with one kind of reference."""
+
+    solver: Solver
+    reference: Reference
 
 
 def _cells(case: Case, cells: Cells | None) -> Cells:
@@ -159,58 +193,66 @@ def evaluate(
     snr_db: float = 50.0,
     reference: Reference = "post",
     seeds: int = 1,
-) -> list[tuple[Phantom, list[Score]]]:
-    """Return every phantom's scores, one a seed.
+) -> Results:
+    """Return one solver's scores of every phantom, one a seed; as :func:`evaluate_all`, which has more to choose."""
+    return evaluate_all(phantoms, [Run(solver, reference)], Conditions(noise, snr_db, seeds))[0]
+
+
+def evaluate_all(
+    phantoms: Sequence[Phantom],
+    runs: Sequence[Run],
+    conditions: Conditions,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Results]:
+    """Return the results of several runs, which all see the same voltages and scans.
+
+    A phantom's voltages are solved once and kept while the process runs; a scanned sheet's operators and V_pred are
+    computed once for all runs, and let go before the next phantom.
 
     Args:
         phantoms: What to look at.
-        solver: From a case to a map.
-        noise: Definition of the voltages' noise.
-        snr_db: Its level.
-        reference: Kind of reference.
-        seeds: Noise draws for each phantom: 0 to seeds - 1.
+        runs: Solvers and references.
+        conditions: Noise, seeds and shifts.
+        progress: Called with the phantoms done and all phantoms.
 
     Raises:
-        ValueError: No phantoms, no seeds, or an unknown reference.
+        ValueError: No phantoms, no seeds, an unknown reference or noise.
     """
-    if not phantoms or seeds < 1:
-        raise ValueError(f"at least one phantom and one seed are needed, found {len(phantoms)} and {seeds}")
-    if reference not in REFERENCES:
-        raise ValueError(f"reference {reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
-    results = []
+    if not phantoms or conditions.seeds < 1:
+        raise ValueError(f"at least one phantom and one seed are needed, found {len(phantoms)} and {conditions.seeds}")
+    for run in runs:
+        if run.reference not in REFERENCES:
+            raise ValueError(f"reference {run.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
+    results: list[Results] = [[] for _ in runs]
     for index, phantom in enumerate(phantoms):
-        truth, clean = truth_map(phantom), _voltages(phantom.scene)
-        scores = []
-        for seed in range(seeds):
+        bare = phantom.scene.untouched()
+        flat = voltages_of(replace(bare, bend=Bend()))
+        scores: list[list[Score]] = [[] for _ in runs]
+        shown, truth, clean = None, np.zeros(0), np.zeros(0)
+        for seed in range(conditions.seeds):
             rng = np.random.default_rng([seed, index])
-            flat = _voltages(replace(phantom.scene.untouched(), bend=Bend()))
-            noisy = add_noise(clean, flat, noise, snr_db, rng)
-            sheet = _sheet(phantom.scene.untouched(), seed)
-            case = Case(noisy, _reference(reference, phantom.scene, sheet, flat), flat, sheet, phantom.truth)
-            scores.append(score(solver(case), truth, labels=phantom.truth))
-        results.append((phantom, scores))
+            moved = shifted(phantom, conditions.shift_px, np.random.default_rng([SHIFT_SEED, seed, index]))
+            if moved != shown:
+                shown, truth, clean = moved, truth_map(moved), voltages_of(moved.scene)
+            noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
+            sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed), voltages_of(bare))
+            for run, kept in zip(runs, scores, strict=True):
+                case = Case(noisy, _reference(run.reference, sheet, flat), flat, sheet, phantom.truth)
+                kept.append(score(run.solver(case), truth, labels=phantom.truth))
+        for result, kept in zip(results, scores, strict=True):
+            result.append((phantom, kept))
+        if progress is not None:
+            progress(index + 1, len(phantoms))
     return results
 
 
-def mean_scores(scores: Sequence[Score]) -> dict[str, float]:
-    """Return the mean of each of ``MEASURES``; None of them is hidden when infinite."""
-    rows = [asdict(one) for one in scores]
-    return {name: float(np.mean([row[name] for row in rows])) for name in MEASURES}
+@lru_cache(maxsize=256)
+def voltages_of(scene: Scene) -> Array:
+    """Return the (104,) V of a scene on the harness's mesh, or on the scene's own if that is finer."""
+    return solve_scene(replace(scene, element_size_mm=min(scene.element_size_mm, DATA_MM))).voltages
 
 
-def report(solver: str, noise: str, results: Sequence[tuple[Phantom, list[Score]]]) -> dict[str, object]:
-    """Return the results as the object that ``eitskin evaluate --json`` prints; what is not finite becomes None."""
-    phantoms = [{"name": phantom.name, **_finite(mean_scores(scores))} for phantom, scores in results]
-    means = [mean_scores(scores) for _, scores in results]
-    mean = {name: float(np.mean([row[name] for row in means])) for name in MEASURES}
-    return {"solver": solver, "noise": noise, "phantoms": phantoms, "mean": _finite(mean)}
-
-
-def _finite(values: dict[str, float]) -> dict[str, float | None]:
-    return {name: value if math.isfinite(value) else None for name, value in values.items()}
-
-
-def _reference(kind: Reference, scene: Scene, sheet: Sheet, flat: Array) -> Array:
+def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
     if kind == "pre":
         return flat
     if kind == "post":
@@ -219,12 +261,9 @@ def _reference(kind: Reference, scene: Scene, sheet: Sheet, flat: Array) -> Arra
     return sheet.predicted() * flat / flat_voltages()
 
 
-@lru_cache(maxsize=256)
-def _voltages(scene: Scene) -> Array:
-    return solve_scene(replace(scene, element_size_mm=min(scene.element_size_mm, DATA_MM))).voltages
-
-
-@lru_cache(maxsize=64)
-def _sheet(untouched: Scene, seed: int) -> Sheet:
-    cloud = scanned_cloud(untouched.bend, np.random.default_rng([SCAN_SEED, seed]))
-    return Sheet(np.asarray(cloud, dtype=np.float64), _voltages(untouched))
+def _cloud(bend: Bend, kind: CloudKind, seed: int) -> Array:
+    if kind == "flat":
+        bend = Bend()
+    elif kind == "other":
+        bend = next(other for other in draw("A", 2 + seed, SCAN_SEED)[seed:] if other != bend)
+    return np.asarray(scanned_cloud(bend, np.random.default_rng([SCAN_SEED, seed])), dtype=np.float64)

@@ -9,13 +9,16 @@ One implementation for every solver, with these conventions:
 * PSNR has the peak 1 (the truth's), and stops at ``PSNR_CAP_DB``: a perfect map has no finite one.
 * RIE is the Euclidean norm of the error over that of the truth; with an untouched truth it is 0 for an empty map, else
   infinite.
-* A *touch* is a connected region (edges, not corners, connect) of at least half the full value, and its place is its
-  centroid, weighted with the map. The localisation error averages the distance from each true touch to the nearest
-  found one with that from each found touch to the nearest true one, so that misses and ghosts both cost.
+* A *touch* is a connected region (edges, not corners, connect) of at least half the full value. Its place is the
+  centroid of the map over the region and the pixels right around it: of a pixel that a border cuts, the covered share
+  then counts, whichever side of one half it lies on, and an exact area map has exact places. The localisation error
+  averages the distance from each true touch to the nearest found one with that from each found touch to the nearest
+  true one, so that misses and ghosts both cost.
 * ``exact`` is 1 when a unit map decodes to exactly the true set of units (mean of each unit's pixels at least half),
   or, for an area map, when every true touch and every found one pair off within a pixel.
-* The two-point distance is between the *borders* of the two closest touches (paper Fig. 9), a border being where the
-  map, linear between pixel centres, crosses one half. DE compares it with the true one (paper eq. 8).
+* The two-point distance D is between the *borders* of the two closest touches (paper Fig. 9), a border being where the
+  map, linear between pixel centres, crosses one half. DE = |D - D_r| / D_r (paper eq. 8) with D_r measured in the same
+  way on the truth. A map that shows fewer than two touches has D = 0, so DE = 1: the two have become one.
 """
 
 import math
@@ -60,8 +63,12 @@ class Score:
     """1.0 if the set of touches is exactly right, else 0.0."""
     touches: int
     """Number of touches found."""
+    true_touches: int
+    """Number of touches in the truth."""
     two_point_mm: float
     """Distance between the borders of the two closest touches; NaN below two touches."""
+    distance_error: float
+    """The paper's DE; NaN where the truth has fewer than two touches."""
 
 
 def scaled(image: npt.NDArray[np.floating]) -> Array:
@@ -115,6 +122,7 @@ def touch_centres_mm(image: npt.NDArray[np.floating]) -> Array:
     labels, count = _touches(values)
     if count == 0:
         return np.zeros((0, 2))
+    labels, values = _with_rim(labels), np.maximum(values, 0.0)
     weight = np.bincount(labels.ravel(), weights=values.ravel(), minlength=count + 1)[1:]
     moments = [
         np.bincount(labels.ravel(), weights=(values * axis).ravel(), minlength=count + 1)[1:]
@@ -171,14 +179,12 @@ def two_point_distance_mm(image: npt.NDArray[np.floating]) -> float:
 
 
 def distance_error(image: npt.NDArray[np.floating], true_distance_mm: float) -> float:
-    """Return the paper's DE = |D - D_r| / D_r of the two closest touches; NaN if fewer than two are found.
+    """Return the paper's DE = |D - D_r| / D_r of the two closest touches; 1 if fewer than two are found.
 
     Raises:
         ValueError: The true distance is not positive.
     """
-    if not true_distance_mm > 0.0:
-        raise ValueError(f"true distance {true_distance_mm} mm between two touches must be above 0 mm")
-    return abs(two_point_distance_mm(image) - true_distance_mm) / true_distance_mm
+    return _relative(two_point_distance_mm(image), true_distance_mm)
 
 
 def score(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], *, labels: str = "units") -> Score:
@@ -195,6 +201,7 @@ def score(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], *, l
     for name, candidate in (("map", image), ("truth", truth)):
         if np.shape(candidate) != GRID_SHAPE:
             raise ValueError(f"{name} has shape {np.shape(candidate)}, expected {GRID_SHAPE}")
+    found_mm, true_mm = two_point_distance_mm(image), two_point_distance_mm(truth)
     return Score(
         cc=correlation(image, truth),
         psnr_db=psnr_db(image, truth),
@@ -202,8 +209,16 @@ def score(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], *, l
         localisation_mm=localisation_error_mm(image, truth),
         exact=float(is_exact(image, truth, labels=labels)),
         touches=count_touches(image),
-        two_point_mm=two_point_distance_mm(image),
+        true_touches=count_touches(truth),
+        two_point_mm=found_mm,
+        distance_error=math.nan if math.isnan(true_mm) else _relative(found_mm, true_mm),
     )
+
+
+def _relative(found_mm: float, true_mm: float) -> float:
+    if not true_mm > 0.0:
+        raise ValueError(f"true distance {true_mm} mm between two touches must be above 0 mm")
+    return 1.0 if math.isnan(found_mm) else abs(found_mm - true_mm) / true_mm
 
 
 def _pair(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> tuple[Array, Array]:
@@ -225,6 +240,12 @@ def _norm(values: Array) -> float:
 def _touches(image: Array) -> tuple[npt.NDArray[np.intp], int]:
     labels, count = ndimage.label(np.asarray(image) >= TOUCHED)
     return np.asarray(labels, dtype=np.intp), int(count)
+
+
+def _with_rim(labels: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
+    """Every touch with the pixels that its own surround; one between two touches goes to the nearer."""
+    distance, nearest = ndimage.distance_transform_edt(labels == 0, return_indices=True)
+    return np.asarray(np.where(distance < 1.5, labels[tuple(nearest)], 0), dtype=np.intp)
 
 
 def _border_mm(image: Array, inside: npt.NDArray[np.bool_]) -> Array:

@@ -61,9 +61,10 @@ def _tell(text: str) -> None:
 
 def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[str, Any]:
     """Return {file: {solver: {noise: report}}} of both heads on the phantoms whose truth has the bundle's labels."""
+    from eitskin_sim.evaluate import Conditions
     from eitskin_sim.noise import KINDS
     from eitskin_sim.scene import load_phantoms
-    from eitskin_tools.evaluation import NETWORKS, evaluate_named
+    from eitskin_tools.evaluation import NETWORKS, Request, evaluate_requests
 
     found: dict[str, Any] = {}
     for path in paths:
@@ -72,14 +73,14 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
             _tell(f"{path} holds no phantoms with {labels} labels; left out")
             continue
         _tell(f"scoring {len(phantoms)} phantoms of {path}")
+        requests = [Request(name, bundle=bundle) for name in NETWORKS]
+        by_noise = {
+            noise: evaluate_requests(phantoms, requests, Conditions(noise=noise, snr_db=50.0, seeds=seeds))  # type: ignore[arg-type]
+            for noise in KINDS
+            if noise != "none"
+        }
         found[Path(path).name] = {
-            name: {
-                noise: evaluate_named(
-                    phantoms, name, noise=noise, snr_db=50.0, reference=None, seeds=seeds, bundle=bundle
-                )
-                for noise in KINDS
-                if noise != "none"
-            }
-            for name in NETWORKS
+            name: {noise: reports[number] for noise, reports in by_noise.items()}
+            for number, name in enumerate(NETWORKS)
         }
     return found
