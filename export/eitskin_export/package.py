@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_export import gate, graphs, parity, projection, quantise
+from eitskin_export import consistency, gate, graphs, parity, projection, quantise
 from eitskin_export.bundle import projection_bytes, write
 from eitskin_export.fold import split
 from eitskin_export.untouched import Bends, solved_bends
@@ -72,7 +72,7 @@ def export(
     out: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    projector: Callable[[], npt.NDArray[np.float32]] = projection.flat_projection,
+    jacobian: Callable[[], npt.NDArray[np.float64]] = projection.flat_jacobian,
     bends: Callable[[TrainingData], Bends] = solved_bends,
     gate_steps: int = gate.STEPS,
 ) -> dict[str, Any]:
@@ -83,7 +83,7 @@ def export(
         data: Its data set, which the gate learns from and the metrics are measured on.
         out: The bundle's path.
         tell: Told what is being done.
-        projector: Gives the (1350, 104) projection.
+        jacobian: Gives the (104, 1350) relative Jacobian of the projection.
         bends: Gives the untouched sheets that the gate learns from.
         gate_steps: Steps that the gate is fitted for.
 
@@ -98,12 +98,17 @@ def export(
     int8_bytes = quantise.int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     tell("fitting the gate")
-    touch_gate = gate.fit(data, bends(data), seed=int(found.content["seed"]), steps=gate_steps)
+    untouched = bends(data)
+    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps)
+    tell("learning what healthy frames look like")
+    inverse = projection.damped_inverse(jacobian())
+    healthy = consistency.healthy(data, found.recipe, untouched, inverse)
     tell("scoring on held-out bends")
     metrics = {
         "held_out": card(found.model, data),
         "parity": differences,
         "int8": int8,
+        "electrodes": healthy.facts(),
         "parameters": found.model.parameter_count(),
         "streamed_weights": found.model.streamed_weights(),
     }
@@ -111,8 +116,9 @@ def export(
         "geometry.onnx": geometry_bytes,
         "head.onnx": head_bytes,
         "head_int8.onnx": int8_bytes,
-        "tikhonov.npy": projection_bytes(projector()),
+        "tikhonov.npy": projection_bytes(projection.tikhonov(jacobian())),
         "gate.npz": touch_gate.to_npz(),
+        "consistency.npz": healthy.to_npz(),
     }
     facts = _facts(found, data, touch_gate, metrics)
     identity = write(out, files, facts)

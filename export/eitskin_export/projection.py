@@ -38,10 +38,22 @@ def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.N
     return np.asarray(np.linalg.solve(gram + tau * np.eye(N_ROWS), J).T, dtype=np.float32)
 
 
+def damped_inverse(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.NDArray[np.float64]:
+    """Return (104, 104) K = (J J^T + tau I)^-1, all that taking rows out of the projection again needs."""
+    J = np.asarray(jacobian, dtype=np.float64)
+    gram = J @ J.T
+    tau = factor * float(np.linalg.eigvalsh(gram)[-1])
+    return np.asarray(np.linalg.inv(gram + tau * np.eye(N_ROWS)))
+
+
 @cache
-def flat_projection(factor: float = FACTOR) -> npt.NDArray[np.float32]:
-    """Return the (1350, 104) projection on the flat sheet of the default scene."""
+def flat_jacobian() -> npt.NDArray[np.float64]:
+    """Return the (104, 1350) relative Jacobian of the flat sheet of the default scene."""
     sheet = Sheet()
     untouched, slope = cell_jacobian(sheet, Electrodes())
-    relative = slope * sheet.conductivity_S_per_m / untouched[:, np.newaxis]
-    return tikhonov(relative, factor)
+    return np.asarray(slope * sheet.conductivity_S_per_m / untouched[:, np.newaxis])
+
+
+def flat_projection(factor: float = FACTOR) -> npt.NDArray[np.float32]:
+    """Return the (1350, 104) projection on the flat sheet of the default scene."""
+    return tikhonov(flat_jacobian(), factor)

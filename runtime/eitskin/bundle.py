@@ -9,6 +9,7 @@
       head_int8.onnx    the same, dynamic int8 (optional)
       tikhonov.npy      (1350, 104) the projection for the flat sheet
       gate.npz          the touch gate (optional)
+      consistency.npz   what healthy frames look like: failing electrodes and drift are told by it (optional)
 
 A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
 SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
@@ -124,16 +125,20 @@ class Bundle:
 
     def gate_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
         """Return the touch gate's arrays, or None for a bundle without a gate."""
-        if "gate.npz" not in self.files:
+        return self._archive("gate.npz")
+
+    def consistency_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return the arrays that healthy frames are told by, or None for a bundle without them."""
+        return self._archive("consistency.npz")
+
+    def _archive(self, name: str) -> dict[str, npt.NDArray[np.generic]] | None:
+        if name not in self.files:
             return None
         try:
-            found = members(self.files["gate.npz"])
-            return {
-                name.removesuffix(".npy"): _load_array(member.read(LARGEST_MANIFEST), "gate.npz")
-                for name, member in found.items()
-            }
+            found = members(self.files[name])
+            return {key.removesuffix(".npy"): _load_array(found[key].read(LARGEST_MANIFEST), name) for key in found}
         except BadArchiveError as error:
-            raise BundleError(f"gate.npz: {error}; {EXPORT_HINT}") from error
+            raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error
 
 
 def default_path(labels: str = "area") -> Path:

@@ -19,6 +19,7 @@ from eitskin_training.data import TrainingData
 from eitskin_training.recipes import recipe
 
 PROJECTION = np.zeros((1350, 104), dtype=np.float32)
+JACOBIAN = np.random.default_rng(0).standard_normal((104, 1350))
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +39,7 @@ def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
     return out, package.export(
-        package.trained(run), data, out, projector=lambda: PROJECTION, bends=bends_of, gate_steps=100
+        package.trained(run), data, out, jacobian=lambda: JACOBIAN, bends=bends_of, gate_steps=100
     )
 
 
@@ -48,7 +49,14 @@ def test_the_bundle_is_what_the_runtime_reads(exported: tuple[Path, dict[str, An
     assert loaded.id == result["bundle"]
     assert loaded.labels == "area"
     assert loaded.uses_prediction
-    assert set(loaded.files) == {"geometry.onnx", "head.onnx", "head_int8.onnx", "tikhonov.npy", "gate.npz"}
+    assert set(loaded.files) == {
+        "geometry.onnx",
+        "head.onnx",
+        "head_int8.onnx",
+        "tikhonov.npy",
+        "gate.npz",
+        "consistency.npz",
+    }
     assert result["parity"]["map through the runtime"] < parity.TOLERANCE
 
 

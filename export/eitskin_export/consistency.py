@@ -1,0 +1,101 @@
+"""What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
+
+The Gaussian is that of the training samples with the recipe's noise, the same that filled in lost electrodes while the
+network learned (:mod:`eitskin_sim.consistency`). The thresholds are those that one frame in ``RATE`` of touches and
+deformations never trained on exceeds; half of them choose, the other half measure. The runtime asks for ten such
+frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of these few, does.
+"""
+
+import io
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.electrodes import NEEDED, WINDOW, ElectrodeWatch
+from eitskin.imputation import Consistency as Deployed
+from eitskin_export.untouched import Bends
+from eitskin_proto.table import N_ROWS
+from eitskin_sim.consistency import FLOOR, RATIO_RANGE
+from eitskin_training.data import TrainingData, consistency_of, noisy_change
+from eitskin_training.recipes import Recipe
+
+RATE: Final = 1e-4
+"""Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
+
+FRAMES: Final = 16_000
+"""Healthy frames that choose the thresholds, and as many that measure them."""
+
+SNR_DB: Final = 50.0
+"""N2 noise of these frames. Noise that differs from frame to frame does not add up to ten of fourteen."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Healthy:
+    """A bundle's consistency.npz and what was measured of it."""
+
+    arrays: dict[str, Array]
+    false_alarm_rate: float
+    """Share of the measuring frames that exceed a threshold."""
+    frames: int
+    """How many of them there were."""
+
+    def to_npz(self) -> bytes:
+        """Return the arrays as the bytes of an .npz file; float64, since the precision has a condition of 1e7."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **self.arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
+
+    def facts(self) -> dict[str, object]:
+        """Return what a manifest states."""
+        return {
+            "false_alarm_rate_per_frame": self.false_alarm_rate,
+            "frames": self.frames,
+            "thresholds": [round(float(value), 3) for value in self.arrays["thresholds"]],
+            "named_after_frames": [NEEDED, WINDOW],
+        }
+
+
+def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse: Array) -> Healthy:
+    """Return what a bundle says of healthy frames.
+
+    Args:
+        data: The data set.
+        recipe: Its noise.
+        bends: Untouched sheets.
+        projection_inverse: (104, 104) (J J^T + tau I)^-1 of the bundle's projection.
+    """
+    found = consistency_of(data, recipe)
+    rng = np.random.default_rng([data.seed, 0xE1EC])
+    rows = np.concatenate([*data.held_out.values(), data.validation])
+    rows = rng.permutation(rows)[: 2 * FRAMES]
+    change = noisy_change(data, rows, ("N2",), SNR_DB, rng)
+    logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
+    arrays = {
+        "mean": found.mean,
+        "covariance": found.covariance,
+        "ratio_range": np.array(RATIO_RANGE),
+        "reference": np.asarray(data.reference, dtype=np.float64),
+        "untouched_mean": logs.mean(axis=0),
+        "untouched_covariance": np.cov(logs, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "projection_inverse": projection_inverse,
+        "thresholds": np.ones(2),
+    }
+    seen = evidence(Deployed.of(arrays), change)
+    choose, measure = seen[::2], seen[1::2]
+    thresholds = np.quantile(choose, 1.0 - RATE, axis=0) if len(choose) else np.full(2, np.inf)
+    alarms = float((measure > thresholds).any(axis=1).mean()) if len(measure) else 0.0
+    return Healthy({**arrays, "thresholds": thresholds}, alarms, len(measure))
+
+
+def evidence(deployed: Deployed, change: npt.NDArray[np.float32]) -> Array:
+    """Return (n, 2) largest surprise and the whole frame's of healthy frames, the way the runtime computes them."""
+    watch = ElectrodeWatch(deployed, deployed.reference, np.zeros(N_ROWS))
+    found = np.empty((len(change), 2))
+    for number, frame in enumerate(change):
+        surprise, total = watch.surprise(frame)
+        found[number] = surprise.max(), total
+    return found

@@ -1,0 +1,169 @@
+"""Goes on without an electrode: its rows filled in from the others, or taken out of the projection, both exactly.
+
+A healthy sheet's l = log(V / V0) is close to a Gaussian with mean and precision P (made at export, from the data that
+the network learned from). Let rows m be missing and y = P (l - mean), with anything at all in l_m; then ::
+
+    E[l_m | the others] = l_m - P_mm^-1 y_m                               what the network gets
+    M' = M - M_:m K_mm^-1 K_m: with K = (J J^T + tau I)^-1, column m = 0     the projection without these rows
+
+The second is the same identity, and equals building the projection anew from the rows that are left. A change of the
+missing rows costs one small solve, a frame one product with a 104-column matrix, an unchanged healthy frame nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BundleError
+from eitskin_proto.table import N_ELECTRODES, N_ROWS, TABLE
+
+Array = npt.NDArray[np.float64]
+Rows = npt.NDArray[np.bool_]
+
+SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
+    "mean": (N_ROWS,),
+    "covariance": (N_ROWS, N_ROWS),
+    "ratio_range": (2,),
+    "reference": (N_ROWS,),
+    "untouched_mean": (N_ROWS,),
+    "untouched_covariance": (N_ROWS, N_ROWS),
+    "projection_inverse": (N_ROWS, N_ROWS),
+    "thresholds": (2,),
+}
+"""Arrays of consistency.npz."""
+
+MISSING: Final = "not available in this bundle; make it again with 'eitskin export'"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Consistency:
+    """What rows look like together; read from a bundle."""
+
+    mean: Array
+    """(104,) of l = log(V / V0)."""
+    covariance: Array
+    """(104, 104)"""
+    ratio_range: Array
+    """(2,) where V / V0 is cut off before its logarithm."""
+    reference: Array
+    """(104,) V under 1 A of the forward model, flat and untouched: what a sound reference looks like."""
+    untouched_mean: Array
+    """(104,) of l over deformations alone."""
+    untouched_covariance: Array
+    """(104, 104)"""
+    projection_inverse: Array
+    """(104, 104) K of the bundle's projection."""
+    thresholds: Array
+    """(2,) an electrode's surprise and a whole frame's, above which they are no touch and no deformation."""
+
+    @classmethod
+    def of(cls, arrays: Mapping[str, npt.NDArray[np.generic]]) -> "Consistency":
+        """Return a bundle's arrays, checked.
+
+        Raises:
+            BundleError: One is missing, has another shape, or is not finite.
+        """
+        found = {}
+        for name, shape in SHAPES.items():
+            value = np.asarray(arrays[name], dtype=np.float64) if name in arrays else np.zeros(0)
+            if value.shape != shape or not np.isfinite(value).all():
+                raise BundleError(
+                    f"consistency.npz: {name} found {value.shape}, expected {shape} finite numbers; make the bundle "
+                    "again with 'eitskin export'"
+                )
+            found[name] = value
+        return cls(**found)
+
+    def precision(self, extra: Array | None = None) -> Array:
+        """Return (104, 104) P, with (104,) more variance of the rows where a device is noisier than the samples."""
+        whole = self.covariance if extra is None else self.covariance + np.diag(extra)
+        found = np.linalg.inv(whole)
+        return np.asarray((found + found.T) / 2.0)
+
+
+def rows_of(electrodes: tuple[int, ...]) -> Rows:
+    """Return (104,) which rows drive or measure at any of these electrodes."""
+    ends = np.concatenate([TABLE, (TABLE + 1) % N_ELECTRODES], axis=1)
+    return np.asarray(np.isin(ends, electrodes).any(axis=1))
+
+
+class Imputation:
+    """Fills rows in, one frame after another.
+
+    Args:
+        mean: (104,) of l.
+        precision: (104, 104) P.
+        ratio_range: Where V / V0 is cut off.
+    """
+
+    __slots__ = (
+        "_expected",
+        "_logs",
+        "_low_high",
+        "_mean",
+        "_missing",
+        "_part",
+        "_present",
+        "_seen",
+        "_weights",
+        "missing",
+    )
+
+    def __init__(self, mean: Array, precision: Array, ratio_range: Array) -> None:
+        self._mean = mean
+        self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
+        self._logs = np.zeros(N_ROWS)
+        self._missing = self._present = np.zeros(0, dtype=np.intp)
+        self._seen = self._part = self._expected = np.zeros(0)
+        self._weights = np.zeros((0, 0))
+        self.missing: Rows = np.zeros(N_ROWS, dtype=np.bool_)
+        """(104,) rows that are filled in."""
+        self.leave_out(self.missing, precision)
+
+    def leave_out(self, rows: Rows, precision: Array) -> None:
+        """Fill these rows in from the next frame on; under a millisecond.
+
+        Args:
+            rows: (104,) the missing ones; none is allowed.
+            precision: (104, 104) P.
+        """
+        self.missing = rows.copy()
+        self._missing, self._present = np.flatnonzero(rows), np.flatnonzero(~rows)
+        inner = precision[np.ix_(self._missing, self._missing)]
+        self._weights = np.linalg.solve(inner, precision[np.ix_(self._missing, self._present)])
+        self._seen, self._part = np.zeros(len(self._present)), np.zeros(len(self._missing))
+        self._expected = self._mean[rows]
+
+    def fill(self, change: npt.NDArray[np.float32]) -> None:
+        """Overwrite the missing rows of (104,) dV by what the others say of them; allocates nothing."""
+        if not len(self._missing):
+            return
+        np.clip(change, *self._low_high, out=self._logs)
+        np.log1p(self._logs, out=self._logs)
+        np.subtract(self._logs, self._mean, out=self._logs)
+        np.take(self._logs, self._present, out=self._seen, mode="clip")
+        np.matmul(self._weights, self._seen, out=self._part)
+        np.subtract(self._expected, self._part, out=self._part)
+        np.expm1(self._part, out=self._part)
+        np.clip(self._part, *self._low_high, out=self._part)
+        change[self._missing] = self._part
+
+
+def without_rows(matrix: npt.NDArray[np.float32], inverse: Array, rows: Rows) -> npt.NDArray[np.float32]:
+    """Return a projection as if some rows had never been measured; their columns are 0.
+
+    Args:
+        matrix: (n, 104) M = J^T K.
+        inverse: (104, 104) K = (J J^T + tau I)^-1.
+        rows: (104,) the missing ones.
+    """
+    gone = np.flatnonzero(rows)
+    if not len(gone):
+        return matrix
+    back = np.linalg.solve(inverse[np.ix_(gone, gone)], inverse[gone])
+    found = matrix - matrix[:, gone].astype(np.float64) @ back
+    found[:, gone] = 0.0
+    return np.ascontiguousarray(found, dtype=np.float32)
