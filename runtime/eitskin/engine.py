@@ -190,15 +190,31 @@ class MaskedEngine:
 class GeometryGraph:
     """From clouds to geometries; not part of the frame loop.
 
+    The session is made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs it once.
+
     Args:
         bundle: Where the graph is.
+
+    Raises:
+        BundleError: The graph cannot be loaded or has another signature.
     """
 
     def __init__(self, bundle: Bundle) -> None:
-        self._session = _session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
-        expected = {"cloud": (1, 3, 30, 45)}
-        _check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
-        self._uses_prediction = bundle.uses_prediction
+        self._bundle = bundle
+        self._session: Any = None
+        self._open()
+
+    def _open(self) -> Any:
+        if self._session is None:
+            bundle = self._bundle
+            self._session = _session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
+            expected = {"cloud": (1, 3, 30, 45)}
+            _check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
+        return self._session
+
+    def rest(self) -> None:
+        """Give the session's 5 MB back until the next cloud, which then takes 15 ms more."""
+        self._session = None
 
     def geometry(
         self, cloud: npt.ArrayLike | None, log_predicted: npt.NDArray[np.float32] | None, revision: int
@@ -214,7 +230,7 @@ class GeometryGraph:
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
         points = network_input(flat_cloud() if cloud is None else cloud)
-        bias = self._session.run(["bias"], {"cloud": points[np.newaxis]})[0]
+        bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
         if not np.isfinite(bias).all():
             raise ValueError("the geometry graph answers this cloud with non-finite values; scan the sheet again")
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
@@ -278,6 +294,8 @@ def _session(bundle: Bundle, file: str, graph: bytes) -> Any:
         session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         raise BundleError(f"{bundle.path}: {file} cannot be loaded ({_first_line(error)}); {EXPORT_HINT}") from error
+    if hasattr(session, "_model_bytes"):
+        session._model_bytes = b""  # kept for a change of provider, which never comes: as many bytes as the weights
     metadata = session.get_modelmeta().custom_metadata_map
     for key, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if metadata.get(key, expected) != expected:

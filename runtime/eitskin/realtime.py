@@ -10,6 +10,7 @@ import os
 import resource
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
 from typing import Final
 
 MCL_CURRENT: Final = 1
@@ -74,7 +75,11 @@ def more_files() -> str:
 
 
 def settle() -> None:
-    """Take everything made so far out of the garbage collector's rounds, and shorten the interpreter's turns."""
+    """Take everything made so far out of the garbage collector's rounds, give back what loading took and no longer
+    needs, and shorten the interpreter's turns.
+    """
     gc.collect()
     gc.freeze()
+    with suppress(OSError, AttributeError):  # glibc's alone
+        ctypes.CDLL(None).malloc_trim(0)
     sys.setswitchinterval(SWITCH_INTERVAL_S)

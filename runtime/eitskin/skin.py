@@ -102,6 +102,7 @@ class Skin:
                 self.pipeline.idle_gate = IdleGate(self.bundle.gate_arrays(), self.device.hello)
             self._geometry = GeometryGraph(self.bundle)
             self.pipeline.buffers.take(self._geometry.geometry(None, None, 0))
+            self._geometry.rest()
             self.reference: Reference | None = None
             self.reference_file: Path | None = None
             """Where a reference that is captured on request is stored as well."""
