@@ -77,9 +77,7 @@ static void advance(struct eit_device *device)
 
 static void count_dropped(struct eit_device *device)
 {
-    if (device->dropped < 0xffffu) {
-        device->dropped++;
-    }
+    device->dropped = (uint16_t)(device->dropped + 1u); /* modulo 2^16: a host adds up the differences */
 }
 
 static void end_scan(struct eit_device *device)

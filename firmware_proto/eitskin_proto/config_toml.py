@@ -9,7 +9,7 @@
     [drive]     frequency_Hz = 20000    current_uA = 1000
     [measure]   settle_us = 100         averages_periods = 5    gain = 8    sample_bits = 24
     [scan]      rows = 104              drives = [0, 1, ...]    rate_Hz = 200.0
-    [idle]      drives = [0, 4, 8]      rate_Hz = 20.0          (the table may be left out)
+    [idle]      drives = [0, 1, 2, 3]   rate_Hz = 20.0          (the table may be left out)
 """
 
 import tomllib

@@ -296,7 +296,7 @@ def test_a_change_of_mode_acts_at_once_and_marks_its_frames(clocked):
     frames = [found for found in clocked.listen(1.0) if isinstance(found, Frame)]
     idle = [frame for frame in frames if frame.flags & FrameFlag.IDLE]
     assert len(idle) >= len(frames) - 1
-    assert all(frame.drives == PAPER.idle_drives and len(frame.counts) == 29 for frame in idle)
+    assert all(frame.drives == PAPER.idle_drives and len(frame.counts) == 49 for frame in idle)
     assert len(idle) == pytest.approx(PAPER.idle_rate_millihertz / 1000, abs=2)
     hello = clocked.ask(m.HelloRequest(3))
     assert (hello.rate_mHz, hello.rows) == (200_000, 104), "HELLO describes the active mode"

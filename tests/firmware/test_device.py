@@ -90,7 +90,7 @@ def test_idle_scans_a_subset_at_its_own_rate_and_comes_back(device):
     device.take()
     frames = [m for m in talk(device, run_us=1_000_000) if isinstance(m, Frame)]
     assert 19 <= len(frames) <= 21
-    assert all(frame.drives == 0x0111 and frame.flags & FrameFlag.IDLE and len(frame.counts) == 29 for frame in frames)
+    assert all(frame.drives == 0x000F and frame.flags & FrameFlag.IDLE and len(frame.counts) == 49 for frame in frames)
     assert ack(device, messages.SetMode(tag=3, mode=Mode.ACTIVE)).code == Code.OK
     device.run(60_000)
     device.take()
@@ -373,3 +373,14 @@ def test_differences_name_the_fields(device):
     exchange = Exchange(device)
     assert procedure.verify(exchange, PAPER) == []
     assert procedure.verify(exchange, replace(PAPER, gain=4, settle_us=90)) == [("settle_us", 100, 90), ("gain", 8, 4)]
+
+
+def test_the_count_of_dropped_scans_wraps_as_the_specification_says(device):
+    device.limit_line(0)
+    talk(device, messages.Start())
+    for _ in range(66):  # 330 s: 66,000 scans at 200 a second, none of which the line takes
+        device.run(5_000_000, step_us=1000)
+    device.limit_line(65536)
+    frames = [m for m in talk(device, run_us=20_000) if isinstance(m, Frame)]
+    assert frames[0].sequence > 65_536
+    assert frames[0].device_dropped == frames[0].sequence % 65_536

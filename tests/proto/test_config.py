@@ -59,7 +59,7 @@ def test_the_named_configurations_run_on_the_known_electronics_at_921600_baud(na
 def test_the_paper_configuration_is_the_papers():
     assert (PAPER.frequency_hz, PAPER.frame_rows, PAPER.full) == (20_000, 104, False)
     assert config_toml.named("full208").frame_rows == 208
-    assert config_toml.named("idle").frame_rows == 13 + 10 + 6
+    assert config_toml.named("idle").frame_rows == 13 + 13 + 12 + 11
     assert config_toml.named("fast").rate_hz > PAPER.rate_hz
 
 
@@ -171,9 +171,9 @@ TOML = config_toml.to_toml(PAPER)
         ("rate_Hz = 200.0", "rate_Hz = nan", r"rate_Hz in \[scan\] is nan"),
         ("rate_Hz = 200.0", "rate_Hz = -1.0", r"expected 0.001 to 4e6"),
         ("sample_bits = 24", "sample_bits = 12", "sample_bits is 12, expected 16, 24 or 32"),
-        ("[0, 4, 8]", "[0, 4, 16]", "drive 16 does not exist"),
-        ("[0, 4, 8]", "[0, 4, 4]", "drive 4 stands twice"),
-        ("[0, 4, 8]", "[0, 4.5]", "expected a list of int"),
+        ("[0, 1, 2, 3]", "[0, 4, 16]", "drive 16 does not exist"),
+        ("[0, 1, 2, 3]", "[0, 4, 4]", "drive 4 stands twice"),
+        ("[0, 1, 2, 3]", "[0, 4.5]", "expected a list of int"),
         ("[scan]", "[sweep]", r"unknown table \[sweep\]"),
         ("[drive]", "[drive", "not a TOML file"),
         ("format = 1", "format = 2", "format is 2, this release reads format 1"),

@@ -46,7 +46,7 @@ def soak(seconds: float, port: str | None = None) -> dict[str, float]:
 
 def _follow(line: Transport, seconds: float) -> dict[str, float]:
     deframer, counter, view = framing.Deframer(), StreamCounter(), FrameView()
-    frames = others = first = last = 0
+    frames = others = first = last = dropped = dropped_wire = 0
     started_s, cpu_s = time.perf_counter(), time.process_time()
     while time.perf_counter() - started_s < seconds:
         for payload in deframer.feed(line.read(1.0)):
@@ -57,6 +57,8 @@ def _follow(line: Transport, seconds: float) -> dict[str, float]:
             step = counter.step(view.sequence, view.device_us)
             first = step.sequence if frames == 0 else first
             frames, last = frames + 1, step.sequence
+            dropped += (view.device_dropped - dropped_wire) % (1 << 16)
+            dropped_wire = view.device_dropped
     elapsed_s = time.perf_counter() - started_s
     missing = last + 1 - first - frames if frames else 0
     return {
@@ -64,11 +66,11 @@ def _follow(line: Transport, seconds: float) -> dict[str, float]:
         "frames": frames,
         "rate_hz": round(frames / elapsed_s, 2),
         "missing": missing,
-        "counted_by_device": view.device_dropped,
+        "counted_by_device": dropped,
         "corrupt": deframer.corrupt,
         "resets": counter.resets,
         "other_messages": others,
-        "unaccounted": unaccounted(missing, view.device_dropped, deframer.corrupt),
+        "unaccounted": unaccounted(missing, dropped, deframer.corrupt),
         "host_cpu_s": round(time.process_time() - cpu_s, 1),
     }
 

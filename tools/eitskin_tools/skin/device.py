@@ -152,7 +152,7 @@ class VirtualDevice:
 
     def drop(self, scans: int = 1) -> None:
         """Count scans that were made and could not be sent."""
-        self._dropped = min(self._dropped + scans, 0xFFFF)
+        self._dropped = (self._dropped + scans) & 0xFFFF
 
     def skip(self, scans: int) -> None:
         """Let scans pass that nobody made into packets; they count as dropped."""

@@ -1,0 +1,29 @@
+import json
+
+import pytest
+
+from eitskin_tools.faults import soak
+from eitskin_tools.faults.firmware import missing_tools
+
+
+def test_every_number_of_a_stream_from_the_emulated_board_arrives_or_is_counted(capsys):
+    missing = missing_tools("qemu")
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not found: apt-get install gcc-arm-none-eabi qemu-system-arm")
+    assert soak.main(["--seconds", "2"]) == 0
+    figures = json.loads(capsys.readouterr().out)["soak"]
+    assert figures["frames"] > 20
+    assert (figures["unaccounted"], figures["corrupt"], figures["resets"]) == (0, 0, 0)
+    assert figures["missing"] <= figures["counted_by_device"]
+
+
+@pytest.mark.parametrize(
+    ("missing", "device", "corrupt", "left"), [(0, 0, 0, 0), (5, 5, 0, 0), (5, 3, 1, 0), (5, 2, 1, 1), (3, 0, 0, 3)]
+)
+def test_what_neither_the_device_nor_a_damaged_packet_explains_is_unaccounted(missing, device, corrupt, left):
+    assert soak.unaccounted(missing, device, corrupt) == left
+
+
+def test_an_unaccounted_number_fails_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(soak, "soak", lambda seconds, port: {"frames": 9, "unaccounted": 1, "resets": 0})
+    assert soak.main([]) == 1
