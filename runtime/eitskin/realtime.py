@@ -75,8 +75,9 @@ def more_files() -> str:
 
 
 def settle() -> None:
-    """Take everything made so far out of the garbage collector's rounds, give back what loading took and no longer
-    needs, and shorten the interpreter's turns.
+    """Take what was made so far out of the garbage collector's rounds, shorten the interpreter's turns, free memory.
+
+    Loading took several MB for a moment, which glibc keeps unless it is asked for them.
     """
     gc.collect()
     gc.freeze()

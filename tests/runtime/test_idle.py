@@ -12,10 +12,11 @@ from eitskin.errors import BundleError, HandshakeError
 from eitskin.idle import RETRY_NS, IdleGate, IdleMode
 from eitskin.serial_port import SerialPort
 from eitskin.skin import Skin
+from eitskin_proto import config_toml
 from eitskin_proto.codes import Mode
-from eitskin_proto.scan_rows import drives_from_list, table_rows
+from eitskin_proto.scan_rows import table_rows
 
-DRIVES = drives_from_list([0, 4, 8])
+DRIVES = config_toml.named("paper").idle_drives
 """Of configuration "paper"."""
 
 
@@ -47,11 +48,15 @@ def watchful(tiny):
 
 def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, watchful):
     with (
-        virtual_skin(touches=[[1.2, 1.8, 0.3]], rate_hz=100.0) as port,
+        virtual_skin(touches=[[2.0, 3.0, 0.3]], rate_hz=100.0) as port,
         Skin(port, bundle=watchful, idle_after_s=0.3) as skin,
     ):
         skin.capture_reference(10)
-        frames = list(skin.frames(timeout_s=2.6))
+        frames = []
+        for frame in skin.frames(timeout_s=30.0):
+            frames.append(frame)
+            if skin.pipeline.idle and any(seen.map.any() for seen in frames):
+                break  # it has been idle, awake, and is idle again
         assert skin.pipeline.withheld["partial"] == 0
     idle = ["acquisition:idle" in frame.skipped for frame in frames]
     changes = [index for index in range(1, len(frames)) if idle[index] != idle[index - 1]]
@@ -103,7 +108,7 @@ def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):
 def test_a_bundle_without_an_idle_gate_and_other_drives_are_refused(virtual_skin, tiny, watchful, hello):
     with pytest.raises(BundleError, match="no idle gate"):
         IdleGate(tiny.gate_arrays(), replace(hello, idle_drives=DRIVES))
-    with pytest.raises(HandshakeError, match=r"needs scans of the drives \[0, 4, 8\]; configuration paper has \[1\]"):
+    with pytest.raises(HandshakeError, match=r"needs scans of the drives \[0, .*; configuration paper has \[1\]"):
         IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=2))
     with pytest.raises(HandshakeError, match="has no idle mode"):
         IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=0))
