@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.drift import estimates
 from eitskin.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.imputation import Consistency as Deployed
 from eitskin_export.untouched import Bends
@@ -26,6 +27,9 @@ RATE: Final = 1e-4
 
 FRAMES: Final = 16_000
 """Healthy frames that choose the thresholds, and as many that measure them."""
+
+MARGIN: Final = 1.2
+"""Times the farthest held-out deformation's distance: what still counts as an untouched sheet."""
 
 SNR_DB: Final = 50.0
 """N2 noise of these frames. Noise that differs from frame to frame does not add up to ten of fourteen."""
@@ -56,6 +60,7 @@ class Healthy:
             "frames": self.frames,
             "thresholds": [round(float(value), 3) for value in self.arrays["thresholds"]],
             "named_after_frames": [NEEDED, WINDOW],
+            "drift_error_percent": [round(100.0 * float(limit[0]), 2) for limit in self.arrays["drift_limits"]],
         }
 
 
@@ -74,6 +79,7 @@ def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse
     rows = rng.permutation(rows)[: 2 * FRAMES]
     change = noisy_change(data, rows, ("N2",), SNR_DB, rng)
     logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
+    unpredicted = _unpredicted(data, np.unique(data.deformation[data.train]))
     arrays = {
         "mean": found.mean,
         "covariance": found.covariance,
@@ -81,14 +87,37 @@ def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse
         "reference": np.asarray(data.reference, dtype=np.float64),
         "untouched_mean": logs.mean(axis=0),
         "untouched_covariance": np.cov(logs, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "predicted_mean": unpredicted.mean(axis=0),
+        "predicted_covariance": np.cov(unpredicted, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        "drift_limits": np.ones((2, 2)),
         "projection_inverse": projection_inverse,
         "thresholds": np.ones(2),
     }
+    arrays["drift_limits"] = _drift_limits(Deployed.of(arrays), data, bends)
     seen = evidence(Deployed.of(arrays), change)
     choose, measure = seen[::2], seen[1::2]
     thresholds = np.quantile(choose, 1.0 - RATE, axis=0) if len(choose) else np.full(2, np.inf)
     alarms = float((measure > thresholds).any(axis=1).mean()) if len(measure) else 0.0
     return Healthy({**arrays, "thresholds": thresholds}, alarms, len(measure))
+
+
+def _unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:
+    """Return (n, 104) what of l of untouched deformations their predicted reference does not explain."""
+    return np.asarray(np.log(data.untouched[deformations] / data.reference) - data.log_predicted[deformations])
+
+
+def _drift_limits(deployed: Deployed, data: TrainingData, bends: Bends) -> Array:
+    """Return (2, 2) rms error of the common factor and largest distance, on deformations that taught nothing.
+
+    The first row is without a prediction, the second with one.
+    """
+    held_out = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    apart = np.concatenate([bends.choose, bends.measure])
+    found = []
+    for predicted, logs in ((False, apart), (True, _unpredicted(data, np.unique(data.deformation[held_out])))):
+        seen = estimates(deployed, logs, predicted=predicted)
+        found.append([float(np.sqrt(np.mean(seen[:, 0] ** 2))), MARGIN * float(seen[:, 1].max())])
+    return np.array(found)
 
 
 def evidence(deployed: Deployed, change: npt.NDArray[np.float32]) -> Array:

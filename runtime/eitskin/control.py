@@ -12,6 +12,8 @@ command        fields                                                answer
                optional ``predicted`` and ``predicted_flat``:
                832 bytes each, float64 LE (104,) V
 ``reference``  optional ``frames``: 2 to 10000                        ``frames``, ``weak_rows``
+``exclude``    ``electrodes``: list of at most 4 numbers, 0 to 15;    ``electrodes``
+               empty uses all again
 ``status``                                                            counters and ids
 ``stop``
 =============  ====================================================  ===========================
@@ -57,6 +59,9 @@ class Controlled(Protocol):
 
     def recapture(self, frames: int) -> Mapping[str, object]:
         """Replace the reference by the mean of the next frames, and return what was captured."""
+
+    def exclude(self, electrodes: tuple[int, ...]) -> None:
+        """Go on without these electrodes from the next frame on."""
 
     def status(self) -> Mapping[str, object]:
         """Return counters and ids."""
@@ -148,6 +153,7 @@ class ControlServer:
         commands: dict[str, Callable[[Mapping[str, Any]], Mapping[str, object]]] = {
             "cloud": self._cloud,
             "reference": self._reference,
+            "exclude": self._exclude,
             "status": lambda _: self._controlled.status(),
             "stop": self._stop,
         }
@@ -170,6 +176,13 @@ class ControlServer:
         if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
             raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")
         return self._controlled.recapture(frames)
+
+    def _exclude(self, request: Mapping[str, Any]) -> Mapping[str, object]:
+        electrodes = request.get("electrodes")
+        if not isinstance(electrodes, list) or not all(type(number) is int for number in electrodes):
+            raise ControlError(f"electrodes is {str(electrodes)[:40]}, expected a list of numbers from 0 to 15")
+        self._controlled.exclude(tuple(electrodes))
+        return {"electrodes": electrodes}
 
     def _stop(self, _: Mapping[str, Any]) -> Mapping[str, object]:
         self._controlled.stop()

@@ -129,7 +129,7 @@ class ElectrodeWatch:
         self._reference = reference_V
         self._of = np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
         self._inner = np.array([np.linalg.inv(self.precision[np.ix_(rows, rows)]) for rows in self._of])
-        self._pairs = np.array([(pair == TABLE).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
+        self._pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
         weight = self._pairs * np.abs(reference_V)
         self._pair_weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)
         self._logs, self._scores = np.zeros(N_ROWS), np.zeros(N_ROWS)
@@ -137,6 +137,7 @@ class ElectrodeWatch:
         self._before = np.zeros((2, N_ROWS))
         self._seen = 0
         self._resting = 0
+        self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
         self._healthy: dict[int, int] = {}
         self.imputation = Imputation(self._mean, self.precision, self._range)
         """Fills in what is missing."""
@@ -147,7 +148,8 @@ class ElectrodeWatch:
         """What a frame says of electrodes that are not well."""
         self.unclear = False
         """The frames fit nothing: neither a sheet nor any single failure."""
-        self.evidence = Evidence(*(np.zeros(N_ELECTRODES) for _ in range(4)), 0.0)
+        nothing = np.zeros(N_ELECTRODES)
+        self.evidence = Evidence(nothing, nothing, nothing, nothing, 0.0)
         self.exclude(excluded)
 
     @property
@@ -166,11 +168,20 @@ class ElectrodeWatch:
         Raises:
             ValueError: One does not exist, or there are too many.
         """
+        self.check(electrodes)
         chosen = tuple(sorted(set(electrodes)))
-        if len(chosen) > MOST_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in chosen):
-            raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MOST_OUT}, from 0 to 15")
         kept = tuple(f for f in self.findings if f.state != "excluded" and f.electrode not in chosen)
         self._use((*kept, *(Finding(electrode, "excluded") for electrode in chosen)))
+
+    @staticmethod
+    def check(electrodes: tuple[int, ...]) -> None:
+        """Refuse electrodes that cannot be excluded.
+
+        Raises:
+            ValueError: One does not exist, or there are too many.
+        """
+        if len(set(electrodes)) > MOST_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
+            raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MOST_OUT}, from 0 to 15")
 
     def correct(self, change: npt.NDArray[np.float32]) -> None:
         """Rearrange and fill in (104,) dV, in place, for the failures that are known."""
@@ -218,7 +229,7 @@ class ElectrodeWatch:
         now[worst] = evidence.surprise[worst] > self.threshold
         beside = np.minimum(np.roll(evidence.pair_ratio, 1), np.roll(evidence.pair_ratio, -1))
         shorted = (evidence.pair_ratio < SHORTED_RATIO) & (beside > OPEN_RATIO)
-        now[16:32] = shorted | (evidence.pair_sign < REVERSED_RATIO)
+        now[16:32] = (shorted | (evidence.pair_sign < REVERSED_RATIO)) & self._pair_in_use
         both = np.minimum(of_pair, np.roll(of_pair, 1)) >= JUMPING_ROWS  # pairs e - 1 and e
         alone = np.array([jumping.sum() - jumping[rows].sum() for rows in self._of]) <= 0.2 * (N_ROWS - 26)
         now[32:48] = both & alone & (self._seen > 1)
@@ -354,4 +365,6 @@ class ElectrodeWatch:
         if swapped is not None and swapped.partner is not None:
             self.rearranged = rewiring(swapped.electrode, swapped.partner)
             rows = rows | self.rearranged.missing
+        taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
+        self._pair_in_use = ~(taken | np.roll(taken, -1))
         self.imputation.leave_out(rows, self.precision)

@@ -10,7 +10,7 @@ yields a :class:`Geometry` that the frame loop copies in between two frames. ::
 ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinning and costs 8 ms at p99 under load.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -142,15 +142,20 @@ class ProjectionEngine:
         pixels: (n,) the only pixels that are computed, ascending; None for all. The largest of them becomes 1.
     """
 
-    __slots__ = ("_change", "_map", "_matrix", "_part", "_pixels", "name")
+    __slots__ = ("_change", "_map", "_matrix", "_part", "_pixels", "_whole", "name")
 
     def __init__(self, bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None) -> None:
         self.name = "tikhonov"
-        self._matrix = bundle.tikhonov() if pixels is None else bundle.tikhonov()[pixels]
+        self._whole = bundle.tikhonov() if pixels is None else bundle.tikhonov()[pixels]
+        self._matrix = self._whole
         self._change = buffers.change[0]
         self._map = buffers.map[0]
         self._pixels = pixels
         self._part = self._map if pixels is None else np.zeros(len(pixels), dtype=np.float32)
+
+    def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
+        """Use what ``change`` makes of the bundle's matrix from the next frame on: one without some rows."""
+        self._matrix = change(self._whole)
 
     def infer(self) -> None:
         """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""

@@ -12,6 +12,7 @@ earlier frame: ``map_seq`` says which.
 A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
 """
 
+import math
 import operator
 import struct
 import time
@@ -86,6 +87,10 @@ class Frame:
     """What was left out, and why: ``inference:untouched``."""
     events: tuple[str, ...]
     """What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``, ``lost``."""
+    electrodes: tuple[str, ...]
+    """Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``."""
+    drift_percent: float | None
+    """How far the voltages have moved against the reference, all rows alike; None while that is unknown."""
     gate_logit: float
     """The gate's logit; compare it with the bundle's threshold."""
     cloud: int
@@ -163,8 +168,8 @@ class FramePacker:
         constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
         self._constant: dict[str, object] = {**constant, "host": host_id()}
         plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
-                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"))  # fmt: skip
-        entries = 1 + len(plain) + 4 + 4 + len(self._constant)
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"))  # fmt: skip
+        entries = 1 + len(plain) + 4 + 5 + len(self._constant)
         head += FIRST_BYTE + struct.pack(">H", entries)
         key("v")
         head.append(VERSION)
@@ -189,7 +194,7 @@ class FramePacker:
         self._short[: self._map_at] = head[: self._map_at]
         struct.pack_into(">H", self._short, 1, entries - 2)
         self._short_view = memoryview(self._short)
-        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions], bytes] = {}
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
         self._end = self._tail_at
         self._short_end = self._map_at
 
@@ -211,10 +216,15 @@ class FramePacker:
         self._map[:] = values
 
     def put_texts(
-        self, solver: str, skipped: tuple[str, ...], events: tuple[str, ...], regions: Regions = (WHOLE,)
+        self,
+        solver: str,
+        skipped: tuple[str, ...],
+        events: tuple[str, ...],
+        regions: Regions = (WHOLE,),
+        electrodes: tuple[str, ...] = (),
     ) -> None:
         """Replace the texts; recurring combinations are kept ready."""
-        wanted = (solver, skipped, events, regions)
+        wanted = (solver, skipped, events, regions, electrodes)
         tail = self._tails.get(wanted)
         if tail is None:
             content = {
@@ -222,6 +232,7 @@ class FramePacker:
                 "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
                 "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
                 "regions": [list(region.bounds) for region in regions],
+                "electrodes": [text[:MAX_TEXT] for text in electrodes[:MAX_TEXTS]],
                 **self._constant,
             }
             tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
@@ -288,6 +299,8 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         solver=_text(fields, "solver"),
         skipped=_texts(fields, "skipped"),
         events=_texts(fields, "events"),
+        electrodes=_texts(fields, "electrodes") if "electrodes" in fields else (),
+        drift_percent=_drift(fields),
         gate_logit=gate_logit,
         cloud=_count(fields, "cloud"),
         weak_rows=_count(fields, "weak_rows"),
@@ -347,6 +360,14 @@ def _count(fields: Mapping[str, Any], name: str) -> int:
     if isinstance(value, bool) or not isinstance(value, int) or value < 0:
         raise FrameError(f"frame {name}: found {str(value)[:40]}, expected a count")
     return value
+
+
+def _drift(fields: Mapping[str, Any]) -> float | None:
+    """Return the drift in percent; a message without it, or with a number that is none, says that it is unknown."""
+    value = fields.get("drift", math.nan)
+    if not isinstance(value, float):
+        raise FrameError(f"frame drift: found {str(value)[:40]}, expected a float")
+    return value if math.isfinite(value) else None
 
 
 def _counts(fields: Mapping[str, Any], name: str, keys: tuple[str, ...]) -> dict[str, int]:

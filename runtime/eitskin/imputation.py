@@ -30,6 +30,9 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
     "reference": (N_ROWS,),
     "untouched_mean": (N_ROWS,),
     "untouched_covariance": (N_ROWS, N_ROWS),
+    "predicted_mean": (N_ROWS,),
+    "predicted_covariance": (N_ROWS, N_ROWS),
+    "drift_limits": (2, 2),
     "projection_inverse": (N_ROWS, N_ROWS),
     "thresholds": (2,),
 }
@@ -54,6 +57,12 @@ class Consistency:
     """(104,) of l over deformations alone."""
     untouched_covariance: Array
     """(104, 104)"""
+    predicted_mean: Array
+    """(104,) of l - log(V_pred / V0) over deformations."""
+    predicted_covariance: Array
+    """(104, 104)"""
+    drift_limits: Array
+    """(2, 2) without and with a prediction: error of a common factor, and the distance of the farthest bend."""
     projection_inverse: Array
     """(104, 104) K of the bundle's projection."""
     thresholds: Array
@@ -118,7 +127,7 @@ class Imputation:
         self._logs = np.zeros(N_ROWS)
         self._missing = self._present = np.zeros(0, dtype=np.intp)
         self._seen = self._part = self._expected = np.zeros(0)
-        self._weights = np.zeros((0, 0))
+        self._weights: Array = np.zeros((0, 0))
         self.missing: Rows = np.zeros(N_ROWS, dtype=np.bool_)
         """(104,) rows that are filled in."""
         self.leave_out(self.missing, precision)
@@ -133,7 +142,8 @@ class Imputation:
         self.missing = rows.copy()
         self._missing, self._present = np.flatnonzero(rows), np.flatnonzero(~rows)
         inner = precision[np.ix_(self._missing, self._missing)]
-        self._weights = np.linalg.solve(inner, precision[np.ix_(self._missing, self._present)])
+        weights = np.linalg.solve(inner, precision[np.ix_(self._missing, self._present)])
+        self._weights = np.asarray(weights, dtype=np.float64)
         self._seen, self._part = np.zeros(len(self._present)), np.zeros(len(self._missing))
         self._expected = self._mean[rows]
 

@@ -27,10 +27,11 @@ import numpy as np
 
 from eitskin.bundle import Bundle
 from eitskin.clock import DeviceClock
-from eitskin.engine import Buffers, Engine, Geometry, engines
+from eitskin.engine import Buffers, Engine, Geometry, ProjectionEngine, engines
 from eitskin.errors import BudgetError
 from eitskin.frame import STAGES
 from eitskin.gate import Gate
+from eitskin.health import Health
 from eitskin.idle import IdleGate
 from eitskin.ladder import Ladder
 from eitskin.normaliser import Normaliser
@@ -104,6 +105,8 @@ class Pipeline:
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
         self.watch = Watch()
+        self.health: Health | None = None
+        """Watches over electrodes and drift; None where the bundle cannot."""
         self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
         self.engines: list[Engine] = engines(bundle, self.buffers, best=solver, alone=budget_ns is None)
         self._whole = self.engines
@@ -198,6 +201,9 @@ class Pipeline:
         """Normalise against a reference from the next frame on."""
         self.normaliser.use(reference.voltages_V)
         self._computed = ""
+        if self.health is not None:
+            self.health.use(reference.voltages_V, reference.spread_V)
+            self._leave_out()
         if self._stillness is not None:
             step_V = self.normaliser.volts_per_count
             self._stillness.use(reference.voltages_V, reference.spread_V, reference.frames, step_V)
@@ -278,6 +284,9 @@ class Pipeline:
             return self._compute_idle()
         if not self.normaliser.change_into(self._change):
             return self._withhold("no_signal" if self.normaliser.silent else "implausible")
+        if self.health is not None:
+            self.health.correct(self._change)
+            self.events += self.health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
         if gate is not None:
@@ -341,6 +350,8 @@ class Pipeline:
             self._skipped = (*self._skipped_new, *CLOUD_UNCHANGED)
             self.buffers.map[:] = 0.0
             self._computed = ""
+            if self.health is not None:
+                self._leave_out()
         geometry = self._next_geometry
         if geometry is None:
             return False
@@ -380,6 +391,22 @@ class Pipeline:
         if self._stillness is not None:
             self._stillness.keep(self._change)
         return True
+
+    def look_at_health(self) -> None:
+        """Look at electrodes and drift in the frame that was just published; what changes acts on the next one."""
+        health = self.health
+        if health is None or self.idle:
+            return
+        if health.look(self.buffers.log_predicted[0], touched=self.touched):
+            self._leave_out()
+
+    def _leave_out(self) -> None:
+        """Take the rows that are missing now out of the projection, and the map that is held out of use."""
+        assert self.health is not None
+        self._computed = ""
+        for engine in (*self.engines, *self._whole):
+            if isinstance(engine, ProjectionEngine):
+                engine.change_matrix(self.health.projection)
 
     def judge(self, now_ns: int) -> None:
         """Hold the frame against the budget; an overrun is an event of this very frame."""

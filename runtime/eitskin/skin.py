@@ -5,6 +5,7 @@ solvers. Then the stream runs, and the loop blocks in the transport's ``read`` a
 and ``stop`` may come from other threads at any time; the loop picks them up between two frames.
 """
 
+import math
 import os
 import threading
 import time
@@ -22,9 +23,11 @@ from eitskin.bundle import Bundle, load_bundle
 from eitskin.cutter import Cutter
 from eitskin.device import Device
 from eitskin.engine import GeometryGraph
-from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
+from eitskin.errors import BadReference, BundleError, HandshakeError, PortReturned, SkinError
 from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
+from eitskin.health import health_of
 from eitskin.idle import IdleGate, IdleMode
+from eitskin.imputation import MISSING
 from eitskin.lines import open_line
 from eitskin.pipeline import INFER, PACK, PUBLISH, READ, Pipeline
 from eitskin.prediction import log_ratio
@@ -60,6 +63,8 @@ class Skin:
             (:mod:`eitskin.stillness`).
         idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
             (:mod:`eitskin.idle`); None scans all of them always.
+        exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
+        compensate_drift: Whether to take out of the frames what the reference has drifted (:mod:`eitskin.drift`).
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.
@@ -82,6 +87,8 @@ class Skin:
         solver: str | None = None,
         skip_unchanged: bool = False,
         idle_after_s: float | None = None,
+        exclude: tuple[int, ...] = (),
+        compensate_drift: bool = False,
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
@@ -96,6 +103,7 @@ class Skin:
             self.pipeline = Pipeline(
                 self.bundle, self.device.hello, budget_ns, solver=solver, skip_unchanged=skip_unchanged
             )
+            self.pipeline.health = health_of(self.bundle, exclude=exclude, compensate_drift=compensate_drift)
             self._idle: IdleMode | None = None
             if idle_after_s is not None:
                 self._idle = IdleMode(idle_after_s)
@@ -245,6 +253,20 @@ class Skin:
         """
         self._cutter.want(union(regions))
 
+    def exclude(self, electrodes: tuple[int, ...]) -> None:
+        """Go on without these electrodes from the next frame on; may be called from any thread.
+
+        Args:
+            electrodes: By number; none uses all of them again that were left out by hand.
+
+        Raises:
+            BundleError: The bundle does not know how to go on without an electrode.
+            ValueError: One does not exist, or there are too many.
+        """
+        if self.pipeline.health is None:
+            raise BundleError(f"{self.bundle.path}: excluding electrodes is {MISSING}")
+        self.pipeline.health.exclude(electrodes)
+
     # -- frames --------------------------------------------------------------------------------------------------------
 
     def frames(self, *, timeout_s: float | None = None) -> Iterator[Frame]:
@@ -312,6 +334,8 @@ class Skin:
         packer.put("cloud", pipeline.buffers.revision)
         packer.put("weak_rows", pipeline.normaliser.weak_count)
         packer.put("map_seq", pipeline.map_sequence)
+        health = pipeline.health
+        packer.put("drift", math.nan if health is None else health.drift.percent)
         packer.put("lost", pipeline.counter.lost)
         packer.put("corrupt", self.device.deframer.corrupt)
         packer.put("withheld", sum(pipeline.withheld.values()))
@@ -321,7 +345,8 @@ class Skin:
         packer.put("overrun", pipeline.ladder.overruns)
         if short:
             pipeline.skipped += MAP_UNCHANGED
-        packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events, pipeline.regions)
+        out = () if health is None else health.watch.texts
+        packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events, pipeline.regions, out)
         for index in range(PUBLISH):
             packer.put(STAGES[index], stamps[index])
         stamps[PUBLISH] = time.perf_counter_ns()
@@ -338,6 +363,7 @@ class Skin:
         pipeline = self.pipeline
         pipeline.stamps[PUBLISH] = time.perf_counter_ns()
         self.statistics.add(pipeline.stamps, pipeline.solver, pipeline.touched, pipeline.skipped, pipeline.events)
+        pipeline.look_at_health()
 
     def _accepted(self, until_ns: int | None) -> Iterator[None]:
         """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``.
@@ -458,6 +484,7 @@ class Skin:
             "bundle": self.bundle.id,
             "reference_utc": found.captured_utc if found else "",
             "weak_rows": found.weak.tolist() if found else [],
+            "electrodes": [] if pipeline.health is None else list(pipeline.health.watch.texts),
         }
 
     def summary(self) -> dict[str, Any]:

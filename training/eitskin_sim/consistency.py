@@ -103,5 +103,8 @@ class Filler:
         if electrodes not in self._known:
             rows = rows_of(electrodes)
             inner = self._precision[np.ix_(rows, rows)]
-            self._known[electrodes] = rows, np.linalg.solve(inner, self._precision[np.ix_(rows, ~rows)])
+            self._known[electrodes] = (
+                rows,
+                np.asarray(np.linalg.solve(inner, self._precision[np.ix_(rows, ~rows)]), dtype=np.float64),
+            )
         return self._known[electrodes]

@@ -43,6 +43,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
     )
+    parser.add_argument(
+        "--exclude-electrode", type=int, action="append", default=[], metavar="N", help="go on without it; repeatable"
+    )
+    parser.add_argument(
+        "--compensate-drift", action="store_true", help="take out what the reference drifts, where a cloud predicts it"
+    )
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
@@ -76,6 +82,8 @@ def run(arguments: argparse.Namespace) -> int:
                 solver=arguments.solver,
                 skip_unchanged=not arguments.every_map,
                 idle_after_s=arguments.idle_after,
+                exclude=tuple(arguments.exclude_electrode),
+                compensate_drift=arguments.compensate_drift,
                 **keywords,
             )
         )
@@ -136,6 +144,8 @@ def _check(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+    if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
+        raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
 
