@@ -38,7 +38,7 @@ from eitskin.normaliser import Normaliser
 from eitskin.reference import Reference
 from eitskin.regions import WHOLE, Regions, pixels
 from eitskin.stillness import REFRESH_FRAMES, Stillness
-from eitskin.watch import Watch
+from eitskin.watch import Watch, audit_pixels
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import FrameView
 from eitskin_proto.grid import N_PIXELS
@@ -104,7 +104,7 @@ class Pipeline:
     ) -> None:
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
-        self.watch = Watch()
+        self.watch = Watch(audit_pixels(arrays))
         self.health: Health | None = None
         """Watches over electrodes and drift; None where the bundle cannot."""
         self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)

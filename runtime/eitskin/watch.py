@@ -4,29 +4,55 @@ Of the frames that the gate calls untouched, one in ``AUDIT_FRAMES`` is inferred
 shows a strong touch, the gate is overruled: the frame is published with its map, the event ``gate_overruled`` says so,
 and every frame is looked at until a map shows no strong touch any more. What a wrong gate can hide is thus a touch for
 ``AUDIT_FRAMES`` frames, or one that the network does not see either.
+
+How many pixels make a strong touch is known when the bundle is made: more than the network ever shows of an untouched
+sheet. A bundle that does not say (``audit_pixels`` in gate.npz) is not looked after.
 """
 
+from collections.abc import Mapping
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import BundleError
 from eitskin_proto.grid import N_PIXELS
 
 AUDIT_FRAMES: Final = 50
 """Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
 
 STRONG_VALUE: Final = 0.5
-STRONG_PIXELS: Final = 9
-"""A map with at least so many pixels above the value, 10 mm square, shows a strong touch."""
+"""A pixel above it is touched."""
+
+
+def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None) -> int | None:
+    """Return how many pixels make a strong touch, by a bundle's gate.npz, or None if it does not say.
+
+    Raises:
+        BundleError: It says nonsense.
+    """
+    if arrays is None or "audit_pixels" not in arrays:
+        return None
+    found = np.asarray(arrays["audit_pixels"])
+    if found.size != 1 or found.dtype.kind not in "iu" or not 1 <= int(found.reshape(-1)[0]) <= N_PIXELS:
+        raise BundleError(
+            f"gate.npz: audit_pixels is {found.tolist()}, expected one whole number from 1 to {N_PIXELS}; make the "
+            "bundle again with 'eitskin export'"
+        )
+    return int(found.reshape(-1)[0])
 
 
 class Watch:
-    """Counts untouched frames and judges the maps of those that are looked at; allocates nothing a frame."""
+    """Counts untouched frames and judges the maps of those that are looked at; allocates nothing a frame.
 
-    __slots__ = ("_above", "_since_look", "_suspicious", "overruled")
+    Args:
+        pixels: A map with at least so many pixels above ``STRONG_VALUE`` shows a strong touch; None to look at none.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_above", "_pixels", "_since_look", "_suspicious", "overruled")
+
+    def __init__(self, pixels: int | None) -> None:
+        self._pixels = pixels
         self._above = np.zeros(N_PIXELS, dtype=np.bool_)
         self._since_look = 0
         self._suspicious = False
@@ -35,6 +61,8 @@ class Watch:
 
     def looks(self) -> bool:
         """Return whether an untouched frame is to be inferred all the same; asked once for each of them."""
+        if self._pixels is None:
+            return False
         self._since_look += 1
         if self._suspicious or self._since_look >= AUDIT_FRAMES:
             self._since_look = 0
@@ -48,6 +76,6 @@ class Watch:
             touch_map: (1350,) of a network; a projection's is scaled to 1 whatever it shows, and says nothing.
         """
         np.greater(touch_map, STRONG_VALUE, out=self._above)
-        self._suspicious = int(np.count_nonzero(self._above)) >= STRONG_PIXELS
+        self._suspicious = self._pixels is not None and int(np.count_nonzero(self._above)) >= self._pixels
         self.overruled += self._suspicious
         return self._suspicious

@@ -8,11 +8,11 @@ import pytest
 from eitskin import ladder
 from eitskin.bundle import Bundle
 from eitskin.engine import GeometryGraph
-from eitskin.errors import BudgetError
+from eitskin.errors import BudgetError, BundleError
 from eitskin.pipeline import Pipeline
 from eitskin.reference import Reference
 from eitskin.skin import Skin
-from eitskin.watch import AUDIT_FRAMES
+from eitskin.watch import AUDIT_FRAMES, Watch, audit_pixels
 from eitskin_proto.frames import Frame
 from eitskin_proto.scan_rows import row_count
 
@@ -107,7 +107,7 @@ class Sees:
 
 
 def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
-    pipeline._gate, pipeline.engines[0] = Blind(), Sees(pipeline.buffers)
+    pipeline._gate, pipeline.engines[0], pipeline.watch = Blind(), Sees(pipeline.buffers), Watch(9)
     for sequence in range(1, AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.solver == "none"
@@ -123,7 +123,7 @@ def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline,
 
 
 def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
-    pipeline.engines[0] = Sees(pipeline.buffers)
+    pipeline.engines[0], pipeline.watch = Sees(pipeline.buffers), Watch(9)
     solvers, skipped = set(), []
     for sequence in range(1, 2 * AUDIT_FRAMES + 1):
         assert go(pipeline, payload(counts, sequence))
@@ -135,15 +135,30 @@ def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipel
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
+    pipeline.watch = Watch(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(counts, sequence), wanted=False)
         assert not pipeline.inferred
 
 
+def test_a_bundle_that_does_not_say_what_is_strong_is_not_looked_after(pipeline, counts):
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(counts, sequence))
+        assert not pipeline.inferred
+
+
+@pytest.mark.parametrize("value", [0, 1351, 2.5, [3, 4], "many"])
+def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
+    with pytest.raises(BundleError, match=r"audit_pixels is .*, expected one whole number from 1 to 1350"):
+        audit_pixels({"audit_pixels": np.array(value)})
+    assert audit_pixels({"audit_pixels": np.array(12, np.uint16)}) == 12
+    assert audit_pixels(None) is None
+
+
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
     pipeline = Pipeline(tiny, hello, solver="tikhonov")
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline._gate = Blind()
+    pipeline._gate, pipeline.watch = Blind(), Watch(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.solver == "none"
