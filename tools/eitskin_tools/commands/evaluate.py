@@ -43,6 +43,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--shift-px", type=float, default=0.0, metavar="P", help="move every touch by up to P pixels, at random"
     )
     parser.add_argument("--bundle", metavar="FILE", help="the network; default: the shipped one with the same labels")
+    parser.add_argument(
+        "--picture", metavar="FILE.png", help="with --phantoms: truth and every solver's map on the bent surface"
+    )
     _add_ablations(parser)
     _add_trials(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -92,6 +95,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--all needs --phantoms: the table stands beside the paper's")
     conditions = Conditions(arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud)
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
+    if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
+        raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     if arguments.phantoms is None:
         return _trial(arguments, request, conditions)
     return _phantoms(arguments, request, conditions)
@@ -108,6 +113,14 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     if arguments.all:
         table, reports = comparison(phantoms, conditions, _progress())
         print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
+        return 0
+    if arguments.picture is not None:
+        from eitskin_tools.gallery import collect, draw
+
+        rows = collect(phantoms, conditions, arguments.bundle)
+        draw(rows, arguments.picture)
+        found = {"picture": str(arguments.picture), "phantoms": len(rows)}
+        print(json.dumps(found) if arguments.json else f"{arguments.picture}: {len(rows)} phantoms")
         return 0
     (found,) = evaluate_requests(phantoms, [request], conditions, _progress())
     if arguments.json:

@@ -16,6 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--phantoms", action="append", default=[], metavar="FILE", help="score these too and write it on the card"
     )
     parser.add_argument("--seeds", type=int, default=3, help="noise draws of each phantom (default 3)")
+    parser.add_argument("--gate-only", action="store_true", help="fit the gate of the bundle FILE again, and no more")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -30,6 +31,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--seeds is {arguments.seeds}; expected at least 1")
     found = package.trained(Path(arguments.run_folder))
     data = package.data_of(found, arguments.data)
+    if arguments.gate_only:
+        return _report_gate(package.refit_gate(found, data, out), as_json=arguments.json)
     result = package.export(found, data, out, tell=_tell)
     if arguments.phantoms:
         result["phantoms"] = _phantoms(arguments.phantoms, arguments.seeds, str(result["labels"]), out)
@@ -44,8 +47,7 @@ def run(arguments: argparse.Namespace) -> int:
     print(
         f"int8 against float32: rms {result['int8']['rms']:.1e}, {100 * result['int8']['flipped']:.3f} % of pixels flip"
     )
-    gate = result["gate"]
-    print(f"gate: {100 * gate['false_alarm_rate']:.2f} % false alarms, {100 * gate['missed_rate']:.2f} % missed")
+    print(_gate_line(result["gate"]))
     for family, noises in result["held_out"].items():
         scores = ", ".join(f"{noise} CC {entry['cc']:.4f}" for noise, entry in noises.items())
         print(f"unseen bends of family {family}: {scores}")
@@ -53,6 +55,23 @@ def run(arguments: argparse.Namespace) -> int:
         scores = ", ".join(f"{noise} CC {entry['mean']['cc']:.4f}" for noise, entry in noises["vd2t"].items())
         print(f"phantoms of {name}: {scores}")
     return 0
+
+
+def _report_gate(result: dict[str, Any], *, as_json: bool) -> int:
+    if as_json:
+        print(json.dumps(result))
+    else:
+        print(f"{result['path']}: bundle {result['bundle']}\n{_gate_line(result['gate'])}")
+    return 0
+
+
+def _gate_line(gate: dict[str, Any]) -> str:
+    """Return what a gate is worth, in a line."""
+    low, high = (100 * value for value in gate["false_alarm_interval_95"])
+    return (
+        f"gate: {100 * gate['false_alarm_rate']:.2f} % false alarms ({low:.2f} to {high:.2f} %) on "
+        f"{gate['held_out_bends']} bends never seen, {100 * gate['missed_rate']:.2f} % of touches missed"
+    )
 
 
 def _tell(text: str) -> None:
