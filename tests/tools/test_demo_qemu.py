@@ -60,7 +60,12 @@ def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_pat
         process.send_signal(signal.SIGINT)
         assert process.wait(20.0) == 0
         process.stdout.close()
-    assert read_log(log)[-1]["event"] == "stop"
+    last = read_log(log)[-1]
+    assert last["event"] == "stop"
+    assert last["dropped"] >= 0
+    sequences = np.flatnonzero(np.load(wire))  # every number that passed, by itself: what is missing, the board counted
+    assert sequences[-1] + 1 - sequences[0] - len(sequences) == last["dropped"]
+    assert len(sequences) == last["sent"]
     flat = recording(100.0, None, "none", 0)[0, ROW_IN_FULL]
     # Half a step of 24 bit, and half a step of the recording.
     assert np.abs(volts - flat).max() <= 0.6 * device.hello.volts_per_count

@@ -86,6 +86,9 @@ class Relay:
         self._view = FrameView()
         self.sent = 0
         """Frames that passed."""
+        self.dropped = 0
+        """Scans that the board could not send, by its own count in each frame."""
+        self._count = 0
 
     def run(self, until_ns: int) -> None:
         """Relay until the host's clock shows ``until_ns``."""
@@ -109,6 +112,9 @@ class Relay:
                 continue
             self._view.load(payload)
             self._wire_ns[self._view.sequence % len(self._wire_ns)] = now
+            count = self._view.device_dropped
+            self.dropped += count - self._count if count >= self._count else count  # it starts anew with each START
+            self._count = count
             if self.sent == 0:
                 self._log({"event": "start", "host_ns": now, "device_us": self._view.device_us, "script_time_s": 0.0})
             self.sent += 1
@@ -174,7 +180,8 @@ def _serve(arguments: argparse.Namespace) -> None:
                 relay.run(perf_counter_ns() + int(arguments.seconds * 1e9))
             finally:
                 os.close(line)
-                write({"event": "stop", "host_ns": perf_counter_ns(), "sent": relay.sent, "overruns": port.overruns})
+                told = {"sent": relay.sent, "dropped": relay.dropped, "overruns": port.overruns}
+                write({"event": "stop", "host_ns": perf_counter_ns(), **told})
 
 
 if __name__ == "__main__":

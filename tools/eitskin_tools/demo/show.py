@@ -72,6 +72,8 @@ class Streamed:
     """Device clock when the script began."""
     sent: int | None
     """Frames that the virtual skin sent."""
+    dropped: int | None
+    """Scans that it could not send, by its own count."""
     runtime: dict[str, Any]
     """The runtime's own summary."""
     start_s: float
@@ -103,7 +105,9 @@ def stream(options: Options) -> Streamed:
         if options.record:
             options.record.write_bytes(record.read_bytes())
         found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
-        return Streamed(found, wire_ns, script_start(log)["device_us"], _sent(log), spoken, start_s)
+        return Streamed(
+            found, wire_ns, script_start(log)["device_us"], _told(log, "sent"), _told(log, "dropped"), spoken, start_s
+        )
 
 
 def demonstrate(options: Options) -> dict[str, Any]:
@@ -123,6 +127,7 @@ def demonstrate(options: Options) -> dict[str, Any]:
         **timing(streamed.record, streamed.wire_ns),
         **asdict(accuracy(streamed.record, script, streamed.start_us)),
         "sent": streamed.sent,
+        "dropped_by_device": streamed.dropped,
         "late_subscriber": streamed.record.late,
         "withheld": streamed.record.withheld,
         "runtime_lost": streamed.runtime.get("lost"),
@@ -220,8 +225,9 @@ def _last_object(child: Child) -> dict[str, Any]:
     return found if isinstance(found, dict) else {}
 
 
-def _sent(log: Path) -> int | None:
-    return next((int(event["sent"]) for event in read_log(log) if event["event"] == "stop"), None)
+def _told(log: Path, what: str) -> int | None:
+    """Return a count that the skin wrote down when it stopped."""
+    return next((int(event[what]) for event in read_log(log) if event["event"] == "stop"), None)
 
 
 def print_summary(summary: dict[str, Any]) -> None:

@@ -81,6 +81,8 @@ class VirtualDevice:
         self.script_start_ns: int | None = None
         """Host clock at the first START."""
         self.boots = 0
+        self.dropped = 0
+        """Scans that could not be sent, since the process began."""
         self.boot(now_ns)
 
     def boot(self, now_ns: int) -> None:
@@ -152,6 +154,7 @@ class VirtualDevice:
 
     def drop(self, scans: int = 1) -> None:
         """Count scans that were made and could not be sent."""
+        self.dropped += scans
         self._dropped = (self._dropped + scans) & 0xFFFF
 
     def skip(self, scans: int) -> None:

@@ -104,9 +104,12 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
             log.write(json.dumps(event) + "\n")
 
     server = SkinServer(device, port, player, times, write)
-    stack.callback(
-        lambda: write({"event": "stop", "host_ns": perf_counter_ns(), "sent": server.sent, "overruns": port.overruns})
-    )
+
+    def last() -> None:
+        told = {"sent": server.sent, "dropped": device.dropped, "overruns": port.overruns}
+        write({"event": "stop", "host_ns": perf_counter_ns(), **told})
+
+    stack.callback(last)
     _announce(options, port, device, script.name)
     return server
 
