@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.forward import MM, Factor, System
+from eitskin_sim.mesh import MERGE_MM
 from eitskin_sim.parts import Touch
 from eitskin_sim.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.shapes import Shape
@@ -110,7 +111,9 @@ def _cover(system: System, pieces: _Pieces) -> tuple[Array, Index, list[Index]]:
     cutting = []
     for number, (shape, conductivity) in enumerate(pieces):
         x0, y0, x1, y1 = shape.bounds_mm
-        near = np.flatnonzero(np.all((centres + sizes / 2 > [x0, y0]) & (centres - sizes / 2 < [x1, y1]), axis=1))
+        # Beyond the box by more than rounding: an element that only meets a disc's top on a line is not cut by it.
+        low, high = centres - sizes / 2 + MERGE_MM, centres + sizes / 2 - MERGE_MM
+        near = np.flatnonzero(np.all((high > [x0, y0]) & (low < [x1, y1]), axis=1))
         distance, normal = shape.distance_mm(centres[near])
         share = half_plane_share(distance, normal, sizes[near])
         crossed = np.abs(distance) < reach[near]
