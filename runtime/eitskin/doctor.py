@@ -27,6 +27,9 @@ SLOW_LATENCY_MS: Final = 1
 SLOW_ANSWER_MS: Final = 5.0
 """A round trip of this length at best has been held back somewhere: USB frames take 1 ms, a UART 0.2 ms."""
 
+ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
+"""Where the kernel shows the latency timers of serial adapters."""
+
 SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"))
 
 
@@ -116,7 +119,7 @@ def _port(info: Any, problems: list[str]) -> dict[str, Any]:
     if not os.access(info.device, os.R_OK | os.W_OK):
         state = "no permission"
         problems.append(f"{info.device}: run 'sudo usermod -aG dialout $USER', then log in again")
-    timer = Path("/sys/bus/usb-serial/devices", Path(info.device).name, "latency_timer")
+    timer = ADAPTERS / Path(info.device).name / "latency_timer"
     if timer.exists():
         waits_ms = int(timer.read_text(encoding="ascii").strip() or 0)
         state += f", latency timer {waits_ms} ms"
