@@ -1,8 +1,8 @@
-"""A serial line that is opened again when it vanishes, so that a pulled cable costs frames and not the program.
+"""A line that is opened again when it vanishes, so that a pulled cable costs frames and not the program.
 
 ::
 
-    read, write ──> SerialPort ──PortLost──> wait for the port ──> open ──> PortReturned
+    read, write ──> open line ───PortLost──> wait for the port ──> open ──> PortReturned
                                                    └─ give_up_s passed ──> PortLost
 
 The device behind a port that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to
@@ -21,6 +21,7 @@ from typing import Final
 from serial.tools import list_ports
 
 from eitskin.errors import PortLost, PortReturned, TransportError
+from eitskin.lines import USB_PREFIX
 from eitskin.lines import open_line as open_any
 from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.transport import Transport
@@ -164,6 +165,8 @@ class HotPlug:
     def report(self) -> list[str]:
         """Return what was got of what was asked for."""
         how = f"by {self._usb}" if self._usb is not None else "by its path"
+        if self.name.startswith(USB_PREFIX):
+            how = "by vendor, product and serial number"
         return [*([] if self._line is None else self._line.report()), f"if it vanishes: looked for {how}"]
 
     def close(self) -> None:
