@@ -11,7 +11,9 @@ import numpy.typing as npt
 
 from eitskin_export import consistency, gate, graphs, parity, projection, quantise
 from eitskin_export.bundle import projection_bytes, write
+from eitskin_export.bundle import read as read_bundle
 from eitskin_export.fold import split
+from eitskin_export.gate_audit import audit_pixels
 from eitskin_export.untouched import Bends, solved_bends
 from eitskin_proto.errors import MismatchError
 from eitskin_training.card import card
@@ -99,7 +101,9 @@ def export(
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     tell("fitting the gate")
     untouched = bends(data)
-    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps)
+    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
+        audit_pixels(geometry_bytes, head_bytes, untouched.measure, data.reference)
+    )
     tell("learning what healthy frames look like")
     inverse = projection.damped_inverse(jacobian())
     healthy = consistency.healthy(data, found.recipe, untouched, inverse)
@@ -134,6 +138,34 @@ def export(
         "gate": touch_gate.facts(),
         "held_out": metrics["held_out"],
     }
+
+
+def refit_gate(
+    found: Trained, data: TrainingData, path: Path, *, bends: Callable[[TrainingData], Bends] = solved_bends
+) -> dict[str, Any]:
+    """Fit a bundle's gate once more, leave all else as it is, and return its new id and the gate's facts.
+
+    Args:
+        found: The bundle's network, for its seed.
+        data: Its data set.
+        path: The bundle; replaced in one rename.
+        bends: Gives the untouched sheets that the gate learns from.
+
+    Raises:
+        MismatchError: The bundle is of another data set.
+        SkinError: It is no whole bundle.
+    """
+    files, facts = read_bundle(path)
+    if facts["data_digest"] != data.digest:
+        raise MismatchError(
+            f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
+        )
+    untouched = bends(data)
+    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"])).audited(
+        audit_pixels(files["geometry.onnx"], files["head.onnx"], untouched.measure, data.reference)
+    )
+    identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()})
+    return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
 
 def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array, parity.Array, parity.Array]:

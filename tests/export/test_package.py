@@ -1,4 +1,3 @@
-import io
 import json
 import zipfile
 from dataclasses import replace
@@ -10,9 +9,8 @@ import pytest
 import torch
 
 from eitskin.bundle import load_bundle
-from eitskin.gate import Gate
-from eitskin_export import bundle, gate, package, parity, projection
-from eitskin_export.untouched import Bends, bends_of, solved_bends
+from eitskin_export import bundle, package, parity, projection
+from eitskin_export.untouched import bends_of
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_training import train
 from eitskin_training.data import TrainingData
@@ -94,46 +92,6 @@ def test_a_run_of_another_grid_is_refused(run: Path, tmp_path: Path) -> None:
     torch.save({**content, "grid_id": "0123"}, tmp_path / "best.pt")
     with pytest.raises(MismatchError, match="grid_id: found 0123"):
         package.trained(tmp_path)
-
-
-def test_the_runtimes_gate_agrees_with_the_exported_one(data: TrainingData) -> None:
-    fitted = gate.fit(data, bends_of(data), steps=200)
-    with np.load(io.BytesIO(fitted.to_npz()), allow_pickle=False) as archive:
-        runtime_gate = Gate(dict(archive))
-    rng = np.random.default_rng(0)
-    dv = (0.1 * rng.standard_normal((50, 104))).astype(np.float32)
-    expected = gate.logits(fitted.arrays, dv)
-    found = []
-    for row in dv:
-        runtime_gate.change[:] = row
-        assert runtime_gate.touched() == (runtime_gate.logit > runtime_gate.threshold)
-        found.append(runtime_gate.logit)
-    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3 * np.abs(expected).max())
-
-
-def test_the_gate_tells_a_touch_from_a_bend_that_it_never_saw(data: TrainingData) -> None:
-    # The toy's bends are one factor on all voltages.
-    logs = np.log(np.random.default_rng(1).uniform(1.0, 1.1, 200))[:, None] * np.ones(104)
-    fitted = gate.fit(data, Bends(logs[:40], logs[40:120], logs[120:]), steps=600)
-    # A bend's frames trip the gate together, so 80 bends know a rate of 0.1 to 0.034: three of these are allowed.
-    assert fitted.false_alarm_rate <= 0.2
-    assert fitted.missed_rate <= 0.05
-
-
-def test_a_gate_without_bends_to_measure_it_on_is_refused(data: TrainingData) -> None:
-    with pytest.raises(SkinError, match="expected at least 1 of each"):
-        gate.fit(data, replace(bends_of(data), choose=np.empty((0, 104))), steps=1)
-
-
-def test_more_bends_are_solved_than_the_data_set_has_and_the_flat_one_is_zero(data: TrainingData) -> None:
-    own, more = bends_of(data), solved_bends(data, train=2, held_out=1)
-    assert (len(more.train), len(more.choose), len(more.measure)) == (
-        len(own.train) + 2,
-        len(own.choose) + 1,
-        len(own.measure) + 1,
-    )
-    # Stretches of up to 22 % change voltages by tens of per cent, never by a factor of a thousand.
-    assert 0.01 < np.abs(more.train[-1]).max() < 7.0
 
 
 def test_tikhonov_solves_its_normal_equations() -> None:
