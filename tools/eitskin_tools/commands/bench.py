@@ -19,6 +19,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "long runs, faults and drift",
+    "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
     "peer": "what other tactile libraries do with the same bytes",
 }
 """Benchmarks, each with what it measures."""

@@ -1,0 +1,98 @@
+"""How well a drift of the sheet's conductivity is known, and whether its compensation eats a touch.
+
+Deformations of families A and B that no bundle learned from, each with a common factor on all voltages, with and
+without the prediction that a scan gives; then a touch that lies still for minutes while compensation runs.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin.drift import HOLD, Drift
+from eitskin.imputation import Consistency
+from eitskin_sim.bend import bend_metric
+from eitskin_sim.family import Family, draw
+from eitskin_sim.forward import assemble, flat_metric
+from eitskin_sim.meshing import scene_mesh
+from eitskin_sim.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.predict import flat_voltages, predict
+from eitskin_sim.scanned import scanned_cloud
+from eitskin_sim.shapes import Disc
+from eitskin_sim.solve import factorise_scene
+
+FACTORS: Final = (-0.2, -0.05, 0.0, 0.1, 0.3)
+"""Logarithms of the factor on all voltages that are tried."""
+
+ELEMENT_MM: Final = 4.5
+NOISE: Final = 10 ** (-50 / 20)
+STILL_FRAMES: Final = 12_000
+"""A touch that lies still for a minute at 200 frames/s."""
+
+
+def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
+    """Return rows on drift: its error without and with a scan, and what compensation takes of a touch.
+
+    Args:
+        consistency: Of a bundle.
+        bends: Deformations of each family.
+    """
+    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
+    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    rng = np.random.default_rng(0)
+    errors: dict[tuple[str, bool], list[float]] = {}
+    unknown: dict[tuple[str, bool], int] = {}
+    families: tuple[Family, ...] = ("A", "B")
+    for family in families:
+        for bend in draw(family, bends, 9900):
+            volts = assemble(mesh, sheet, Electrodes(), bend_metric(bend, sheet)).factorise().voltages()
+            logs = np.log(volts / flat)
+            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            for with_scan in (False, True):
+                shown = expected if with_scan else np.zeros_like(expected)
+                for factor in FACTORS:
+                    found = settle(consistency, logs + factor, shown, rng)
+                    key = family, with_scan
+                    unknown[key] = unknown.get(key, 0) + (found is None)
+                    if found is not None:
+                        errors.setdefault(key, []).append(found - factor)
+    rows: list[dict[str, Any]] = []
+    for (family, scan), silent in unknown.items():
+        off = 100.0 * np.array(errors.get((family, scan), [np.nan]))
+        rows.append(
+            {"what": "drift", "family": family, "scan": scan, "tried": bends * len(FACTORS), "not_said": silent,
+             "error_rms_percent": round(float(np.sqrt(np.mean(off**2))), 2),
+             "error_max_percent": round(float(np.abs(off).max()), 2)}
+        )  # fmt: skip
+    return [*rows, *absorbed(consistency, flat, rng)]
+
+
+def settle(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> float | None:
+    """Return the drift, in log, that is reported of a sheet held still; None if none is."""
+    drift = Drift(consistency)
+    for _ in range(HOLD + 20):
+        change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
+        drift.look(change, predicted, touched=False)
+    return None if np.isnan(drift.percent) else float(np.log1p(drift.percent / 100.0))
+
+
+def absorbed(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return what compensation takes, in a minute, of touches that lie still on a sheet without drift."""
+    rows = []
+    for radius in (3.0, 5.0, 8.0, 15.0):
+        taken, sizes = [], []
+        for x, y in ((40.0, 30.0), (75.0, 50.0), (120.0, 80.0)):
+            scene = Scene(touches=(Touch((Disc(x, y, radius),)),), element_size_mm=ELEMENT_MM)
+            logs = np.log(factorise_scene(scene).voltages() / flat)
+            drift = Drift(consistency, compensate=True)
+            predicted = np.full(len(logs), 1e-9, dtype=np.float32)  # a flat cloud's prediction
+            for frame in range(STILL_FRAMES):
+                if frame % 100 == 0:
+                    change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
+                drift.look(change, predicted, touched=False)  # the gate asleep: the worst case
+            taken.append(abs(drift.taken_out))
+            sizes.append(float(np.sqrt(np.mean(logs**2))))
+        rows.append(
+            {"what": "drift", "touch_radius_mm": radius, "touch_rms_percent": round(100 * float(np.mean(sizes)), 2),
+             "taken_out_percent": round(100 * max(taken), 3)}
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,229 @@
+"""Electrodes that fail while the sheet bends and is touched: how soon they are named, and what is named wrongly.
+
+A stream runs from one deformation to the next, of family A or B, while touches come, move over the sheet and in every
+second stream lie on an electrode. The sheet's 16 x 16 response is solved at a few moments and interpolated between
+them; the circuit around it (:mod:`eitskin_sim.faults`) then reads any failure at any moment, frame by frame.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.electrodes import ElectrodeWatch
+from eitskin.imputation import Consistency
+from eitskin_proto.normalise import relative_change
+from eitskin_proto.table import N_ELECTRODES, TABLE
+from eitskin_sim.electrodes import place
+from eitskin_sim.family import Family, draw
+from eitskin_sim.faults import Detached, Fault, Noisy, Shorted, Swapped, measure, response_of
+from eitskin_sim.noise import Kind, add_noise
+from eitskin_sim.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.shapes import Disc, Rect, Shape
+from eitskin_sim.solve import factorise_scene
+
+ELEMENT_MM: Final = 4.5
+"""Of the streams' mesh: 0.1 s a moment; the reference is of the same mesh."""
+
+STEP_FRAMES: Final = 60
+"""Between two moments: 0.3 s at 200 frames/s."""
+
+REFERENCE_FRAMES: Final = 100
+"""Noisy frames whose mean is the reference."""
+
+AFTER_FRAMES: Final = 30
+"""Frames that a failure is looked at; it counts as named if that takes ``IN_TIME`` at most."""
+
+IN_TIME: Final = 20
+
+Array = npt.NDArray[np.float64]
+
+FAILURES: Final[dict[str, Callable[[int], Fault]]] = {
+    "detached x1e5": lambda e: Detached(e, 1e5),
+    "detached x1e4": lambda e: Detached(e, 1e4),
+    "shorted": lambda e: Shorted(e, (e + 1) % N_ELECTRODES),
+    "swapped": lambda e: Swapped(e, (e + 1) % N_ELECTRODES),
+    "noisy 3 %": lambda e: Noisy(e, 0.03),
+    "noisy 10 %": lambda e: Noisy(e, 0.1),
+}
+"""What is tried at every electrode; shorts and exchanges with the next one."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stream:
+    """A few solved moments."""
+
+    family: Family
+    covering: bool
+    """Whether a touch lies on an electrode."""
+    responses: Array
+    """(moments, 16, 16) ohm."""
+
+    def at(self, frame: int) -> Array:
+        """Return the (16, 16) response at a frame; after the last moment it stands still."""
+        last = len(self.responses) - 1
+        place_, share = divmod(frame / STEP_FRAMES, 1.0)
+        first = min(int(place_), last)
+        return np.asarray((1.0 - share) * self.responses[first] + share * self.responses[min(first + 1, last)])
+
+    @property
+    def frames(self) -> int:
+        """Length."""
+        return (len(self.responses) - 1) * STEP_FRAMES
+
+
+def flat_response() -> Array:
+    """Return the (16, 16) ohm of the flat, untouched sheet on the streams' mesh."""
+    return response_of(factorise_scene(Scene(element_size_mm=ELEMENT_MM)))
+
+
+def stream(family: Family, number: int, moments: int, *, covering: bool) -> Stream:
+    """Return one stream, solved.
+
+    Args:
+        family: Of its deformations.
+        number: Its seed.
+        moments: How many are solved.
+        covering: Whether a touch lies on an electrode.
+    """
+    rng = np.random.default_rng([number, moments, covering])
+    first, second = draw(family, 2 * number + 2, 8800)[-2:]
+    start, stop = rng.uniform((15, 15), (135, 85)), rng.uniform((15, 15), (135, 85))
+    radius = rng.uniform(5.0, 9.0)
+    found = []
+    for step in range(moments):
+        share = step / max(moments - 1, 1)
+        x, y = (1.0 - share) * start + share * stop
+        shapes: list[Shape] = [Disc(float(x), float(y), float(radius))] if step % 4 else []
+        touches = [Touch((shape,)) for shape in shapes]
+        if covering:
+            touches.append(Touch((_on_electrode(int(rng.integers(N_ELECTRODES)) if step == 0 else number),)))
+        bend = _between(first, second, share)
+        found.append(response_of(factorise_scene(Scene(bend=bend, touches=tuple(touches), element_size_mm=ELEMENT_MM))))
+    return Stream(family, covering, np.array(found))
+
+
+def _between(first: Bend, second: Bend, share: float) -> Bend:
+    mixed: dict[str, Any] = {
+        name: (1.0 - share) * getattr(first, name) + share * getattr(second, name)
+        for name in ("angle_deg", "axis_deg", "skew", "twist_deg", "stretch_along", "stretch_across", "nonuniformity")
+    }
+    return Bend(**mixed, bumps_mm=first.bumps_mm if share < 0.5 else second.bumps_mm)
+
+
+def _on_electrode(electrode: int) -> Rect:
+    """Return a touch of 10 to 14 mm that covers an electrode's contact."""
+    sheet = Sheet()
+    piece = next(one for one in place(sheet, Electrodes()) if one.electrode == electrode % N_ELECTRODES)
+    x0, y0, x1, y1 = piece.patch_mm(sheet, 4.0)
+    length, width = sheet.size_mm
+    return Rect(max(x0 - 5.0, 0.0), max(y0 - 5.0, 0.0), min(x1 + 5.0, length), min(y1 + 5.0, width))
+
+
+class Looking:
+    """A watch, its reference captured from noisy frames of the flat sheet.
+
+    Args:
+        consistency: Of a bundle.
+        flat: (16, 16) ohm.
+        noise: Of every frame.
+        snr_db: Its level.
+        rng: Draws it.
+    """
+
+    def __init__(
+        self, consistency: Consistency, flat: Array, noise: Kind, snr_db: float, rng: np.random.Generator
+    ) -> None:
+        self._clean = measure(flat, table=TABLE)
+        self._noise: tuple[Kind, float, np.random.Generator] = noise, snr_db, rng
+        frames = np.array([self._noisy(self._clean) for _ in range(REFERENCE_FRAMES)])
+        self._reference = frames.mean(axis=0)
+        self.watch = ElectrodeWatch(consistency, self._reference, frames.std(axis=0))
+
+    def show(self, response: Array, faults: Sequence[Fault] = ()) -> bool:
+        """Look at one frame and return whether something changed."""
+        volts = self._noisy(measure(response, faults, table=TABLE, rng=self._noise[2]))
+        raw = relative_change(volts, self._reference).astype(np.float32)
+        change = raw.copy()
+        self.watch.correct(change)
+        return self.watch.look(raw, change)
+
+    def _noisy(self, volts: Array) -> Array:
+        kind, snr_db, rng = self._noise
+        return add_noise(volts, self._clean, kind, snr_db, rng)
+
+
+def false_alarms(
+    consistency: Consistency, flat: Array, streams: Sequence[Stream], noise: Kind, snr_db: float
+) -> list[dict[str, Any]]:
+    """Return how often a healthy stream has an electrode named, by family and by whether a touch covers one."""
+    rows = []
+    for family in ("A", "B"):
+        for covering in (False, True):
+            chosen = [one for one in streams if one.family == family and one.covering is covering]
+            frames = alarms = 0
+            for number, one in enumerate(chosen):
+                looking = Looking(consistency, flat, noise, snr_db, np.random.default_rng([number, covering]))
+                for frame in range(one.frames):
+                    alarms += looking.show(one.at(frame)) and bool(looking.watch.findings)
+                frames += one.frames
+            rows.append(
+                {"what": "false alarms", "family": family, "touch_on_electrode": covering, "noise": noise,
+                 "streams": len(chosen), "frames": frames, "named": int(alarms)}
+            )  # fmt: skip
+    return rows
+
+
+def detection(
+    consistency: Consistency,
+    flat: Array,
+    streams: Sequence[Stream],
+    noise: Kind,
+    snr_db: float,
+    electrodes: Sequence[int] = range(N_ELECTRODES),
+) -> list[dict[str, Any]]:
+    """Return, for every kind of failure, how many are named rightly and in time, and after how many frames."""
+    rows = []
+    for name, make in FAILURES.items():
+        took: list[int] = []
+        right = late = tried = 0
+        wrong: dict[str, int] = {}
+        for number, one in enumerate(streams):
+            for electrode in electrodes:
+                fault = make(electrode)
+                looking = Looking(consistency, flat, noise, snr_db, np.random.default_rng([number, electrode]))
+                begin = (7 * electrode + 11 * number) % max(one.frames - AFTER_FRAMES, 1)
+                after = next(
+                    (n + 1 for n in range(AFTER_FRAMES) if looking.show(one.at(begin + n), (fault,))), AFTER_FRAMES + 1
+                )
+                for n in range(after, AFTER_FRAMES):
+                    looking.show(one.at(begin + n), (fault,))
+                tried += 1
+                named = {(f.electrode, f.state) for f in looking.watch.findings}
+                if named == expected(fault):
+                    right, late = right + (after <= IN_TIME), late + (after > IN_TIME)
+                    took.append(after)
+                else:
+                    text = " ".join(f.text() for f in looking.watch.findings) or "nothing"
+                    wrong[text] = wrong.get(text, 0) + 1
+        rows.append(
+            {"what": name, "noise": noise, "tried": tried, "named_in_time": round(right / tried, 4), "late": late,
+             "frames_median": float(np.median(took)) if took else None, "frames_max": max(took, default=None),
+             "named_wrongly": sum(wrong.values()), "most_often": max(wrong, key=lambda key: wrong[key], default="")}
+        )  # fmt: skip
+    return rows
+
+
+def expected(fault: Fault) -> set[tuple[int, str]]:
+    """Return the electrodes and states that a failure must be reported as."""
+    match fault:
+        case Detached(electrode):
+            return {(electrode, "detached")}
+        case Noisy(electrode):
+            return {(electrode, "noisy")}
+        case Shorted(first, second):
+            return {(first, "shorted"), (second, "shorted")}
+        case Swapped(first, second):
+            return {(first, "swapped"), (second, "swapped")}
