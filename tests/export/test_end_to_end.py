@@ -23,7 +23,7 @@ from eitskin_tools.cli import main
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     """Return a folder with a small data set, a run trained on it and its bundle, and what the export printed."""
     where: Path = tmp_path_factory.mktemp("end-to-end")
-    plan = make_plan("free", 1, deformations=3, touch_sets=150, per_deformation=60, kept=2)
+    plan = make_plan("free", 1, deformations=3, per_deformation=60, kept=2)
     generate(plan, where / "data", workers=0)
     assert main(["train", *_train(where), "--epochs", "2", "--threads", "1"]) == 0
     with pytest.MonkeyPatch.context() as patch:

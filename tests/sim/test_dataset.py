@@ -22,6 +22,7 @@ from eitskin_sim.shards import make_shard, shard_job
 from eitskin_sim.units import UnitGenerator
 
 PLAN = make_plan("paper", 0, deformations=2, touch_sets=20)
+FREE_PLAN = make_plan("free", 0, deformations=3, per_deformation=10, kept=0)
 
 
 @pytest.fixture(scope="module")
@@ -134,7 +135,7 @@ def test_garbage_instead_of_an_index_is_refused(copy: Path) -> None:
 
 
 def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> None:
-    plan = make_plan("free", 2, deformations=1, touch_sets=30, per_deformation=12, kept=0)
+    plan = make_plan("free", 2, deformations=1, per_deformation=12, kept=0)
     index = generate(plan, tmp_path / "free", workers=1)
     data = load(tmp_path / "free")
     assert index["labels"] == data.labels_kind == "area"
@@ -166,6 +167,38 @@ def test_a_cluster_that_loses_a_worker_half_way_makes_the_same_files(
     timer.join()
     assert victim not in [nanny.pid for nanny in cluster.workers.values()]
     assert files(tmp_path / "cluster") == files(folder)
+
+
+@pytest.fixture(scope="module")
+def free_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a small free set: two shards, of two deformations and of one."""
+    out = tmp_path_factory.mktemp("data") / "free"
+    generate(FREE_PLAN, out, workers=1)
+    return out
+
+
+@pytest.mark.filterwarnings("ignore")  # Dask tells of the worker that this test kills
+def test_the_free_set_survives_the_loss_of_a_worker_too(cluster: Any, free_folder: Path, tmp_path: Path) -> None:
+    victim = next(iter(cluster.workers.values())).pid
+
+    def lose(done: int, total: int) -> None:
+        if done == 0:
+            timer.start()
+
+    timer = threading.Timer(0.5, os.kill, (victim, signal.SIGKILL))
+    generate(FREE_PLAN, tmp_path / "cluster", scheduler=cluster.scheduler_address, progress=lose)
+    timer.join()
+    assert victim not in [nanny.pid for nanny in cluster.workers.values()]
+    assert files(tmp_path / "cluster") == files(free_folder)
+
+
+# A pool is shared: what one deformation shows must not depend on which of the others were made already.
+def test_a_free_set_that_was_interrupted_goes_on_and_ends_the_same(free_folder: Path, tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(free_folder, tmp_path / "copy"))
+    for name in ("index.json", "touches.npz", "deformation-0001.npz"):
+        (copy / name).unlink()
+    generate(FREE_PLAN, copy, workers=0)
+    assert files(copy) == files(free_folder)
 
 
 def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,11 +4,15 @@ import numpy as np
 import pytest
 
 from eitskin_proto.grid import PITCH_MM
-from eitskin_sim import free
+from eitskin_sim import free_parts
 from eitskin_sim.forward import Factor
-from eitskin_sim.free import FreeSheet, free_sheet, free_voltages, sheet_blocks
-from eitskin_sim.free_patterns import LONGEST_MM, free_touch_sets, resembles_phantom
-from eitskin_sim.free_touches import FreeTouches, cover, gather, shape_of
+from eitskin_sim.free import free_voltages, put_together
+from eitskin_sim.free_mesh import free_mesh
+from eitskin_sim.free_parts import condense, geometry
+from eitskin_sim.free_pool import free_pool
+from eitskin_sim.free_sets import PartSets
+from eitskin_sim.free_sheet import FreeSheet, free_sheet, sheet_blocks
+from eitskin_sim.free_touches import FreeTouches, cover, gather
 from eitskin_sim.parts import Bend, Scene, Touch
 from eitskin_sim.shapes import Rect
 from eitskin_sim.solve import solve_scene
@@ -23,7 +27,8 @@ def sheet() -> FreeSheet:
 
 @pytest.fixture(scope="module")
 def touches() -> FreeTouches:
-    return free_touch_sets(150, 0)
+    pool = free_pool({0: (150, 0)}, 0)
+    return pool.touches(pool.sets[0])
 
 
 def rectangle(x: float, y: float, length: float, width: float, angle: float = 0.0, sigma: float = 50.0) -> list[float]:
@@ -56,7 +61,7 @@ def test_a_touch_under_a_contact_and_one_over_the_whole_sheet_are_exact_too(shee
 def test_deformations_share_batches_without_mixing(
     sheet: FreeSheet, touches: FreeTouches, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(free, "BATCH", 4)
+    monkeypatch.setattr(free_parts, "BATCH", 4)
     flat = free_sheet(Bend())
     some = gather([touches.of(number) for number in range(10)])
     both = free_voltages([sheet, flat], some)
@@ -119,31 +124,32 @@ def test_turning_a_rectangle_by_90_degrees_swaps_its_sides() -> None:
         assert np.abs(found - expected).max() < 0.02  # strips of 0.1 mm against exact
 
 
-def test_drawn_sets_are_on_the_sheet_apart_and_varied(touches: FreeTouches) -> None:
-    counts = np.diff(touches.first)
-    assert counts.min() == 0
-    assert counts.max() >= 7
-    kinds = touches.pieces[:, 0]
-    assert 0.1 < kinds.mean() < 0.5
-    assert np.all((touches.pieces[:, 6] >= 20.0) & (touches.pieces[:, 6] <= 200.0))
-    assert touches.pieces[:, 3].max() <= LONGEST_MM
-    for number in range(len(touches)):
-        for piece in touches.of(number):
-            x0, y0, x1, y1 = shape_of(piece).bounds_mm
-            assert x0 >= -1e-9
-            assert y0 >= -1e-9
-            assert x1 <= 150.0 + 1e-9
-            assert y1 <= 100.0 + 1e-9
-    assert max(touches.areas(number).max() for number in range(len(touches))) <= 1.0
+def test_a_sparse_table_of_areas_is_what_sets_have_one_by_one(touches: FreeTouches) -> None:
+    table = np.minimum(touches.area_table().toarray(), 1.0)
+    for number in range(0, 150, 7):
+        assert table[number] == pytest.approx(touches.areas(number).ravel(), abs=1e-12)
+    some = touches.chosen(np.array([5, 3]))
+    assert np.array_equal(some.of(1), touches.of(3))
 
 
-def test_a_phantom_slightly_moved_is_recognised() -> None:
-    moved = gather([np.array([rectangle(75.2, 50.1, 60.0, 10.0)])])
-    assert resembles_phantom(moved.areas(0))
-    elsewhere = gather([np.array([rectangle(75.0, 70.0, 60.0, 10.0)])])
-    assert not resembles_phantom(elsewhere.areas(0))
+# Energy can only fall when a part of the sheet conducts better: so must every resistance between electrodes.
+def test_resistances_fall_when_a_touch_conducts_better(sheet: FreeSheet, touches: FreeTouches) -> None:
+    grid = free_mesh()
+    lines = np.eye(16) - np.roll(np.eye(16), 5, axis=0)
+    before = np.full((len(touches), 16), np.inf)
+    for factor in (1.0 / 20.0, 0.5, 1.0, 3.0):
+        pieces = touches.pieces * [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, factor]
+        parts = FreeTouches(pieces, touches.first)
+        sets = PartSets(np.arange(len(touches)), np.arange(len(touches) + 1))
+        response = put_together(sheet, condense(sheet, geometry(parts, grid)), sets)
+        resistance = np.einsum("ed,nef,fd->nd", lines, response, lines)
+        assert resistance.min() > 0.0
+        assert (resistance - before).max() < 1e-12 * resistance.max()
+        before = resistance
+    assert (before < 0.999 * np.einsum("ed,ef,fd->d", lines, sheet.inverse[-16:, -16:], lines)).any()
 
 
-def test_a_set_depends_on_its_seed_and_number_alone(touches: FreeTouches) -> None:
-    fewer = free_touch_sets(20, 0)
-    assert all(np.array_equal(fewer.of(number), touches.of(number)) for number in range(20))
+def test_every_voltage_keeps_its_sign(sheet: FreeSheet, touches: FreeTouches) -> None:
+    ratio = free_voltages([sheet], touches)[0] / sheet.untouched_V
+    assert ratio.min() > 0.0
+    assert ratio.max() < 6.0

@@ -42,14 +42,36 @@ def test_no_bend_is_in_two_splits_and_family_b_is_never_trained_on(plan: Plan) -
         assert bool(bend.bumps_mm) == (split == "other") or bend == Bend()
 
 
-def test_deformations_of_the_free_set_share_touch_sets_within_a_group_and_a_split() -> None:
-    plan = make_plan("free", 1, deformations=6, touch_sets=300, per_deformation=50, kept=2)
+def test_every_sample_of_the_free_set_has_a_touch_set_of_its_own() -> None:
+    plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
+    shown = [plan.shown(number) for number in range(9)]
+    assert np.array_equal(np.concatenate(shown), np.arange(plan.touch_sets))
+    assert plan.counts == tuple(len(own) for own in shown) == (50,) * 9
+    held = plan.validation()
+    assert [int(held[own].sum()) for own in shown] == [5] * 5 + [50] * 4
+    assert all(held[own[-5:]].all() for own in shown)
+
+
+def test_deformations_that_are_made_together_are_of_one_group_and_one_split() -> None:
+    plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
     for shard in plan.shards():
         assert len(shard) <= plan.group
         assert len({plan.splits[number] for number in shard}) == 1
-        assert all(np.array_equal(plan.shown(number), plan.shown(shard[0])) for number in shard)
-    assert sorted(number for shard in plan.shards() for number in shard) == list(range(10))
-    assert not np.array_equal(plan.shown(0), plan.shown(plan.group))
+    assert sorted(number for shard in plan.shards() for number in shard) == list(range(9))
+
+
+def test_a_touch_that_is_held_out_is_in_no_set_that_is_learned_from() -> None:
+    plan = make_plan("free", 3, deformations=3, per_deformation=80, kept=1)
+    table, held = free_sets(plan), plan.validation()
+    assert len(table) == plan.touch_sets == len(held)
+
+    def pieces(numbers: np.ndarray) -> set[bytes]:
+        return {piece.tobytes() for number in numbers for piece in table.of(int(number))}
+
+    learned, apart = pieces(np.flatnonzero(~held)), pieces(np.flatnonzero(held))
+    assert len(learned) > 50
+    assert len(apart) > 50
+    assert not learned & apart
 
 
 def test_the_papers_set_shows_everything_at_every_bend() -> None:
@@ -65,6 +87,8 @@ def test_sizes_that_cannot_be_are_refused_with_their_bounds() -> None:
         make_plan("units", touch_sets=400, per_deformation=500)
     with pytest.raises(ValueError, match="set 'mm' is unknown; expected one of paper, units, free"):
         make_plan("mm")
+    with pytest.raises(ValueError, match="touch sets: found 90, expected none for the free set"):
+        make_plan("free", touch_sets=90)
     with pytest.raises(ValueError, match="seed is -1"):
         make_plan("paper", -1)
 
@@ -75,7 +99,7 @@ def test_plans_of_one_seed_agree_and_of_two_differ(plan: Plan) -> None:
     assert again == plan
     assert again.digest == plan.digest != other.digest
     assert len(unit_sets(plan)) == 400
-    assert len(free_sets(make_plan("free", 5, deformations=1, touch_sets=12, kept=0))) == 12
+    assert len(free_sets(make_plan("free", 5, deformations=1, per_deformation=12, kept=0))) == 12
 
 
 def test_paper_family_is_the_published_phantoms_bends() -> None:

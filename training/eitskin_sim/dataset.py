@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, ProtocolError
-from eitskin_proto.grid import N_PIXELS, map_from_units
+from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, map_from_units
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_sim.free_touches import FreeTouches
 from eitskin_sim.parts import Bend
@@ -35,6 +35,9 @@ from eitskin_sim.plan import SetName
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
+ROWS: Final = 4096
+"""Labels that are made at a time."""
+
 HINT: Final = "make it again with 'eitskin dataset'"
 
 
@@ -90,15 +93,17 @@ class DataSet:
         if self.labels_kind == "units":
             return np.asarray(map_from_units(self.units[sets]), dtype=np.float32)
         unique, back = np.unique(sets, return_inverse=True)
-        return np.array([self.free.areas(int(number)) for number in unique], dtype=np.float32)[back]
+        maps = np.minimum(self.free.chosen(unique).area_table().toarray(), 1.0).astype(np.float32)
+        return np.asarray(maps[back].reshape(-1, *GRID_SHAPE))
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
         """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""
         if self.labels_kind == "units":
             return np.asarray(map_from_units(np.uint8(255) * self.units), dtype=np.uint8).reshape(-1, N_PIXELS)
+        table = self.free.area_table()
         found = np.empty((len(self.free), N_PIXELS), dtype=np.uint8)
-        for number in range(len(found)):
-            found[number] = np.rint(255.0 * self.free.areas(number)).ravel()
+        for start in range(0, len(found), ROWS):
+            found[start : start + ROWS] = np.rint(255.0 * np.minimum(table[start : start + ROWS].toarray(), 1.0))
         return found
 
 

@@ -24,11 +24,8 @@ from eitskin_sim.mesh import Array, Index, TensorMesh
 from eitskin_sim.meshing import electrode_lines
 from eitskin_sim.parts import Bend, Electrodes, Sheet
 
-ELEMENT_MM: Final = 4.0
+ELEMENT_MM: Final = 3.5
 """The largest element."""
-
-TILE: Final = 8
-"""Half elements along a side of the tiles by which nodes are numbered: half the time of a sample was cache misses."""
 
 MIDDLE: Final = 4
 """Place of an element's middle among its nine nodes."""
@@ -48,6 +45,8 @@ class FreeMesh:
     """(n_dofs,) how many elements have each; electrodes one more, so that they never count as inside."""
     n_nodes: int
     """Outer nodes."""
+    lines: Index
+    """(nx + 2,) where each upright line of nodes begins, with the middles of sides to its right, and the end."""
 
 
 def free_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array:
@@ -69,20 +68,17 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
     middles = mesh.element_nodes[:, MIDDLE]
     outer = np.setdiff1d(np.arange(mesh.n_nodes), middles)
     place = np.full(mesh.n_nodes, -1)
-    place[outer[_nearby_order(outer, mesh)]] = np.arange(len(outer))
+    row, column = np.divmod(outer, 2 * mesh.shape[1] + 1)
+    place[outer[np.lexsort((row, column))]] = np.arange(len(outer))
+    column = np.sort(column)
     contacts = assemble(mesh, sheet, electrodes).contacts
     terminal = np.full(mesh.n_elements, -1)
     terminal[contacts.element] = len(outer) + contacts.electrode
     dofs = np.column_stack([place[mesh.element_nodes[:, KEPT[:8]]], terminal])
     sharing = np.bincount(dofs[dofs >= 0], minlength=len(outer) + N_ELECTRODES)
     sharing[len(outer) :] += 1
-    return FreeMesh(mesh, dofs, sharing, len(outer))
-
-
-def _nearby_order(nodes: Index, mesh: TensorMesh) -> Index:
-    """Return the order of nodes, tile by tile: a touch then reads few stretches of a row of the inverse, not many."""
-    row, column = np.divmod(nodes, 2 * mesh.shape[1] + 1)
-    return np.lexsort((column, row, column // TILE, row // TILE))
+    lines = np.searchsorted(column, np.arange(0, 2 * mesh.shape[1] + 2, 2))
+    return FreeMesh(mesh, dofs, sharing, len(outer), np.append(lines, len(outer)))
 
 
 def free_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:

@@ -16,8 +16,9 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import csr_array
 
-from eitskin_proto.grid import GRID_SHAPE, SHEET_MM
+from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, SHEET_MM
 from eitskin_sim.parts import Touch
 from eitskin_sim.shapes import Disc, Polygon, Rect, Shape
 
@@ -56,6 +57,13 @@ class FreeTouches:
         """Return the (p, 7) pieces of one set."""
         return self.pieces[self.first[number] : self.first[number + 1]]
 
+    def chosen(self, numbers: npt.NDArray[np.integer]) -> "FreeTouches":
+        """Return some of the sets."""
+        counts = np.diff(self.first)[numbers]
+        first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        rows = np.arange(first[-1]) + np.repeat(self.first[numbers] - first[:-1], counts)
+        return FreeTouches(self.pieces[rows], first)
+
     def areas(self, number: int) -> Array:
         """Return the (30, 45) touched share of every pixel."""
         total = np.zeros(GRID_SHAPE)
@@ -63,6 +71,28 @@ class FreeTouches:
             rows, columns, share = cover(piece, *PIXEL_LINES)
             total[rows, columns] += share
         return np.minimum(total, 1.0)
+
+    def area_table(self) -> csr_array:
+        """Return the (T, 1350) touched shares, sparse; a piece that recurs is measured once.
+
+        Shares of a pixel that several pieces touch add up; they may pass 1 by rounding.
+        """
+        unique, back = np.unique(self.pieces[:, :6], axis=0, return_inverse=True)
+        shares, pixels, first = [], [], np.zeros(len(unique) + 1, dtype=np.int64)
+        for number, piece in enumerate(unique):
+            rows, columns, share = cover(np.append(piece, 0.0), *PIXEL_LINES)
+            at = np.flatnonzero(share)
+            row, column = np.divmod(at, share.shape[1])
+            pixels.append((rows.start + row) * GRID_SHAPE[1] + columns.start + column)
+            shares.append(share.ravel()[at])
+            first[number + 1] = first[number] + len(at)
+        empty = np.zeros(0)
+        maps = csr_array(
+            (np.concatenate([*shares, empty]), np.concatenate([*pixels, empty.astype(np.intp)]), first),
+            (len(unique), N_PIXELS),
+        )
+        ones = np.ones(len(self.pieces))
+        return csr_array((ones, back.ravel(), self.first), (len(self), len(unique))) @ maps
 
     def touches(self, number: int) -> tuple[Touch, ...]:
         """Return one set as a scene's touches."""

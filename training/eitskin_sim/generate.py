@@ -62,7 +62,7 @@ def generate(
     out = Path(folder)
     _claim(plan, out)
     names = [f"deformation-{number:04d}.npz" for number in range(len(plan.bends))]
-    counts = [len(plan.shown(number)) for number in range(len(plan.bends))]
+    counts = list(plan.counts)
     missing = {number for number, name in enumerate(names) if not _is_whole(out / name)}
     done = sum(counts) - sum(counts[number] for number in missing)
     progress(done, sum(counts))

@@ -36,17 +36,20 @@ VALIDATION: Final = 0.1
 DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
     "paper": (10, N_PAPER_SETS, N_PAPER_SETS),
     "units": (140, 60_000, 3_000),
-    "free": (140, 80_000, 4_000),
+    "free": (140, 0, 5_000),
 }
-"""Deformations to train on, touch sets, and touch sets shown at each deformation."""
+"""Deformations to train on, touch sets, and touch sets shown at each deformation; free sets are as many as samples."""
+
+RECIPES: Final[dict[str, int]] = {"paper": 1, "units": 1, "free": 2}
+"""Counts up when the same plan would give other numbers: a folder is never made half by one and half by another."""
 
 KEPT: Final = 20
 """Deformations of A, and as many of B, that are kept apart; a third of those trained on where these are few."""
 
-GROUP: Final = 4
-"""Deformations of the free set that share their touch sets: 90 MB of memory each."""
+GROUP: Final = 2
+"""Deformations of the free set that take their touches from one pool, whose geometry is then made once for them."""
 
-SHOWN_KEPT: Final = 1_000
+SHOWN_KEPT: Final = 500
 """Held-out touch sets shown at each deformation kept apart."""
 
 
@@ -72,11 +75,11 @@ class Plan:
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
-        return asdict(self)
+        return {**asdict(self), "recipe": RECIPES[self.set_name]}
 
     @property
     def group(self) -> int:
-        """How many deformations share their touch sets, whose geometry is then made once for all of them."""
+        """How many deformations are made together."""
         return GROUP if self.set_name == "free" else 1
 
     def shards(self) -> list[list[int]]:
@@ -87,13 +90,31 @@ class Plan:
         return list(found.values())
 
     @property
+    def counts(self) -> tuple[int, ...]:
+        """How many samples each deformation has."""
+        if self.set_name == "free":
+            apart = min(SHOWN_KEPT, self.per_deformation)
+            return tuple(self.per_deformation if split == "train" else apart for split in self.splits)
+        return tuple(len(self.shown(number)) for number in range(len(self.bends)))
+
+    @property
     def digest(self) -> str:
         """Return 16 hex digits that stand for the plan."""
         return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
 
+    def held_out(self, deformation: int) -> int:
+        """Return how many free touch sets of a deformation are held out: its last ones, or all."""
+        count = self.counts[deformation]
+        return round(VALIDATION * count) if self.splits[deformation] == "train" else count
+
     def validation(self) -> npt.NDArray[np.bool_]:
         """Return (T,) which touch sets are held out."""
         held = np.zeros(self.touch_sets, dtype=np.bool_)
+        if self.set_name == "free":
+            last = np.cumsum(self.counts)
+            for number, stop in enumerate(last):
+                held[stop - self.held_out(number) : stop] = True
+            return held
         generator = np.random.default_rng([self.seed, 1])
         held[generator.permutation(self.touch_sets)[: round(VALIDATION * self.touch_sets)]] = True
         return held
@@ -102,6 +123,9 @@ class Plan:
         """Return which touch sets are shown at a deformation, ascending."""
         if self.set_name == "paper":
             return np.arange(self.touch_sets, dtype=np.int32)
+        if self.set_name == "free":
+            start = sum(self.counts[:deformation])
+            return np.arange(start, start + self.counts[deformation], dtype=np.int32)
         generator = np.random.default_rng([self.seed, 2, deformation // self.group])
         if self.splits[deformation] == "train":
             chosen = generator.choice(self.touch_sets, self.per_deformation, replace=False)
@@ -137,13 +161,22 @@ def make_plan(
         raise ValueError(f"set {set_name!r} is unknown; expected one of {', '.join(SET_NAMES)}")
     if seed < 0:
         raise ValueError(f"seed is {seed}; it must be at least 0")
+    if set_name == "free" and touch_sets is not None:
+        raise ValueError(
+            f"touch sets: found {touch_sets}, expected none for the free set: each sample has one of its own; "
+            "give the number shown at a deformation"
+        )
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
-    n_shown = min(n_sets, default[2]) if per_deformation is None else per_deformation
     apart = min(KEPT, -(-n_bends // 3)) if kept is None else kept
+    if set_name == "free":
+        n_shown = default[2] if per_deformation is None else per_deformation
+        n_sets = n_bends * n_shown + 2 * apart * min(SHOWN_KEPT, n_shown)
+    else:
+        n_shown = min(n_sets, default[2]) if per_deformation is None else per_deformation
     _check("deformations", n_bends, 1, 100_000)
-    _check("touch sets", n_sets, 10, N_PAPER_SETS if set_name == "paper" else 10_000_000)
+    _check("touch sets", n_sets, 1 if set_name == "free" else 10, N_PAPER_SETS if set_name == "paper" else 10_000_000)
     _check("touch sets shown at a deformation", n_shown, 1, n_sets)
     _check("deformations kept apart", apart, 0, 10_000)
     if set_name == "paper":

@@ -13,8 +13,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.dataset import bend_from_json
-from eitskin_sim.free import free_sheet, free_voltages
-from eitskin_sim.free_patterns import chosen_touch_sets, free_touch_sets
+from eitskin_sim.free import pool_voltages
+from eitskin_sim.free_mesh import free_mesh
+from eitskin_sim.free_parts import geometry
+from eitskin_sim.free_pool import FreePool, free_pool
+from eitskin_sim.free_sheet import free_sheet
 from eitskin_sim.free_touches import FreeTouches
 from eitskin_sim.parts import Bend, Scene
 from eitskin_sim.patterns import Bits, pack, paper_touch_sets, rich_touch_sets
@@ -38,13 +41,15 @@ def _unit_sets(set_name: str, count: int, seed: int) -> Bits:
 
 
 def free_sets(plan: Plan) -> FreeTouches:
-    """Return the touch sets of a plan whose touches are anywhere."""
-    return _free_sets(plan.touch_sets, plan.seed)
-
-
-@lru_cache(maxsize=2)
-def _free_sets(count: int, seed: int) -> FreeTouches:
-    return free_touch_sets(count, seed)
+    """Return the touch sets of a plan whose touches are anywhere, deformation after deformation."""
+    found: dict[int, FreeTouches] = {}
+    for shard in plan.shards():
+        pool = _pool(shard_job(plan, shard))
+        found.update((number, pool.touches(sets)) for number, sets in pool.sets.items())
+    tables = [found[number] for number in range(len(plan.bends))]
+    counts = np.concatenate([np.diff(table.first) for table in tables])
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return FreeTouches(np.concatenate([table.pieces for table in tables]), first)
 
 
 def touches_file(plan: Plan) -> Arrays:
@@ -67,14 +72,16 @@ def untouched(bend: Bend) -> npt.NDArray[np.float64]:
 
 
 def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
-    """Return all that a worker needs to make some deformations, which show the same touch sets, as plain values."""
+    """Return all that a worker needs to make some deformations, as plain values."""
+    together = next(shard for shard in plan.shards() if deformations[0] in shard)
     return {
         "set": plan.set_name,
         "seed": plan.seed,
         "deformations": deformations,
         "bends": [asdict(plan.bends[number]) for number in deformations],
         "touch_sets": plan.touch_sets,
-        "shown": plan.shown(deformations[0]),
+        "shown": [plan.shown(number) for number in deformations],
+        "pool": {number: (plan.counts[number], plan.held_out(number)) for number in together},
     }
 
 
@@ -85,10 +92,10 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
     what the generator's says: that takes the mesh's own error out of every reference.
     """
     bends = [bend_from_json(bend) for bend in job["bends"]]
-    shown: npt.NDArray[np.int32] = job["shown"]
     make = _free_voltages if job["set"] == "free" else _unit_voltages
     found: list[Arrays] = []
-    for number, bend, (voltages, coarse) in zip(job["deformations"], bends, make(job, bends, shown), strict=True):
+    cases = zip(job["deformations"], bends, job["shown"], make(job, bends), strict=True)
+    for number, bend, shown, (voltages, coarse) in cases:
         fine = untouched(bend)
         noise = np.random.default_rng([job["seed"], 3, number])
         found.append(
@@ -106,14 +113,21 @@ _Made = Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
 """(n, 104) and (104,) V of a deformation, touched and not."""
 
 
-def _unit_voltages(job: dict[str, Any], bends: list[Bend], shown: npt.NDArray[np.int32]) -> _Made:
-    sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])[shown]
-    for bend in bends:
+def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
+    sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])
+    for bend, shown in zip(bends, job["shown"], strict=True):
         generator = UnitGenerator(bend)
-        yield generator.voltages(sets), generator.untouched_V
+        yield generator.voltages(sets[shown]), generator.untouched_V
 
 
-def _free_voltages(job: dict[str, Any], bends: list[Bend], shown: npt.NDArray[np.int32]) -> _Made:
-    sheets = [free_sheet(bend) for bend in bends]
-    voltages = free_voltages(sheets, chosen_touch_sets(shown, job["seed"]))
-    yield from zip(voltages, (sheet.untouched_V for sheet in sheets), strict=True)
+def _pool(job: dict[str, Any]) -> FreePool:
+    """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
+    return free_pool(job["pool"], job["seed"])
+
+
+def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
+    pool, grid = _pool(job), free_mesh()
+    batches = geometry(pool.parts, grid)
+    for number, bend in zip(job["deformations"], bends, strict=True):
+        sheet = free_sheet(bend)
+        yield pool_voltages(sheet, grid, pool, batches, number), sheet.untouched_V

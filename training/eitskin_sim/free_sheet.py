@@ -1,0 +1,91 @@
+"""One deformation of the mesh for touches anywhere, assembled and inverted, and the blocks of its touched elements."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+
+from eitskin_proto.table import N_ELECTRODES
+from eitskin_sim.bend import metric
+from eitskin_sim.forward import MM, System
+from eitskin_sim.free_inverse import bordered_inverse
+from eitskin_sim.free_mesh import ELEMENT_MM, free_mesh, free_system, with_contacts, without_middle
+from eitskin_sim.free_touches import Array, FreeTouches
+from eitskin_sim.kink_blocks import cut_blocks
+from eitskin_sim.kinks import Cuts, find_cuts
+from eitskin_sim.parts import Bend, Sheet
+from eitskin_sim.units import to_voltages
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSheet:
+    """One deformation, assembled and inverted."""
+
+    system: System
+    tensor: Array
+    """(n_elements, 3, 3) conductance: components at the middle, their change along x and along y."""
+    before: Array
+    """(n_elements, 9, 9) blocks without middles."""
+    inverse: Array
+    """(n_dofs, n_dofs)"""
+
+    @property
+    def untouched_V(self) -> Array:
+        """(104,) V under 1 A with nothing touched."""
+        return np.asarray(to_voltages(self.inverse[None, -N_ELECTRODES:, -N_ELECTRODES:])[0])
+
+
+def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM) -> FreeSheet:
+    """Return a deformation, ready for touch sets."""
+    grid, system = free_mesh(size_mm), free_system(bend, size_mm)
+    elements = np.arange(grid.mesh.n_elements)
+    density = system.contacts.density(np.full(len(system.contacts.element), system.background))
+    before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
+    rows, columns = np.repeat(grid.dofs, 9, axis=1).ravel(), np.tile(grid.dofs, (1, 9)).ravel()
+    own = (rows >= 0) & (columns >= 0)  # an element under no contact has zeros in the electrode's place
+    n_dofs = grid.n_nodes + N_ELECTRODES
+    total = coo_array((before.ravel()[own], (rows[own], columns[own])), (n_dofs, n_dofs)).tocsr()
+    lift = float(total.diagonal()[-N_ELECTRODES:].mean()) / N_ELECTRODES
+    tensor = _tensors(bend, system)
+    return FreeSheet(system, tensor, before, bordered_inverse(total, grid.lines, lift))
+
+
+def _tensors(bend: Bend, system: System) -> Array:
+    """Return (n, 3, 3): conductances xx, xy, yy of unit elements at sigma = 1, S, and their change along x and y."""
+    mesh = system.mesh
+    ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
+
+    def at(x: float, y: float) -> Array:
+        E, F, G = metric(bend, Sheet(), mesh.corners_mm + mesh.sizes_mm * (x, y)).T
+        return np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+
+    return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)
+
+
+def touched_blocks(sheet: FreeSheet, cuts: Cuts) -> tuple[Array, Array]:
+    """Return the (e, 9, 9) stiffness of touched elements and the (e,) density of contacts on them."""
+    stiffness, contacts = sheet.system.stiffness, sheet.system.contacts
+    blocks = np.empty((len(cuts.element), 9, 9))
+    blocks[: cuts.n_cut] = cut_blocks(cuts.integrals, cuts.element[: cuts.n_cut], sheet.tensor, stiffness)
+    whole = slice(cuts.n_cut, None)
+    blocks[whole] = cuts.sigma[whole, None, None] * stiffness[cuts.element[whole]]
+    fringe = np.zeros(len(stiffness))
+    fringe[contacts.element] = contacts.fringe_m
+    own = fringe[cuts.element]
+    touched = 1.0 / (contacts.impedance_ohm_m2 + own / cuts.sigma)
+    untouched = 1.0 / (contacts.impedance_ohm_m2 + own)
+    return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
+
+
+def sheet_blocks(sheet: FreeSheet, touches: FreeTouches, number: int) -> tuple[Array, Array]:
+    """Return the (n_elements, 9, 9) blocks and (m,) densities of one touch set, for a Factor."""
+    system = sheet.system
+    cuts = find_cuts(touches, np.array([number]), system.mesh)
+    stiffness, own = touched_blocks(sheet, cuts)
+    blocks = system.background * system.stiffness
+    blocks[cuts.element] = stiffness
+    density = system.contacts.density(np.full(len(blocks), system.background)[system.contacts.element])
+    kappa = np.full(len(blocks), np.nan)
+    kappa[cuts.element] = own
+    at_contacts = kappa[system.contacts.element]
+    return blocks, np.where(np.isnan(at_contacts), density, at_contacts)
