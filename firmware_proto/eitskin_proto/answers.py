@@ -15,7 +15,6 @@ from eitskin_proto.codes import (
 from eitskin_proto.errors import MismatchError, ProtocolError
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.layout import Layout, Packed
-from eitskin_proto.requests import CHUNK_BYTES
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,23 +118,6 @@ class Ack(Packed):
             return f"{Code(self.code).name}: {CODE_TEXT[Code(self.code)]}"
         except ValueError:
             return f"code {self.code}, which this host does not know; its release is older than the firmware"
-
-
-@dataclass(frozen=True, slots=True)
-class ConfigData(Packed):
-    """A piece of a stored configuration."""
-
-    LAYOUT: ClassVar = Layout(
-        MessageType.CONFIG_DATA,
-        (("tag", "u8"), ("slot", "u8"), ("generation", "u32"), ("offset", "u16"), ("total", "u16"), ("data", "tail")),
-        CHUNK_BYTES,
-    )
-    slot: int
-    generation: int
-    offset: int
-    total: int
-    data: bytes
-    tag: int = 0
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,28 +16,25 @@ Unknown types and versions are named in the error. The frame lives in :mod:`eits
 
 from typing import Final
 
-from eitskin_proto.answers import Ack, ConfigData, Event, Hello, Time
+from eitskin_proto.answers import Ack, Event, Hello, Time
 from eitskin_proto.codes import PROTOCOL_MAJOR, PROTOCOL_MINOR, MessageType
-from eitskin_proto.errors import ProtocolError
-from eitskin_proto.frames import Frame
-from eitskin_proto.layout import Packed
-from eitskin_proto.requests import (
+from eitskin_proto.configuring import (
     CHUNK_BYTES,
     ConfigAbort,
     ConfigBegin,
     ConfigCommit,
     ConfigConfirm,
+    ConfigData,
     ConfigRead,
     ConfigRollback,
     ConfigVerify,
     ConfigWrite,
-    HelloRequest,
     Restart,
-    SetMode,
-    Start,
-    Stop,
-    TimeRequest,
 )
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.frames import Frame
+from eitskin_proto.layout import Packed
+from eitskin_proto.requests import HelloRequest, SetMode, Start, Stop, TimeRequest
 
 __all__ = [
     "CHUNK_BYTES",

@@ -16,11 +16,11 @@ from typing import Final, Protocol
 from eitskin.clock import TimeSample
 from eitskin.errors import HandshakeError
 from eitskin.transport import Transport
-from eitskin_proto import messages
+from eitskin_proto import requests
+from eitskin_proto.answers import Ack, Hello, Time
 from eitskin_proto.codes import Code, HelloFlag, MessageType, Mode
 from eitskin_proto.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.framing import Deframer, encode, wire_bytes
-from eitskin_proto.messages import Ack, Hello, Time
 from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.table import N_FULL_ROWS, N_ROWS
 
@@ -120,10 +120,10 @@ class Device:
             HandshakeError: The device refused or did not answer.
         """
         if self.hello.flags & HelloFlag.IDLE or self.idle:
-            self._request(messages.SetMode(self._next_tag(), Mode.ACTIVE))
+            self._request(requests.SetMode(self._next_tag(), Mode.ACTIVE))
             self.idle = False
         self.time_sample = self.ask_time()
-        self._request(messages.Start(self._next_tag()))
+        self._request(requests.Start(self._next_tag()))
 
     def ask_time(self) -> TimeSample | None:
         """Return the device's clock from the quickest of a few questions; None if one was not answered in time.
@@ -139,7 +139,7 @@ class Device:
                 return payload[0] == MessageType.TIME and len(payload) == Time.LAYOUT.size and payload[1] == tag
 
             asked_ns = time.perf_counter_ns()
-            payload = self._exchange(encode(messages.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
+            payload = self._exchange(encode(requests.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
             if payload is None:
                 return best
             sample = TimeSample(Time.unpack(payload).device_us, asked_ns, time.perf_counter_ns())
@@ -153,7 +153,7 @@ class Device:
         Raises:
             HandshakeError: The device refused or did not answer.
         """
-        self._request(messages.Stop(self._next_tag()))
+        self._request(requests.Stop(self._next_tag()))
 
     def ask_mode(self, mode: Mode) -> None:
         """Ask for another mode and return at once; the frames say when it has come about.
@@ -162,7 +162,7 @@ class Device:
             PortLost: The line is gone.
         """
         self.idle = mode == Mode.IDLE
-        self.transport.write(encode(messages.SetMode(self._next_tag(), mode).pack()))
+        self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
 
     def recover(self) -> None:
         """Greet the device again after silence or a reset, and stream on if nothing changed.
@@ -193,7 +193,7 @@ class Device:
 
     def _handshake(self) -> Hello:
         before = self.deframer.discarded_bytes
-        request = messages.HelloRequest(self._next_tag())
+        request = requests.HelloRequest(self._next_tag())
         packet = b"\0" + encode(request.pack())  # the delimiter ends whatever the line holds of an earlier host
         payload = self._exchange(packet, lambda payload: payload[0] == MessageType.HELLO, HANDSHAKE_S)
         if payload is None:
@@ -211,7 +211,7 @@ class Device:
         hello.check()
         return hello
 
-    def _request(self, message: messages.Start | messages.Stop | messages.SetMode) -> None:
+    def _request(self, message: requests.Start | requests.Stop | requests.SetMode) -> None:
         kind = message.LAYOUT.type
 
         def answers(payload: bytes) -> bool:

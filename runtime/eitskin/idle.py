@@ -22,8 +22,8 @@ import numpy.typing as npt
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.gate import EXTRAS, FIELDS, Gate
 from eitskin.normaliser import LARGEST_CHANGE, Normaliser
+from eitskin_proto.answers import Hello
 from eitskin_proto.codes import Mode
-from eitskin_proto.messages import Hello
 from eitskin_proto.scan_rows import drives_to_list, table_rows
 from eitskin_proto.table import N_ROWS
 

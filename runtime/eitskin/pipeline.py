@@ -39,10 +39,10 @@ from eitskin.reference import Reference
 from eitskin.regions import WHOLE, Regions, pixels
 from eitskin.stillness import REFRESH_FRAMES, Stillness
 from eitskin.watch import Watch, audit_pixels
+from eitskin_proto.answers import Hello
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import FrameView
 from eitskin_proto.grid import N_PIXELS
-from eitskin_proto.messages import Hello
 from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.unwrap import StreamCounter
 
@@ -65,7 +65,7 @@ UNCHANGED: Final = ("inference:unchanged", *CLOUD_UNCHANGED)
 PROJECTION: Final = "tikhonov"
 """The solver whose maps cannot say that nothing touches."""
 
-WARM_UPS: Final = 30
+WARM_UPS: Final = 10
 """Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
 
 

@@ -24,8 +24,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference, MismatchError
+from eitskin_proto.answers import Hello
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.messages import Hello
 from eitskin_proto.normalise import weak_rows
 from eitskin_proto.table import N_ROWS, TABLE
 

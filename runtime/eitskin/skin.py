@@ -36,8 +36,8 @@ from eitskin.regions import Region, union
 from eitskin.serial_port import DEFAULT_BAUD
 from eitskin.stats import Statistics
 from eitskin.transport import Transport
+from eitskin_proto.answers import Event
 from eitskin_proto.codes import MessageType, Mode
-from eitskin_proto.messages import Event
 
 CAPTURE_S = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""

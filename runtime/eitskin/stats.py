@@ -4,6 +4,7 @@ Stamps go into a ring that is made once, so that a run of days costs as much mem
 reported as p50, p99, p99.9 and maximum; a mean would hide it.
 """
 
+import time
 from typing import Any, Final
 
 import numpy as np
@@ -24,6 +25,8 @@ class Statistics:
         """Frames that went through, published or not."""
         self.touched = 0
         self.first_ns = 0
+        self.first_cpu_ns = 0
+        """CPU time of the process, all its threads, when the first frame had been published."""
         self.last_ns = 0
         self.solvers: dict[str, int] = {}
         self.skipped: dict[str, int] = {}
@@ -44,6 +47,7 @@ class Statistics:
         self._stamps[self.frames % len(self._stamps)] = stamps
         if self.frames == 0:
             self.first_ns = stamps[0]
+            self.first_cpu_ns = time.process_time_ns()
         self.last_ns = stamps[0]
         self.frames += 1
         self.touched += touched
@@ -61,6 +65,7 @@ class Statistics:
             "frames": self.frames,
             "rate_hz": round((self.frames - 1) / elapsed_s, 3) if elapsed_s > 0 else 0.0,
             "touched": self.touched,
+            "cpu_us_per_frame": round((time.process_time_ns() - self.first_cpu_ns) / 1000 / max(self.frames - 1, 1), 1),
             "latency_us": quantiles((seen[:, -1] - seen[:, 0]) / 1000),
             "stages_us": {
                 stage: quantiles((seen[:, column + 1] - seen[:, column]) / 1000)

@@ -58,7 +58,8 @@ def stream(rate_hz: float, frames: int, bundle: Path | None) -> dict[str, Any]:
 
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
     result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False))
-    return timing(result.record, result.wire_ns)
+    runtime = {name: result.runtime.get(name) for name in ("cpu_us_per_frame", "skipped", "solvers", "withheld")}
+    return {**timing(result.record, result.wire_ns), "runtime": runtime}
 
 
 def inference(path: Path | None, calls: int) -> dict[str, Any]:
@@ -71,7 +72,7 @@ def inference(path: Path | None, calls: int) -> dict[str, Any]:
     import numpy as np
 
     from eitskin.bundle import load_bundle
-    from eitskin_tools.bench.variants import streamed_bytes, variants
+    from eitskin_tools.bench.variants import FLOORS, streamed_bytes, variants
     from eitskin_tools.demo.score import percentiles_us
 
     bundle = load_bundle(path)
@@ -108,10 +109,22 @@ def inference(path: Path | None, calls: int) -> dict[str, Any]:
         "ratios": {name: round(times[name]["paced"]["p50"] / times[ours]["paced"]["p50"], 2) for name in ways},
         "ratios_warm": {name: round(times[name]["warm"]["p50"] / times[ours]["warm"]["p50"], 2) for name in ways},
         "head_bytes": streamed_bytes(bundle),
-        "floor_share": round(times["bandwidth"]["warm"]["p50"] / times[ours]["warm"]["p50"], 3),
+        "floor_share": {
+            solver: {how: round(times[floor][how]["p50"] / times[solver][how]["p50"], 3) for how in ("paced", "warm")}
+            for floor, solver in FLOORS.items()
+            if floor in times
+        },
+        "torch_over_int8_warm": _ratio(times, "torch-eager", "vd2t-int8"),
         "missing": missing,
         "bundle": bundle.id,
     }
+
+
+def _ratio(times: dict[str, Any], slow: str, fast: str) -> float | None:
+    """Return how many times longer one variant takes than another, warm; None if either is missing."""
+    if slow not in times or fast not in times:
+        return None
+    return round(times[slow]["warm"]["p50"] / times[fast]["warm"]["p50"], 1)
 
 
 def machine() -> dict[str, Any]:
@@ -136,10 +149,15 @@ def _print(found: dict[str, Any]) -> None:
         stages = ", ".join(f"{name} {us['p50']:.0f}/{us['p99']:.0f}" for name, us in result["stages_us"].items() if us)
         print(f"{rate} frames/s, {result['frames']} frames, {result['lost']} lost; wire to subscriber, us: {latency}")
         print(f"  stages, us p50/p99: {stages}")
+        print(f"  CPU of the runtime, us a frame: {result['runtime']['cpu_us_per_frame']}")
     print(f"{'inference, us':24}{'paced p50':>10}{'p99':>9}{'warm p50':>10}{'times ours':>12}")
     for name, times in found["inference_us"].items():
         print(f"{name:24}{times['paced']['p50']:10.0f}{times['paced']['p99']:9.0f}{times['warm']['p50']:10.0f}"
               f"{found['ratios'][name]:12.2f}")  # fmt: skip
+    for solver, share in found["floor_share"].items():
+        print(
+            f"{solver}: the memory-bandwidth floor is {share['paced']:.2f} of its time paced, {share['warm']:.2f} warm"
+        )
     for name, reason in found["missing"].items():
         print(f"{name} was left out: {reason}")
     print(f"on {found['machine']['cpu']}, {found['machine']['cores']} cores, load {found['machine']['load_1min']}")

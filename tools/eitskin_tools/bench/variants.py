@@ -6,24 +6,27 @@
     unsplit                         both graphs joined: geometry evaluated a frame, one thread
     onnxruntime-default             the same with ONNX Runtime's default session and its threads
     torch-eager                     the whole network as PyTorch runs it, one thread
-    bandwidth                       nothing but one pass over as many bytes as the float32 head has: the floor
+    bandwidth, bandwidth-int8       one pass over as many bytes as the head has, in float32 or int8: the floor
 
 A variant that cannot be had (torch is missing, the bundle carries no architecture) is left out, with the reason.
 """
 
 import io
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.bundle import Bundle
-from eitskin.engine import Buffers, GeometryGraph, engines
+from eitskin.engine import HEADS, Buffers, GeometryGraph, engines
 from eitskin_proto.cloud import flat_cloud, network_input
 from eitskin_proto.table import N_ROWS
 
 Infer = Callable[[], object]
+
+FLOORS: Final = {"bandwidth": "vd2t", "bandwidth-int8": "vd2t-int8"}
+"""Which head's bytes each floor reads."""
 
 
 def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str, str]]:
@@ -48,13 +51,15 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
             found[name] = build()
         except (ImportError, KeyError, TypeError, ValueError) as error:
             missing[name] = f"{type(error).__name__}: {error}"
-    found["bandwidth"] = _bandwidth(streamed_bytes(bundle))
+    for name, solver in FLOORS.items():
+        if solver in found:
+            found[name] = _bandwidth(streamed_bytes(bundle, solver))
     return found, missing
 
 
-def streamed_bytes(bundle: Bundle) -> int:
-    """Return how many bytes of weights the float32 head reads a frame: its file, which is weights but for a few kB."""
-    return len(bundle.files["head.onnx"])
+def streamed_bytes(bundle: Bundle, solver: str = "vd2t") -> int:
+    """Return how many bytes of weights a head reads a frame: its file, which is weights but for a few kB."""
+    return len(bundle.files[HEADS[solver]])
 
 
 def _unsplit(bundle: Bundle, buffers: Buffers, threads: int) -> Infer:
