@@ -20,7 +20,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "long runs, faults and drift",
     "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
-    "peer": "what other tactile libraries do with the same bytes",
+    "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }
 """Benchmarks, each with what it measures."""
 
