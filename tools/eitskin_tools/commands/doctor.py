@@ -5,12 +5,21 @@ import json
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.cli import UsageError
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--port", help="greet the device on this port (a path, or usb:SERIAL) as well")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
     parser.add_argument("--make-curve-keys", type=Path, metavar="DIR", help="make CURVE keys for TCP, then exit")
+    parser.add_argument(
+        "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
+    )
+    parser.add_argument("--recorded", type=Path, metavar="FILE.npy", help="frames to look at: (n, 104) V")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
+    parser.add_argument("--bundle", type=Path, help="bundle that knows healthy frames (default: the shipped one)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -20,6 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _make_keys(arguments)
     from eitskin import doctor
 
+    if arguments.electrodes:
+        return _electrodes(arguments)
     found = doctor.examine()
     if arguments.port:
         from eitskin.serial_port import DEFAULT_BAUD
@@ -33,6 +44,31 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(found))
     else:
         _print(found)
+    return 0
+
+
+def _electrodes(arguments: argparse.Namespace) -> int:
+    """Print the sixteen electrodes and return 0."""
+    from eitskin import checkup
+    from eitskin.bundle import load_bundle
+    from eitskin.errors import BundleError
+    from eitskin.imputation import MISSING, Consistency
+    from eitskin.reference import load
+    from eitskin.serial_port import DEFAULT_BAUD
+
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError("--electrodes needs --port PORT or --recorded FILE.npy, and not both")
+    bundle = load_bundle(arguments.bundle)
+    arrays = bundle.consistency_arrays()
+    if arrays is None:
+        raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
+    reference = None if arguments.reference is None else load(arguments.reference)
+    if arguments.recorded is not None:
+        recording = checkup.load_recording(arguments.recorded)
+    else:
+        recording = checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    found = checkup.check_up(recording, Consistency.of(arrays), reference)
+    print(json.dumps(found) if arguments.json else "\n".join(checkup.lines(found)))
     return 0
 
 

@@ -1,0 +1,114 @@
+"""Failing electrodes from the circuit to the report: the benchmark's streams, and ``eitskin doctor --electrodes``."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.bundle import default_path, load_bundle
+from eitskin.checkup import ADVICE, Recording, check_up, load_recording
+from eitskin.errors import BadReference
+from eitskin.imputation import Consistency
+from eitskin_proto.table import TABLE
+from eitskin_sim.faults import Detached, Fault, Noisy, Shorted, Swapped, measure
+from eitskin_sim.noise import add_noise
+from eitskin_tools import failing
+from eitskin_tools.cli import main
+from eitskin_tools.lost import lost_sets
+
+
+@cache
+def consistency() -> Consistency:
+    arrays = load_bundle(default_path("units")).consistency_arrays()
+    if arrays is None:
+        pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
+    return Consistency.of(arrays)
+
+
+@cache
+def flat() -> np.ndarray:
+    return failing.flat_response()
+
+
+@cache
+def moving() -> failing.Stream:
+    return failing.stream("A", 3, 3, covering=True)
+
+
+def frames(fault: Fault | None, count: int = 40, current_A: float = 1e-3) -> np.ndarray:
+    """Return (count, 104) V of a sheet that bends and is touched, on an electrode too."""
+    rng, clean = np.random.default_rng(1), measure(flat(), table=TABLE)
+    faults = () if fault is None else (fault,)
+    shown = [measure(moving().at(frame), faults, table=TABLE, rng=rng) for frame in range(count)]
+    return current_A * np.array([add_noise(volts, clean, "N2", 50.0, rng) for volts in shown])
+
+
+@pytest.mark.parametrize(
+    ("fault", "states"),
+    [
+        (None, {}),
+        (Detached(5), {5: "detached"}),
+        (Shorted(8, 9), {8: "shorted", 9: "shorted"}),
+        (Swapped(12, 13), {12: "swapped", 13: "swapped"}),
+    ],
+)
+def test_doctor_tells_a_failure_without_any_reference(fault: Fault | None, states: dict[int, str]) -> None:
+    found = check_up(Recording(frames(fault), None), consistency())
+    assert {one["electrode"]: one["state"] for one in found["electrodes"] if one["state"] != "well"} == states
+    assert len(found["electrodes"]) == 16
+    assert all(one["to_do"] == ADVICE[one["state"]] for one in found["electrodes"])
+
+
+def test_a_row_that_differs_from_its_reciprocal_is_reported() -> None:
+    gap = np.full(104, 0.003)
+    gap[(TABLE == 4).any(axis=1) | (TABLE == 3).any(axis=1)] = 0.2
+    found = check_up(Recording(frames(None), gap), consistency())
+    assert [one["electrode"] for one in found["electrodes"] if one["state"] == "not reciprocal"] == [4]
+
+
+def test_doctor_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    consistency()
+    path = tmp_path / "recorded.npy"
+    np.save(path, frames(Detached(5)))
+    bundle = str(default_path("units"))
+    assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["electrodes"][5]["state"] == "detached"
+    assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle]) == 0
+    assert "electrode  5  detached" in capsys.readouterr().out
+
+
+def test_doctor_asks_for_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--electrodes"]) == 2
+    assert "--port PORT or --recorded" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", [(3, 104), (40, 103), (104,)])
+def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+    path = tmp_path / "wrong.npy"
+    np.save(path, np.zeros(shape))
+    with pytest.raises(BadReference, match="104"):
+        load_recording(path)
+
+
+def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
+    healthy = failing.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
+    assert sum(row["named"] for row in healthy) == 0
+    assert sum(row["frames"] for row in healthy) == moving().frames
+    rows = failing.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
+    assert {row["what"] for row in rows} == set(failing.FAILURES)
+    for row in rows:
+        assert row["named_in_time"] == 1.0, row
+
+
+def test_what_counts_as_named_rightly() -> None:
+    assert failing.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
+    assert failing.expected(Noisy(3)) == {(3, "noisy")}
+
+
+def test_sets_of_lost_electrodes_are_all_single_ones_and_the_same_draws() -> None:
+    assert lost_sets(1) == [(electrode,) for electrode in range(16)]
+    assert lost_sets(2, 5) == lost_sets(2, 5)
+    assert len(set(lost_sets(3, 9))) == 9
