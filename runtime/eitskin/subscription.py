@@ -131,8 +131,9 @@ class Subscription:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
-                self._count(frame)
             if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                if frame is not None:
+                    self._count(frame)
                 return frame
 
     def _count(self, frame: Frame) -> None:
