@@ -108,7 +108,7 @@ def test_shipped_tikhonov_projections_are_stored_in_float32_and_finite():
 def test_flat_triangles_harm_when_an_angle_nears_180_degrees_and_needles_do_not():
     needles, caps = triangle_rows()
     assert needles["breaks_at"] is None
-    assert needles["worst"] < 1.2 * needles["unstressed"]
+    assert needles["worst"] == needles["unstressed"]  # one side ever shorter only helps
     assert caps["breaks_at"] is not None
     assert caps["worst"] > 3 * caps["unstressed"]
 

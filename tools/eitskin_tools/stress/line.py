@@ -55,6 +55,8 @@ class ScriptedLine:
             kind, tag = payload[0], payload[1]
             if kind == MessageType.HELLO_REQUEST:
                 self._answers.append(encode(replace(self._hello, tag=tag).pack()))
+            elif kind == MessageType.TIME_REQUEST:
+                self._answers.append(encode(messages.Time(0, tag).pack()))
             else:
                 self._started = self._started or isinstance(messages.unpack(payload), messages.Start)
                 self._answers.append(encode(Ack(kind, Code.OK, 0, tag).pack()))
