@@ -59,11 +59,13 @@ class Probe:
         name: What touches: "10 mm, middle".
         family: "flat", "A" or "B".
         logs: (n, 104) log(V / V0).
+        before: (n, 104) the same of each one's sheet before it was touched.
     """
 
     name: str
     family: str
     logs: Array
+    before: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -215,8 +217,11 @@ def probes(bends: int, seed: int) -> tuple[Probe, ...]:
     families = {"flat": (Bend(),), "A": draw("A", bends, seed), "B": draw("B", bends, seed)}
     found = []
     for family, members in families.items():
-        voltages = np.array([free_voltages([free_sheet(bend)], table)[0] for bend in members])
+        sheets = [free_sheet(bend) for bend in members]
+        voltages = np.array([free_voltages([sheet], table)[0] for sheet in sheets])
         logs = np.log(np.maximum(voltages / flat_V, 1e-6))
+        before = np.log(np.array([sheet.untouched_V for sheet in sheets]) / flat_V)
         for name, group in zip(sets, np.split(logs, ends[:-1], axis=1), strict=True):
-            found.append(Probe(name, family, group.reshape(-1, N_ROWS)))
+            own = np.repeat(before, group.shape[1], axis=0)
+            found.append(Probe(name, family, group.reshape(-1, N_ROWS), own))
     return tuple(found)

@@ -1,0 +1,76 @@
+"""Idle acquisition: which drives and why, how much faster a scan is, how soon a touch is met, how many are missed.
+
+The choice is made again here, on bends and touches of its own, by the argument of :mod:`eitskin_export.idle`: the best
+subset of one drive, of two, and so on, with its share of what all rows tell about a small touch. Times are those of the
+configuration: a touch comes at any moment of an idle period, the idle frame that shows it is scanned, the mode is
+changed, a whole scan follows.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.bundle import Bundle
+from eitskin.gate import EXTRAS, FIELDS, Gate
+from eitskin.idle import PREFIX
+from eitskin_proto import config_toml
+from eitskin_proto.scan_rows import drive_count, drives_to_list, table_rows
+from eitskin_tools.skips.gate_error import errors
+from eitskin_tools.skips.gate_row import logits_of
+
+BENDS: Final = 60
+"""Of A and of B for the covariance, each in four mirror images and with three noises."""
+
+Array = npt.NDArray[np.float64]
+
+
+def idle(bundle: Bundle, reference: Array, bends: int, rng: np.random.Generator) -> dict[str, Any] | None:
+    """Return the row of idle acquisition, or None for a bundle without an idle gate."""
+    arrays = bundle.gate_arrays()
+    if arrays is None or f"{PREFIX}drives" not in arrays:
+        return None
+    drives = int(np.asarray(arrays[f"{PREFIX}drives"]).reshape(-1)[0])
+    rows = table_rows(False, drives)
+    gate = Gate({name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}, len(rows))
+
+    return {
+        "drives": drives_to_list(drives),
+        "rows": len(rows),
+        "chosen_by": _table(reference, rng),
+        "configuration": _times("paper", drives),
+        "error": errors(logits_of(gate, rows), gate.threshold, reference, bends, rng),
+    }
+
+
+def _table(reference: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return the best subsets with their share of the information, on bends and touches that nothing was fitted on."""
+    from eitskin_export.idle import covariance_of, idle_table
+    from eitskin_export.material import IMAGES, noisy_change
+    from eitskin_export.untouched import probes
+    from eitskin_tools.skips.scenes import SEED, still
+
+    logs = np.concatenate([still(family, BENDS) for family in ("A", "B")])
+    logs = np.repeat(np.concatenate([logs[:, image] for image in IMAGES]), 6, axis=0)
+    touches = np.concatenate([probe.logs - probe.before for probe in probes(2, SEED) if "anywhere" in probe.name])
+    found = idle_table(covariance_of(noisy_change(logs, reference, rng)), touches)
+    return [{"drives": drives_to_list(mask), "share_of_information": round(share, 4)} for mask, share in found]
+
+
+def _times(name: str, drives: int) -> dict[str, Any]:
+    """Return what a configuration makes of these drives: times of a scan, the rate's gain, and from touch to map."""
+    configuration = config_toml.load(name)
+    whole_us, idle_us = configuration.scan_us(), configuration.scan_us(drives)
+    full_ms, idle_ms = (1e6 / rate for rate in (configuration.rate_millihertz, configuration.idle_rate_millihertz))
+    return {
+        "name": name,
+        "drives_of_a_whole_scan": drive_count(False, configuration.drives),
+        "scan_us": {"whole": whole_us, "idle": idle_us},
+        "largest_rate_gain": round(whole_us / idle_us, 2),
+        "rate_Hz": {"whole": 1000 / full_ms, "idle": 1000 / idle_ms},
+        "touch_to_first_full_frame_ms": {
+            "mean": round(idle_ms / 2 + (idle_us + whole_us) / 1000, 2),
+            "largest": round(idle_ms + (idle_us + whole_us) / 1000, 2),
+            "largest_at_fastest_idle_rate": round((2 * idle_us + whole_us) / 1000, 2),
+        },
+    }
