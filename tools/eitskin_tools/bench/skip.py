@@ -113,7 +113,8 @@ def _print_errors(name: str, row: dict[str, Any]) -> None:
     for touch, families in row["error"]["missed"].items():
         for family, noises in families.items():
             shares = ", ".join(
-                f"{noise} {100 * entry['missed']:.1f} % ({100 * entry['told']:.1f} told, {100 * entry['untold']:.1f} untold)"
+                f"{noise} {100 * entry['missed']:.1f} % "
+                f"({100 * entry['told']:.1f} told, {100 * entry['untold']:.1f} untold)"
                 for noise, entry in noises.items()
             )
             print(f"{name}, missed, {touch}, {family}: {shares}")
