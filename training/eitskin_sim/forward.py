@@ -11,7 +11,7 @@ a sheet has lost. Stiffness is linear in sigma, so a :class:`System` keeps the e
 for any conductivity.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -98,19 +98,32 @@ class System:
         return Factor(self, blocks, self.contacts.density(np.asarray(sigma)[self.contacts.element]))
 
 
+@dataclass(frozen=True, slots=True)
+class Plate:
+    """What contacts pass between n nodes and their electrodes: the current out of each node is (Y (u - U))_i."""
+
+    nodes: Index
+    """(n,); a node on the edge between two contacts stands here once for each."""
+    electrodes: Index
+    """(n,) the electrode over each."""
+    admittance: Array
+    """(n, n) S, symmetric."""
+
+
 class Factor:
     """A factorised system and its fields for unit currents.
 
     Args:
         system: The mesh and the contacts.
         blocks: (n_elements, 9, 9) S, each element's stiffness with its conductivity.
-        density: (m,) S/m^2, each piece of contact's conductance per area.
+        density: (m,) S/m^2, each piece of contact's conductance per area; zeros where plates take its place.
+        plates: Contacts that join all nodes under them, as those of :mod:`eitskin_sim.depth` do.
     """
 
-    def __init__(self, system: System, blocks: Array, density: Array) -> None:
-        self.system, self.blocks, self.density = system, blocks, density
+    def __init__(self, system: System, blocks: Array, density: Array, plates: Sequence[Plate] = ()) -> None:
+        self.system, self.blocks, self.density, self.plates = system, blocks, density, tuple(plates)
         lu = splu(
-            _global_matrix(system.mesh, system.contacts, blocks, density),
+            system_matrix(system.mesh, system.contacts, blocks, density, self.plates),
             permc_spec="MMD_AT_PLUS_A",
             diag_pivot_thresh=0.0,
             options={"SymmetricMode": True},
@@ -152,6 +165,9 @@ class Factor:
         energy = np.tensordot(fields, self.blocks @ fields, axes=([0, 1], [0, 1]))
         through = (self.density[:, None, None] * self.system.contacts.mass_m2) @ drops
         energy += np.tensordot(drops, through, axes=([0, 1], [0, 1]))
+        for plate in self.plates:
+            drop = self.node_fields[plate.nodes] - self.electrode_fields[plate.electrodes]
+            energy += drop.T @ plate.admittance @ drop
         straight = self.electrode_fields - np.roll(self.electrode_fields, -1, axis=0)
         return np.asarray(straight.T + straight - energy.T)
 
@@ -199,17 +215,29 @@ def assemble(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Met
             raise ValueError(
                 f"mesh {name} lines go from {lines[0]:g} to {lines[-1]:g} mm; they must go from 0 to {extent:g}"
             )
-    points = mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :]
-    first = metric(points.reshape(-1, 2)).reshape(mesh.n_elements, len(GAUSS), 3)
+    return assemble_pieces(mesh, sheet, electrodes, metric, place(sheet, electrodes))
+
+
+def assemble_pieces(
+    mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric, pieces: Sequence[Piece]
+) -> System:
+    """Return the system of a mesh of any part of the sheet and of the contacts that lie on it; see :func:`assemble`."""
+    first = metric_at_points(mesh, metric)
     area = np.sqrt(first[..., 0] * first[..., 2] - first[..., 1] ** 2)
     return System(
         mesh=mesh,
-        contacts=_contacts(mesh, sheet, electrodes, metric, area),
+        contacts=_contacts(mesh, sheet, electrodes, metric, area, pieces),
         stiffness=_stiffness(mesh, sheet.thickness_mm, first),
         metric=metric(mesh.centres_mm),
         thickness_mm=sheet.thickness_mm,
         background=sheet.conductivity_S_per_m,
     )
+
+
+def metric_at_points(mesh: TensorMesh, metric: Metric) -> Array:
+    """Return the (n_elements, 9, 3) metric at every element's points of Gauss."""
+    points = mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :]
+    return metric(points.reshape(-1, 2)).reshape(mesh.n_elements, len(GAUSS), 3)
 
 
 def _stiffness(mesh: TensorMesh, thickness_mm: float, first: Array) -> Array:
@@ -245,9 +273,11 @@ def _line(lines: Array, position: float, what: str) -> int:
     return index
 
 
-def _contacts(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric, area: Array) -> Contacts:
+def _contacts(
+    mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric, area: Array, pieces: Sequence[Piece]
+) -> Contacts:
     build = _patch if electrodes.contact == "patch" else _edge
-    parts = [build(mesh, sheet, electrodes, piece, metric, area) for piece in place(sheet, electrodes)]
+    parts = [build(mesh, sheet, electrodes, piece, metric, area) for piece in pieces]
     element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Contacts(
         element=element.astype(np.intp),
@@ -294,8 +324,10 @@ def _edge(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece, 
     return element, np.full(len(element), piece.electrode), mass, weight @ shapes, np.zeros(len(element))
 
 
-def _global_matrix(mesh: TensorMesh, contacts: Contacts, blocks: Array, density: Array) -> csc_array:
-    """Add all blocks up in compressed columns; electrode 15 is the ground and has no row."""
+def system_matrix(
+    mesh: TensorMesh, contacts: Contacts, blocks: Array, density: Array, plates: Sequence[Plate] = ()
+) -> csc_array:
+    """Return all blocks added up, nodes first, then electrodes; electrode 15 is the ground and has no row."""
     nodes, count, last = mesh.element_nodes, mesh.n_nodes, N_ELECTRODES - 1
     total = blocks.copy()
     np.add.at(total, contacts.element, density[:, None, None] * contacts.mass_m2)
@@ -307,6 +339,22 @@ def _global_matrix(mesh: TensorMesh, contacts: Contacts, blocks: Array, density:
     diagonal = count + np.arange(last)
     rows = [np.repeat(nodes, 9, axis=1).ravel(), at.ravel(), terminal.ravel(), diagonal]
     columns = [np.tile(nodes, (1, 9)).ravel(), terminal.ravel(), at.ravel(), diagonal]
-    data = [total.ravel(), load.ravel(), load.ravel(), own]
+    data: list[Array] = [total.ravel(), load.ravel(), load.ravel(), own]
+    for plate in plates:
+        _add_plate(plate, count, rows, columns, data)
     entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns)))
     return coo_array(entries, (count + last, count + last)).tocsc()
+
+
+def _add_plate(plate: Plate, count: int, rows: list[Index], columns: list[Index], data: list[Array]) -> None:
+    """Append Y between the nodes, -Y E between nodes and electrodes, and E^T Y E between those; E says who is where."""
+    at, n = plate.nodes, len(plate.nodes)
+    held = np.unique(plate.electrodes[plate.electrodes < N_ELECTRODES - 1])
+    over = (plate.electrodes[:, None] == held).astype(np.float64)
+    terminal = count + held
+    load = -plate.admittance @ over
+    own = -over.T @ load
+    k = len(terminal)
+    rows += [np.repeat(at, n), np.repeat(at, k), np.tile(terminal, n), np.repeat(terminal, k)]
+    columns += [np.tile(at, n), np.tile(terminal, n), np.repeat(at, k), np.tile(terminal, k)]
+    data += [plate.admittance.ravel(), load.ravel(), load.ravel(), own.ravel()]

@@ -32,6 +32,9 @@ __all__ = [
     "scene_json",
 ]
 
+MOST_STRETCH: Final = 5.0
+"""In either direction, and of one to the other: at 25 to 1 the weakest voltages are 1e-26 of the largest, and wrong."""
+
 ON_BORDER_MM: Final = 1e-6
 """How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
 
@@ -183,12 +186,18 @@ def _bend(value: object, sheet: Sheet) -> Bend:
         axis_deg=fields.number("axis_deg", 0.0),
         skew=fields.number("skew", 0.0, low=-1.0, high=1.0),
         twist_deg=fields.number("twist_deg", 0.0),
-        stretch_along=fields.number("stretch_along", 1.0, above=0.0),
-        stretch_across=fields.number("stretch_across", 1.0, above=0.0),
+        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
+        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
         nonuniformity=fields.number("nonuniformity", 0.0),
         bumps_mm=tuple(bumps),
     )
     fields.close()
+    ratio = bend.stretch_along / bend.stretch_across
+    if not 1.0 / MOST_STRETCH <= ratio <= MOST_STRETCH:
+        raise SceneError(
+            f"{where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their ratio "
+            f"is {ratio:g}, it must be from {1.0 / MOST_STRETCH:g} to {MOST_STRETCH:g}"
+        )
     return bend
 
 
@@ -229,7 +238,7 @@ def _polygon(value: object, where: str) -> Shape:
         raise SceneError(f"{where}: two neighbouring corners are the same point")
     polygon = Polygon(tuple((x, y) for x, y in corners))
     if not polygon.is_simple:
-        raise SceneError(f"{where} crosses itself; its sides must meet only at its corners")
+        raise SceneError(f"{where} crosses or touches itself; its sides must meet only at its corners")
     return polygon
 
 

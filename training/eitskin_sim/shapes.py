@@ -113,13 +113,16 @@ class Polygon:
 
     @property
     def is_simple(self) -> bool:
-        """Whether no two sides cross."""
+        """Whether sides meet only at their common corners: none cross, touch, or double back."""
         corners = np.array(self.corners_mm)
         ends = np.roll(corners, -1, axis=0)
         count = len(corners)
         for i in range(count):
+            following = ends[(i + 1) % count]
+            if _turn(corners[i], ends[i], following) == 0.0 and (ends[i] - corners[i]) @ (following - ends[i]) < 0.0:
+                return False
             for j in range(i + 2, count):
-                if (j + 1) % count != i and _cross(corners[i], ends[i], corners[j], ends[j]):
+                if (j + 1) % count != i and _meet(corners[i], ends[i], corners[j], ends[j]):
                     return False
         return True
 
@@ -167,5 +170,14 @@ def _turn(a: Array, b: Array, c: Array) -> float:
     return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
 
 
-def _cross(a: Array, b: Array, c: Array, d: Array) -> bool:
-    return _turn(a, b, c) * _turn(a, b, d) < 0.0 and _turn(c, d, a) * _turn(c, d, b) < 0.0
+def _meet(a: Array, b: Array, c: Array, d: Array) -> bool:
+    """Return whether two segments have a point in common."""
+    one, other = _turn(a, b, c) * _turn(a, b, d), _turn(c, d, a) * _turn(c, d, b)
+    if one < 0.0 and other < 0.0:
+        return True
+    return any(_on(p, q, r) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b)))
+
+
+def _on(a: Array, b: Array, c: Array) -> bool:
+    """Return whether c lies on the segment from a to b."""
+    return _turn(a, b, c) == 0.0 and bool(np.all((np.minimum(a, b) <= c) & (c <= np.maximum(a, b))))

@@ -1,18 +1,22 @@
 """A scene's voltages, from its own mesh: what ``eitskin simulate`` writes."""
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.table import FULL_TABLE, ROW_IN_FULL
 from eitskin_sim.bend import bend_metric
-from eitskin_sim.cut import factorise
+from eitskin_sim.cut import factorise, touch
+from eitskin_sim.depth import plates
 from eitskin_sim.forward import Factor, assemble
 from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.parts import Scene
 
 Array = npt.NDArray[np.float64]
+Law = Literal["constant", "modes"]
+"""How a face contact passes current."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,15 +31,26 @@ class Solution:
     n_nodes: int
 
 
-def factorise_scene(scene: Scene) -> Factor:
+def factorise_scene(scene: Scene, law: Law = "constant") -> Factor:
     """Return the factorised system of a scene on the mesh that it asks for."""
-    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, bend_metric(scene.bend, scene.sheet))
-    return factorise(system, scene.touches)
+    metric = bend_metric(scene.bend, scene.sheet)
+    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, metric)
+    if law == "constant" or scene.electrodes.contact == "edge":
+        return factorise(system, scene.touches)
+    touched = touch(system, scene.touches)
+    return Factor(system, touched.blocks, np.zeros_like(touched.density), plates(system, scene, metric))
 
 
-def solve_scene(scene: Scene) -> Solution:
-    """Return the voltages of a scene."""
-    factor = factorise_scene(scene)
+def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
+    """Return the voltages of a scene.
+
+    Args:
+        scene: What to solve.
+        law: How a face contact passes current: "constant", by an effective impedance with one fitted constant, which
+            data sets and bundles are made with, or "modes", by the modes of the layer's depth, which needs no fit.
+            An edge contact has no such modes: both are the same for it.
+    """
+    factor = factorise_scene(scene, law)
     full = scene.current_A * factor.voltages(FULL_TABLE)
     mesh = factor.system.mesh
     return Solution(full[ROW_IN_FULL], full, mesh.n_elements, mesh.n_nodes)

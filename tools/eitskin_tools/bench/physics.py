@@ -1,16 +1,17 @@
 """``eitskin bench physics``: what the forward model is measured against, a row each.
 
-Convergence of the untouched voltages with the element size, reciprocity, the bend that must change nothing, the coarse
-Jacobian, and (unless ``--no-slab``) the independent solid of :mod:`eitskin_tools.bench.slab` on the paper's sheet: V,
-and dV of touches inside, at the border, in a corner and under a contact, flat and bent. The solid takes minutes.
+Convergence of the untouched voltages with the element size, by both contacts and both contact laws, beside independent
+triangles; a touch's size by three rules for the elements that its border cuts; reciprocity, the bend that must change
+nothing, the coarse Jacobian; and (unless ``--no-slab``) the independent solid of :mod:`eitskin_tools.bench.slab` on the
+paper's sheet: V, and dV of touches inside, at the border, in a corner and under a contact, flat and bent. The solid
+takes minutes.
 """
 
 import argparse
 import json
-import sys
 from dataclasses import replace
 from time import perf_counter
-from typing import Any
+from typing import Any, Literal
 
 Row = dict[str, Any]
 
@@ -23,9 +24,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print."""
-    rows = _convergence() + _invariants() + _jacobians()
+    rows = _convergence() + _borders() + _invariants() + _jacobians()
     if not arguments.no_slab:
-        rows += _slab()
+        from eitskin_tools.bench.against_solid import slab_rows
+
+        rows += slab_rows()
     summary = _summary(rows)
     if arguments.json:
         print(json.dumps({"rows": rows, "summary": summary}))
@@ -44,26 +47,38 @@ def _convergence() -> list[Row]:
     import numpy as np
 
     from eitskin_sim.parts import Electrodes, Scene
-    from eitskin_sim.solve import solve_scene
+    from eitskin_sim.solve import Law, solve_scene
+    from eitskin_tools.bench.triangles import solve_triangles
 
-    rows = []
-    for contact in ("edge", "patch"):
+    rows: list[Row] = []
+    laws: tuple[tuple[Literal["edge", "patch"], Law], ...] = (
+        ("edge", "constant"),
+        ("patch", "constant"),
+        ("patch", "modes"),
+    )
+    for contact, law in laws:
         scene = Scene(electrodes=Electrodes(contact))
-        fine = solve_scene(replace(scene, element_size_mm=0.75)).voltages
+        fine = solve_scene(replace(scene, element_size_mm=0.75 if law == "constant" else 1.0), law).voltages
+        triangles = solve_triangles(scene)[0] if law == "constant" else None
         for size in (6.0, 3.0, 2.0, 1.5):
             start = perf_counter()
-            found = solve_scene(replace(scene, element_size_mm=size))
-            rows.append(
-                {
-                    "what": "convergence",
-                    "contact": contact,
-                    "element_size_mm": size,
-                    "n_nodes": found.n_nodes,
-                    "v_error_max": float(np.abs(found.voltages / fine - 1).max()),
-                    "seconds": round(perf_counter() - start, 3),
-                }
-            )
+            found = solve_scene(replace(scene, element_size_mm=size), law)
+            row: Row = {"what": "convergence", "contact": contact, "law": law, "element_size_mm": size}
+            row |= {"n_nodes": found.n_nodes, "v_error_max": float(np.abs(found.voltages / fine - 1).max())}
+            if triangles is not None:
+                row["v_against_triangles_max"] = float(np.abs(found.voltages / triangles - 1).max())
+            rows.append({**row, "seconds": round(perf_counter() - start, 3)})
     return rows
+
+
+def _borders() -> list[Row]:
+    from eitskin_sim.parts import Scene, Touch
+    from eitskin_sim.shapes import Rect
+    from eitskin_tools.bench.border_rules import cut_convergence, size_errors
+
+    rows = size_errors(3.0) + size_errors(2.0)
+    touches = (Touch((Rect(71.4, 33.1, 81.4, 43.1),)), Touch((Rect(21.7, 14.3, 34.2, 26.9),), 20.0))
+    return rows + cut_convergence(Scene(touches=touches), (6.0, 3.0, 2.0, 1.5))
 
 
 def _invariants() -> list[Row]:
@@ -100,50 +115,6 @@ def _jacobians() -> list[Row]:
     return rows
 
 
-def _slab() -> list[Row]:
-    import numpy as np
-
-    from eitskin_proto.grid import unit_rect_mm
-    from eitskin_sim.parts import Bend, Scene, Touch
-    from eitskin_sim.shapes import Rect
-    from eitskin_sim.solve import solve_scene
-    from eitskin_tools.bench.slab import Resolution, solve_slab
-
-    fine = Resolution(largest_mm=8.0, contact_mm=0.3, layers_mm=(1.2, 0.6, 0.2), growth=2.5)
-    places = {
-        "untouched": None,
-        "interior": unit_rect_mm(6, 4),
-        "border": unit_rect_mm(6, 0),
-        "corner": unit_rect_mm(0, 0),
-        "under a contact": (8.0, 0.0, 18.0, 10.0),
-    }
-    rows = []
-    for name, bend in (("flat", Bend()), ("bent", Bend(angle_deg=120, axis_deg=20, stretch_along=1.1))):
-        base: tuple[Any, Any] | None = None
-        for place, box in places.items():
-            print(f"slab: {name}, {place}", file=sys.stderr)
-            scene = Scene(bend=bend, touches=() if box is None else (Touch((Rect(*box),)),))
-            solid, unknowns = solve_slab(scene, fine)
-            sheet = solve_scene(scene).voltages
-            ratio = sheet / solid - 1
-            row: Row = {
-                "what": "slab",
-                "sheet": name,
-                "touch": place,
-                "unknowns": unknowns,
-                "v_error_max": float(np.abs(ratio).max()),
-                "v_error_rms": float(np.sqrt(np.mean(ratio**2))),
-            }
-            if base is None:
-                base = (sheet, solid)
-            else:
-                expected = solid / base[1] - 1
-                error = np.linalg.norm(sheet / base[0] - 1 - expected) / np.linalg.norm(expected)
-                row["dv_error"] = float(error)
-            rows.append(row)
-    return rows
-
-
 def _summary(rows: list[Row]) -> dict[str, float]:
     by = {what: [row for row in rows if row["what"] == what] for what in {row["what"] for row in rows}}
     found = {
@@ -152,8 +123,11 @@ def _summary(rows: list[Row]) -> dict[str, float]:
         "reciprocity": by["reciprocity"][0]["error_max"],
         "isometric": max(r["error_max"] for r in by["isometric"]),
     }
-    if "slab" in by:
-        found["slab_v_error_rms"] = max(r["v_error_rms"] for r in by["slab"])
-        found["slab_dv_error_corner"] = max(r["dv_error"] for r in by["slab"] if r["touch"] == "corner")
-        found["slab_dv_error"] = max(r["dv_error"] for r in by["slab"] if "dv_error" in r)
+    found |= {f"size_error_mm_{r['rule']}".replace(" ", "_"): r["size_error_max_mm"] for r in by["border rule"][:3]}
+    for law in ("constant", "modes"):
+        of_law = [row for row in by.get("slab", []) if row["law"] == law]
+        if of_law:
+            found[f"slab_v_error_max_{law}"] = max(r["v_error_max"] for r in of_law if r["touch"] == "untouched")
+            found[f"slab_dv_error_corner_{law}"] = max(r["dv_error"] for r in of_law if r["touch"] == "corner")
+            found[f"slab_dv_error_max_{law}"] = max(r["dv_error"] for r in of_law if "dv_error" in r)
     return found

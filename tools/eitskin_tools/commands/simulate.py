@@ -15,6 +15,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, help="the .npz to write: voltages (104,), voltages208 (208,)"
     )
     parser.add_argument("--element-size-mm", type=float, help="instead of the scene's own")
+    parser.add_argument(
+        "--contact-law",
+        choices=("modes", "constant"),
+        default="modes",
+        help="how a face contact passes current: by the modes of the layer's depth (default), or by one fitted "
+        "constant, which data sets and bundles are made with",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object on what was solved")
 
 
@@ -30,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
     start = perf_counter()
-    solution = solve_scene(scene)
+    solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start
     _write(arguments.out, scene, solution)
     report = {
@@ -39,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
         "n_elements": solution.n_elements,
         "n_nodes": solution.n_nodes,
         "element_size_mm": scene.element_size_mm,
+        "contact_law": arguments.contact_law,
         "seconds": round(seconds, 3),
         "smallest_V": float(abs(solution.voltages).min()),
         "largest_V": float(abs(solution.voltages).max()),
