@@ -75,3 +75,27 @@ def test_installed_size_counts_the_runtime_with_what_it_needs() -> None:
     assert {"eitskin", "numpy", "onnxruntime", "pyzmq"} <= names
     assert not names & {"torch", "scipy", "pytest"}
     assert footprint._installed_mb("python") is None
+
+
+def test_memory_that_stays_says_so_and_memory_that_grows_is_seen() -> None:
+    from eitskin_tools.bench import memory
+
+    def samples(growth: float) -> list[dict[str, float]]:
+        return [{"time_s": t, "rss_mb": 70 + growth * t, "threads": 5, "files": 30 + t % 2} for t in range(100)]
+
+    flat, leaking = memory.summary(samples(0.0)), memory.summary(samples(0.001))
+    assert flat["mb_per_hour"] == pytest.approx(0.0, abs=1e-6)
+    assert leaking["mb_per_hour"] == pytest.approx(3.6, rel=1e-3)
+    assert leaking["rss_mb"] == {"first": 70.03, "last": 70.1, "max": 70.1}
+    assert flat["files"] == [30, 31]
+
+
+def test_memory_looks_at_a_living_process() -> None:
+    import os
+
+    from eitskin_tools.bench import memory
+
+    found = memory.look(os.getpid())
+    assert found["rss_mb"] > 10
+    assert found["files"] >= 3
+    assert found["threads"] >= 1

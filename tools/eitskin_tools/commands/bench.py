@@ -12,6 +12,7 @@ from typing import Any, Final
 BENCHMARKS: Final[dict[str, str]] = {
     "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
     "footprint": "memory, import time and size of the runtime",
+    "memory": "whether the runtime's memory stays flat over minutes at 1000 frames a second",
     "skip": "what each skipped stage saves",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
