@@ -1,0 +1,84 @@
+"""The skip benchmark's own arithmetic; that the skips themselves are right is tested with the runtime."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+import pytest
+
+from eitskin_tools.cli import main
+from eitskin_tools.skips.cost import TURN, interleaved, saving
+from eitskin_tools.skips.gate_error import bound
+from eitskin_tools.skips.scenes import Motion, contrasts_of_growth, first_above
+
+
+class Busy:
+    """A way that keeps the processor busy for so long, and notes when it had its turn."""
+
+    def __init__(self, name: str, order: list[str], seconds: float) -> None:
+        self.name, self.order, self.seconds = name, order, seconds
+        self.prepared: list[int] = []
+
+    def prepare(self, index: int) -> None:
+        self.prepared.append(index)
+
+    def __call__(self) -> None:
+        self.order.append(self.name)
+        until_ns = time.thread_time_ns() + int(self.seconds * 1e9)
+        while time.thread_time_ns() < until_ns:
+            pass
+
+
+def test_ways_take_turns_and_every_frame_is_prepared_once() -> None:
+    order: list[str] = []
+    ways = {"with": Busy("with", order, 0.0), "without": Busy("without", order, 0.0)}
+    interleaved(dict(ways), 2 * TURN + 3)
+    assert order[:2] == ["with", "without"]  # warm
+    assert order[2:] == (["with"] * TURN + ["without"] * TURN) * 2 + ["with"] * 3 + ["without"] * 3
+    assert ways["with"].prepared == list(range(2 * TURN + 3))
+
+
+def test_what_is_saved_is_the_difference_of_processor_time_not_of_waiting() -> None:
+    order: list[str] = []
+    times = interleaved({"with": Busy("with", order, 0.0), "without": Busy("without", order, 1e-3)}, 10)
+    row = saving(times)
+    assert row["cpu_saved_us"] > 900  # a busy millisecond, less what reading the clock takes
+    assert row["cpu_left"] < 0.2
+    assert times["without"]["cpu_p50"] >= 1000
+
+
+def test_a_motion_passes_its_keys_and_is_straight_between_them() -> None:
+    keys = np.arange(3.0)[:, None] ** 2 * np.ones(104)
+    frames = Motion("A", keys).frames(5)
+    np.testing.assert_allclose(frames[:, 0], [0.0, 0.5, 1.0, 2.5, 4.0], atol=1e-12)
+
+
+def test_a_touch_grows_from_nothing_to_the_weakest_contrast() -> None:
+    contrasts = contrasts_of_growth()
+    assert contrasts[0] == 1.0
+    assert contrasts[-1] == pytest.approx(20.0)
+    assert first_above([False, False, True, True]) == 2
+    assert first_above([False]) is None
+
+
+def test_a_test_misses_half_where_a_touch_is_as_large_as_the_threshold() -> None:
+    from scipy.stats import norm
+
+    from eitskin_export.gate import FALSE_ALARM_RATE
+
+    reference, untouched = np.ones(104), np.zeros((1, 104))
+    # N2 has a standard deviation of 10^-2.5 in every row, so equal steps of z / sqrt(104) of it are z in all.
+    step = norm.isf(FALSE_ALARM_RATE) * 10**-2.5 / np.sqrt(104)
+    assert bound(untouched + step, untouched, reference)["N2"] == pytest.approx(0.5, abs=1e-3)
+    assert bound(untouched + 3 * step, untouched, reference)["N2"] < 1e-6
+    # A deformation that looks the same hides it: then only false alarms are seen.
+    same = np.ones((104, 104))
+    hidden = bound(untouched + 3 * step, untouched, reference, same)["N2"]
+    assert hidden == pytest.approx(1.0 - FALSE_ALARM_RATE, abs=1e-3)
+
+
+@pytest.mark.parametrize("options", [["--frames", "3"], ["--bends", "1"]])
+def test_too_few_frames_or_bends_are_refused(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "skip", *options]) == 2
+    assert "at least" in capsys.readouterr().err
