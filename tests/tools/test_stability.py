@@ -152,10 +152,10 @@ def test_what_the_stream_shows_is_what_the_pipeline_publishes(sample):
 
 
 def test_the_thinned_bench_explains_every_break_and_publishes_nothing_absurd():
-    families = ("noise", "frontend", "inputs", "int8")
+    families = ("noise", "frontend", "int8")  # absurd inputs have a test of their own
     rows, curves, summary = table([default_path("units")], LEAST, families)
     assert is_sound(summary), summary["first_escaped"]
-    assert summary["published"] > 300
+    assert summary["published"] > 200
     assert {row["family"] for row in rows} == set(families)
     assert summary["broken"] > 0
     assert all(row["why"] for row in rows)

@@ -19,7 +19,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "scan": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "ablation": "what each input of the network is worth, and how many deformations it needs",
-    "stability": "long runs, faults and drift",
+    "stability": "what breaks a skin, at which level, and why",
     "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.bundle import Bundle
-from eitskin.engine import Engine, GeometryGraph
+from eitskin.engine import Engine, GeometryGraph, engines
 from eitskin.pipeline import Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import Reference
@@ -58,7 +58,7 @@ class Stream:
             bundle = replace(bundle, files=files)
         self.bundle, self.tally = bundle, tally
         self.pipeline = Pipeline(bundle, HELLO)
-        self._engines = {engine.name: engine for engine in self.pipeline.engines}
+        self._engines = {engine.name: engine for engine in engines(bundle, self.pipeline.buffers)}
         self._graph = GeometryGraph(bundle)
         self._sequence = 0
         self._sheet: Sheet | None = None
@@ -99,8 +99,8 @@ class Stream:
 
     @property
     def touched(self) -> bool:
-        """What the gate said of the last frame."""
-        return self.pipeline.touched
+        """What the gate said of the last frame, before the map that is looked at now and then overruled it."""
+        return self.pipeline.touched and "gate_overruled" not in self.pipeline.events
 
     def _prepare(self, sample: Sample) -> None:
         """Give the pipeline the sample's scale, reference and cloud, where they changed."""
