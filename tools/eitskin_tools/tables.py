@@ -1,6 +1,7 @@
 """The table of the documentation: every solver, every reference, beside the paper's Table II; as Markdown."""
 
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -30,20 +31,24 @@ MEANS: Final = (
 """Measures of the table of means."""
 
 
-def requests(phantoms: Sequence[Phantom]) -> list[Request]:
+def requests(phantoms: Sequence[Phantom], bundle: str | Path | None = None) -> list[Request]:
     """Return what the table compares: classical solvers with three references, and the network if its bundle is there.
 
     Args:
         phantoms: Their labels say which bundles are needed.
+        bundle: The network's file; None takes the shipped ones.
     """
     found = [Request(name, reference) for name in CLASSICAL for reference in ("post", "pre", "predicted")]
-    if _has_bundle(phantoms):
-        found += [Request("vd2t"), Request("vd2t-int8")]
+    if bundle is not None or _has_bundle(phantoms):
+        found += [Request("vd2t", bundle=bundle), Request("vd2t-int8", bundle=bundle)]
     return found
 
 
 def comparison(
-    phantoms: Sequence[Phantom], conditions: Conditions, progress: Progress | None = None
+    phantoms: Sequence[Phantom],
+    conditions: Conditions,
+    progress: Progress | None = None,
+    bundle: str | Path | None = None,
 ) -> tuple[str, list[dict[str, Any]]]:
     """Return the table as Markdown, and the reports it is made of.
 
@@ -51,8 +56,9 @@ def comparison(
         phantoms: The eight of the paper's Table II, or others (then without the paper's columns).
         conditions: Noise, seeds, shifts.
         progress: Called with the phantoms done and all phantoms.
+        bundle: The network's file; None takes the shipped ones.
     """
-    reports = evaluate_requests(phantoms, requests(phantoms), conditions, progress)
+    reports = evaluate_requests(phantoms, requests(phantoms, bundle), conditions, progress)
     own = [one for one in reports if one["reference"] == ("pre" if one["solver"].startswith("vd2t") else "post")]
     own = [one for one in own if one["solver"] != "vd2t-int8"]
     paper = len(phantoms) == PHANTOMS

@@ -12,6 +12,7 @@ over notches. ::
           +------------------ u
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -153,8 +154,9 @@ def _side(along: Array, out: Array, sign: float) -> Array:
             raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
         measured = edge - EDGE_MM + beyond * BAND_MM / np.maximum(inner, 1)
         good = filled & (beyond > 0)
-        edge = _smooth(centre, measured, good)[1]
-    return sign * _smooth(centre, measured, good)[0]
+        design, coefficients = _smooth(centre, measured, good)
+        edge = design @ coefficients
+    return sign * _about_zero(coefficients, -centre.mean() / 100.0)
 
 
 def _outermost(out: Array) -> float:
@@ -165,14 +167,21 @@ def _outermost(out: Array) -> float:
 
 
 def _smooth(centre: Array, measured: Array, good: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Robust polynomial through the strips that saw a side, and its values in all of them."""
+    """Robust polynomial through the strips that saw a side, about their middle: its design matrix and coefficients."""
     design = np.polynomial.polynomial.polyvander((centre - centre.mean()) / 100.0, DEGREE)
     weight = good.astype(np.float64)
     for _ in range(3):
         weighted = design * weight[:, None]
         coefficients = np.linalg.solve(weighted.T @ design, weighted.T @ measured)
         residual = np.abs(measured - design @ coefficients)
-        scale = max(1.4826 * float(np.median(residual[good])), 0.02)
+        near = residual[good]
+        scale = max(1.4826 * float(np.partition(near, len(near) // 2)[len(near) // 2]), 0.02)
         weight = good * np.minimum(1.0, 1.5 * scale / np.maximum(residual, 1e-12)) * (residual < 6.0 * scale)
-    shifted = np.polynomial.Polynomial(coefficients)(np.polynomial.Polynomial([-centre.mean() / 100.0, 1.0]))
-    return np.asarray(shifted.coef), np.asarray(design @ coefficients)
+    return np.asarray(design), np.asarray(coefficients)
+
+
+def _about_zero(coefficients: Array, shift: float) -> Array:
+    """Coefficients of p(x + shift) from those of p(x)."""
+    n = len(coefficients)
+    powers = [[math.comb(k, j) * shift ** (k - j) if j <= k else 0.0 for k in range(n)] for j in range(n)]
+    return np.array(powers) @ coefficients

@@ -111,7 +111,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     if not phantoms:
         raise ValueError(f"{arguments.phantoms} holds no phantom; expected a list of at least one")
     if arguments.all:
-        table, reports = comparison(phantoms, conditions, _progress())
+        table, reports = comparison(phantoms, conditions, _progress(), arguments.bundle)
         print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
         return 0
     if arguments.picture is not None:
