@@ -118,17 +118,18 @@ def test_no_touch_of_a_set_held_out_is_ever_learned_from(pool: FreePool) -> None
 
 def test_every_deformation_has_sets_of_its_own(pool: FreePool) -> None:
     seen = [{tuple(sorted(sets.of(n).tolist())) for n in range(900)} for sets in pool.sets.values()]
-    several = [{own for own in sets if len(own) > 2} for sets in seen]  # pairs of one conductivity may recur
-    assert len(several[0] & several[1]) < 20
+    several = [{own for own in sets if len(own) > 2} for sets in seen]
     assert len(several[0]) > 350
+    # a class of six touches fits on the sheet in few ways, which recur; a pool of the usual size has 21 a class
+    assert len(several[0] & several[1]) < 0.15 * len(several[0])
 
 
 def test_a_pool_depends_on_its_seed_and_deformations_alone(pool: FreePool) -> None:
-    again = free_pool({4: (900, 90), 5: (900, 90)}, 1)
-    assert np.array_equal(again.parts.pieces, pool.parts.pieces)
-    assert np.array_equal(again.sets[5].member, pool.sets[5].member)
-    other = free_pool({4: (900, 90), 5: (900, 90)}, 2)
-    assert not np.array_equal(other.parts.pieces, pool.parts.pieces)
+    small = [free_pool({4: (30, 3), 5: (30, 3)}, seed) for seed in (1, 1, 2)]
+    assert np.array_equal(small[0].parts.pieces, small[1].parts.pieces)
+    assert np.array_equal(small[0].sets[5].member, small[1].sets[5].member)
+    assert not np.array_equal(small[0].parts.pieces, small[2].parts.pieces)
+    assert not np.array_equal(small[0].parts.pieces[:20], pool.parts.pieces[:20])
 
 
 # The bound is on correlation, so it may bar more than it must, and never less.

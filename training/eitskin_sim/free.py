@@ -7,7 +7,8 @@ Parts (:mod:`eitskin_sim.free_parts`) are condensed one by one; a touch set is p
     [ W_p^T    W_q^T         G_EE ]
 
 so a part that several sets have is condensed once, and parts that share an element are one part. Against a
-factorisation a sample on the same mesh the voltages agree to 1e-9.
+factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
+off by 0.9 % (median); two touches that leave less than an element between them conduct as if they met.
 """
 
 from collections.abc import Sequence
@@ -26,7 +27,12 @@ from eitskin_sim.units import to_voltages
 
 
 def free_voltages(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
-    """Return (D, s, 104) V under 1 A of touch sets at several deformations, which share the geometry.
+    """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`free_responses`."""
+    return np.array([to_voltages(response) for response in free_responses(sheets, touches, size_mm)])
+
+
+def free_responses(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
+    """Return (D, s, 16, 16) potentials of electrodes, V for 1 A into each, at deformations that share the geometry.
 
     Args:
         sheets: D deformations.
@@ -38,7 +44,7 @@ def free_voltages(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: fl
     batches = geometry(alone, grid)
     extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
     batches += geometry(extra, grid)
-    return np.array([to_voltages(put_together(sheet, condense(sheet, batches), sets)) for sheet in sheets])
+    return np.array([put_together(sheet, condense(sheet, batches), sets) for sheet in sheets])
 
 
 def pool_voltages(

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from eitskin_proto.grid import N_PIXELS
 from eitskin_sim.barred import PHANTOM_RECTS_MM
-from eitskin_sim.free_gap import gap_mm
+from eitskin_sim.free_gap import gap_mm, half_extents_mm
 from eitskin_sim.free_patterns import CLASSES
 from eitskin_sim.free_sets import PartSets
 from eitskin_sim.free_touches import RECTANGLE, Array, FreeTouches, gather
@@ -36,56 +36,55 @@ def draw_sets(pool: FreeTouches, count: int, generator: np.random.Generator) -> 
     """Return ``count`` sets of a pool's touches."""
     if not count:
         return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
-    bar = _Bar(pool)
-    found = _draw(pool, count, generator)
+    bar, near = _Bar(pool), _near(pool)
+    found = _draw(near, count, generator)
     while True:
         barred = np.flatnonzero(bar.may_resemble(found))
         if not len(barred):
             break
-        found[barred] = _draw(pool, len(barred), generator)
+        found[barred] = _draw(near, len(barred), generator)
     taken = found >= 0
     return PartSets(found[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
 
 
-def _draw(pool: FreeTouches, count: int, generator: np.random.Generator) -> Index:
-    """Return (count, 8) numbers of touches, -1 after the last."""
+def _draw(near: npt.NDArray[np.bool_], count: int, generator: np.random.Generator) -> Index:
+    """Return (count, 8) numbers of touches, -1 after the last; (p + 1, p + 1) ``near`` says which exclude others."""
+    total = len(near) - 1
     most = len(COUNTS) - 1
     wanted = generator.choice(most + 1, count, p=COUNTS)
     shared = generator.random(count) < 0.5
-    own_class = generator.integers(min(CLASSES, len(pool)), size=count)
-    pieces = _both_pieces(pool)
+    own_class = generator.integers(min(CLASSES, total), size=count)
     found = np.full((count, most), -1, dtype=np.intp)
     for place in range(most):
         missing = np.flatnonzero(wanted > place)
         for _ in range(ATTEMPTS):
             if not len(missing):
                 break
-            drawn = generator.integers(len(pool), size=len(missing))
+            drawn = generator.integers(total, size=len(missing))
             of_class = drawn - drawn % CLASSES + own_class[missing]
-            of_class = np.where(of_class < len(pool), of_class, own_class[missing])
+            of_class = np.where(of_class < total, of_class, own_class[missing])
             candidate = np.where(shared[missing], of_class, drawn)
-            free = _keeps_away(pieces, candidate, found[missing, :place])
+            others = found[missing, :place]  # -1 is none, and the last row of the table is near nothing
+            free = ~near[candidate[:, None], others].any(axis=1)
             found[missing[free], place] = candidate[free]
             missing = missing[~free]
     order = np.argsort(found < 0, axis=1, kind="stable")
     return np.take_along_axis(found, order, axis=1)
 
 
-def _both_pieces(pool: FreeTouches) -> Array:
-    """Return (p, 2, 7) pieces of each touch, the first twice where it has one."""
-    return np.stack([pool.pieces[pool.first[:-1]], pool.pieces[pool.first[1:] - 1]], axis=1)
-
-
-def _keeps_away(pieces: Array, candidate: Index, others: Index) -> npt.NDArray[np.bool_]:
-    """Return (n,) whether a touch keeps its distance from the touches (n, k) that a set has; -1 is none."""
-    free = np.ones(len(candidate), dtype=np.bool_)
-    for column in others.T:
-        rows = np.flatnonzero(free & (column >= 0))
-        for ours in range(2):
-            for theirs in range(2):
-                gap = gap_mm(pieces[candidate[rows], ours], pieces[column[rows], theirs])
-                free[rows] &= gap >= GAP_MM
-    return free
+def _near(pool: FreeTouches) -> npt.NDArray[np.bool_]:
+    """Return (p + 1, p + 1) which touches of a pool come closer to each other than the least gap."""
+    pieces = pool.pieces
+    near = np.zeros((len(pieces), len(pieces)), dtype=np.bool_)
+    reach = np.hypot(*half_extents_mm(pieces).T)
+    for number, piece in enumerate(pieces):
+        apart = np.hypot(*(pieces[:, 1:3] - piece[1:3]).T) - reach - reach[number]
+        maybe = np.flatnonzero(apart < GAP_MM)
+        near[number, maybe] = gap_mm(np.repeat(piece[None], len(maybe), axis=0), pieces[maybe]) < GAP_MM
+    first = pool.first[:-1]
+    found = np.zeros((len(pool) + 1, len(pool) + 1), dtype=np.bool_)
+    found[:-1, :-1] = np.logical_or.reduceat(np.logical_or.reduceat(near, first, axis=0), first, axis=1)
+    return found
 
 
 class _Bar:
