@@ -335,11 +335,12 @@ def system_matrix(
     at = nodes[contacts.element[held]]
     load = -density[held, None] * contacts.load_m2[held]
     terminal = np.broadcast_to(count + contacts.electrode[held][:, None], at.shape)
-    own = np.bincount(contacts.electrode, density * contacts.area_m2, minlength=N_ELECTRODES)[:-1]
+    own: Array = np.zeros(N_ELECTRODES)
+    np.add.at(own, contacts.electrode, density * contacts.area_m2)
     diagonal = count + np.arange(last)
     rows = [np.repeat(nodes, 9, axis=1).ravel(), at.ravel(), terminal.ravel(), diagonal]
     columns = [np.tile(nodes, (1, 9)).ravel(), terminal.ravel(), at.ravel(), diagonal]
-    data: list[Array] = [total.ravel(), load.ravel(), load.ravel(), own]
+    data: list[Array] = [total.ravel(), load.ravel(), load.ravel(), own[:-1]]
     for plate in plates:
         _add_plate(plate, count, rows, columns, data)
     entries = (np.concatenate(data), (np.concatenate(rows), np.concatenate(columns)))
