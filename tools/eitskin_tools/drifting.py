@@ -56,10 +56,10 @@ def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
                     if found is not None:
                         errors.setdefault(key, []).append(found - factor)
     rows: list[dict[str, Any]] = []
-    for (family, scan), silent in unknown.items():
-        off = 100.0 * np.array(errors.get((family, scan), [np.nan]))
+    for (name, scan), silent in unknown.items():
+        off = 100.0 * np.array(errors.get((name, scan), [np.nan]))
         rows.append(
-            {"what": "drift", "family": family, "scan": scan, "tried": bends * len(FACTORS), "not_said": silent,
+            {"what": "drift", "family": name, "scan": scan, "tried": bends * len(FACTORS), "not_said": silent,
              "error_rms_percent": round(float(np.sqrt(np.mean(off**2))), 2),
              "error_max_percent": round(float(np.abs(off).max()), 2)}
         )  # fmt: skip
