@@ -107,7 +107,7 @@ def _stresses(family: str) -> list[Any]:
 
 def _other_rows(subjects: Any, drawn: Any, effort: "Effort", families: tuple[str, ...], *, quick: bool) -> "list[Row]":
     """Return the rows that are no sweeps of samples."""
-    from eitskin_tools.stress.empty import empty_rows
+    from eitskin_tools.stress.constant import constant_rows
     from eitskin_tools.stress.inputs import input_rows
     from eitskin_tools.stress.meshes import triangle_rows
     from eitskin_tools.stress.precision import precision_rows
@@ -116,7 +116,7 @@ def _other_rows(subjects: Any, drawn: Any, effort: "Effort", families: tuple[str
 
     stream, bundle = subjects.plain, subjects.bundle
     makers: dict[str, Callable[[], list[Row]]] = {
-        "shape": lambda: empty_rows(subjects, drawn),
+        "shape": lambda: constant_rows(subjects, drawn),
         "meshes": triangle_rows,
         "precision": lambda: precision_rows(drawn[0], max(effort.levels, 7)),
         "int8": lambda: [worst_row(stream, drawn, WORST_STEPS["quick" if quick else "full"])],

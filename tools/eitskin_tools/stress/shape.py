@@ -23,7 +23,7 @@ ANGLES: Final = (0.0, 45.0, 90.0, 135.0, 180.0, 225.0, 270.0, 310.0, 350.0)
 LONGER: Final = (1.0, 1.05, 1.1, 1.15, 1.2, 1.25, 1.3, 1.4, 1.5)
 SHORTER: Final = (1.0, 0.97, 0.94, 0.9, 0.85, 0.8)
 COVERED: Final = (0.0, 1.0, 2.0, 3.0, 4.0, 5.0)
-UNITS: Final = (4.0, 9.0, 16.0, 25.0, 36.0, 81.0, 108.0, 126.0)
+UNITS: Final = (4.0, 9.0, 16.0, 25.0, 36.0, 81.0, 108.0, 117.0)
 
 COLUMNS_AT: Final = (1, 4, 7, 10, 12)
 """The columns of units over the five electrodes of the sheet's first side."""
@@ -111,7 +111,7 @@ def _explain_cover(samples: Sequence[Sample], electrodes: float) -> str:
 
 
 def _grown(sample: Sample, units: float, rng: np.random.Generator) -> Sample:
-    """Touch a block of units round the middle; above 81 whole columns are added, up to the sheet."""
+    """Touch a block of units round the middle; above 81 whole columns are added, all but one of the sheet's."""
     return _units(sample, block(int(units))) if sample.scene.touches else sample
 
 
@@ -128,6 +128,11 @@ def block(units: int) -> list[tuple[int, int]]:
         raise ValueError(f"{units} units make no block; expected a square up to 81, or a multiple of 9 up to {N_UNITS}")
     top, left = (rows - high) // 2, (columns - wide) // 2
     return [(column, row) for row in range(top, top + high) for column in range(left, left + wide)]
+
+
+def whole(sample: Sample) -> Sample:
+    """Return the sample touched everywhere."""
+    return _units(sample, block(N_UNITS))
 
 
 def _explain_area(samples: Sequence[Sample], units: float) -> str:

@@ -1,4 +1,6 @@
-"""The empty scene: what each solver shows of a sheet that nothing touches, with the noise of an ordinary front end.
+"""The two scenes without contrast: a sheet that nothing touches, and one that is touched everywhere.
+
+Their truth is constant, so a correlation says nothing, and the rows have the maps' own values instead.
 
 Classical images are scaled to maximum 1, so noise alone fills them; it is the gate that keeps them from being
 published. The rows say how large the largest pixel is with the gate and without.
@@ -13,6 +15,7 @@ import numpy as np
 from eitskin_sim.noise import add_noise
 from eitskin_tools.stress.rows import Row, rounded
 from eitskin_tools.stress.samples import SEED, Sample
+from eitskin_tools.stress.shape import whole
 from eitskin_tools.stress.solvers import ENGINES, GATE, Subjects
 
 SNR_DB: Final = 50.0
@@ -22,8 +25,12 @@ SHOWN: Final = 0.5
 """A pixel above this is a touch."""
 
 
-def empty_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
-    """Return a row a solver."""
+def constant_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
+    """Return a row a solver for the empty scene, and one for the whole sheet touched."""
+    return _empty_rows(subjects, samples) + _whole_rows(subjects, samples)
+
+
+def _empty_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
     rng = np.random.default_rng(SEED)
     bare = [sample.bare() for sample in samples]
     bare += [replace(sample, voltages=add_noise(sample.voltages, sample.flat, "N2", SNR_DB, rng)) for sample in bare]
@@ -54,6 +61,32 @@ def empty_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
                 "degrades_10pct_at": None,
                 "breaks_at": None,
                 "why": text + ("; its images are scaled to maximum 1, so noise alone fills them" if scaled else ""),
+            }
+        )
+    return rows
+
+
+def _whole_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
+    touched = [whole(sample) for sample in samples]
+    kept = float(np.median([np.abs(s.voltages / s.sheet.untouched) for s in touched]))
+    rows = []
+    for name in subjects.names():
+        if name == GATE:
+            continue
+        images = [image for image in (subjects.image(name, sample) for sample in touched) if image is not None]
+        share = float(np.mean([image > SHOWN for image in images])) if images else 0.0
+        rows.append(
+            {
+                "sweep": "whole sheet touched",
+                "solver": name,
+                "unit": "share of pixels shown as touched",
+                "unstressed": 1.0,
+                "worst": rounded(share),
+                "frames": len(images),
+                "degrades_10pct_at": None,
+                "breaks_at": None,
+                "why": f"shown as touched: {share:.3g} of the pixels, {len(samples) - len(images)} frames withheld; "
+                f"all voltages fall alike (median V / V_post {kept:.2g}), like a better sheet's, without an edge",
             }
         )
     return rows
