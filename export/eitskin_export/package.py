@@ -141,7 +141,12 @@ def export(
 
 
 def refit_gate(
-    found: Trained, data: TrainingData, path: Path, *, bends: Callable[[TrainingData], Bends] = solved_bends
+    found: Trained,
+    data: TrainingData,
+    path: Path,
+    *,
+    bends: Callable[[TrainingData], Bends] = solved_bends,
+    gate_steps: int = gate.STEPS,
 ) -> dict[str, Any]:
     """Fit a bundle's gate once more, leave all else as it is, and return its new id and the gate's facts.
 
@@ -150,6 +155,7 @@ def refit_gate(
         data: Its data set.
         path: The bundle; replaced in one rename.
         bends: Gives the untouched sheets that the gate learns from.
+        gate_steps: Steps that the gate is fitted for.
 
     Raises:
         MismatchError: The bundle is of another data set.
@@ -161,7 +167,7 @@ def refit_gate(
             f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
         )
     untouched = bends(data)
-    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"])).audited(
+    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
         audit_pixels(files["geometry.onnx"], files["head.onnx"], untouched.measure, data.reference)
     )
     identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()})
