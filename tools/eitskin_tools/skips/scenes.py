@@ -2,11 +2,12 @@
 
 Every bend is drawn from a seed that neither data sets nor the gate's export use. A motion goes from flat to a bend and
 is solved at a few amplitudes; between two of them log V is taken as linear, which at steps of a twelfth is exact to
-1e-4. A growing touch is a square whose contrast rises from 1 to the weakest that is called a touch.
+1e-4. A growing touch is a square whose contrast rises from 1 to the weakest that is called a touch. What was solved is kept, for the next gate.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -53,6 +54,7 @@ def bends_of(family: str, count: int) -> tuple[Bend, ...]:
     return (Bend(),) if family == "flat" else draw("A" if family == "A" else "B", count, SEED)
 
 
+@cache
 def still(family: str, count: int) -> Array:
     """Return (count, 104) log(V / V0) of untouched sheets at rest."""
     from eitskin_export.untouched import untouched_logs
@@ -60,19 +62,21 @@ def still(family: str, count: int) -> Array:
     return untouched_logs(bends_of(family, count))
 
 
-def moving(family: str, count: int) -> list[Motion]:
+@cache
+def moving(family: str, count: int) -> tuple[Motion, ...]:
     """Return untouched sheets on their way from flat to a bend."""
     from eitskin_export.untouched import untouched_logs
     from eitskin_sim.family import scaled
 
     amplitudes = np.linspace(0.0, 1.0, STEPS)
-    return [
+    return tuple(
         Motion(family, untouched_logs([scaled(bend, float(share)) for share in amplitudes]))
         for bend in bends_of(family, count)
-    ]
+    )
 
 
-def growing(family: str, count: int, side_mm: float) -> list[Motion]:
+@cache
+def growing(family: str, count: int, side_mm: float) -> tuple[Motion, ...]:
     """Return touches in the middle of sheets at rest, from nothing to the weakest contrast."""
     from eitskin_export.untouched import squares
     from eitskin_sim.free import free_voltages
@@ -87,7 +91,7 @@ def growing(family: str, count: int, side_mm: float) -> list[Motion]:
         sheet = free_sheet(bend)
         voltages = np.concatenate([sheet.untouched_V[None], free_voltages([sheet], sets)[0]])
         found.append(Motion(family, np.log(np.maximum(voltages / flat_V, 1e-6))))
-    return found
+    return tuple(found)
 
 
 def contrasts_of_growth() -> Array:
