@@ -1,8 +1,8 @@
 """Untouched and touched sheets at deformations that nothing was fitted on, also moving, as log(V / V0).
 
 Every bend is drawn from a seed that neither data sets nor the gate's export use. A motion goes from flat to a bend and
-is solved at a few amplitudes; between two of them log V is taken as linear, which at steps of a twelfth is exact to
-1e-4. A growing touch is a square whose contrast rises from 1 to the weakest that is called a touch. What was solved is kept, for the next gate.
+is solved at twelve amplitudes; between two of them log V is taken as linear. A growing touch is a square whose contrast
+rises from 1 to the weakest that is called a touch. What was solved is kept for the next gate.
 """
 
 from collections.abc import Sequence
