@@ -92,6 +92,6 @@ def _several(inverse: Array, parts: list[Part], at_terminals: Array) -> Array:
             other = parts[row]
             seen = inverse[other.dofs[:, None], part.dofs]
             whole[first[row] : first[row + 1], at] = other.factor.T @ (seen @ part.factor)
-    triangle, _ = lapack.dpotrf(whole, lower=1, overwrite_a=1)
-    root = triangle[size:, size:]
+    triangle, _ = lapack.dpotrf(whole, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
+    root = np.tril(triangle[size:, size:])
     return np.asarray(root @ root.T)

@@ -108,8 +108,8 @@ def _outlined(whole: Array, inside: int) -> Array:
     """
     if not inside or not len(whole):
         return whole[:-1, :-1].copy()
-    triangle, _ = lapack.dpotrf(whole[:-1, :-1].T, lower=1)
-    left = triangle[inside:, inside:]
+    triangle, _ = lapack.dpotrf(whole[:-1, :-1].T, lower=1, clean=0)
+    left = np.tril(triangle[inside:, inside:])
     return np.asarray(left @ left.T)
 
 
