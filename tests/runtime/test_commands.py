@@ -155,7 +155,7 @@ def test_a_budget_that_nothing_meets_exits_1_and_says_what_would(virtual_skin, t
     "words",
     [
         ["--frames", "0"], ["--seconds", "-1"], ["--budget-ms", "0"], ["--reference-frames", "1"],
-        ["--affinity", "one"], ["--budget-ms", "nan"], ["--speed", "9"],
+        ["--affinity", "one"], ["--budget-ms", "nan"], ["--speed", "9"], ["--solver", "magic"], ["--idle-after", "0"],
     ],
 )  # fmt: skip
 def test_bad_usage_of_run_exits_2(words):
@@ -186,6 +186,12 @@ def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path)
         summary = json.loads(out)
     assert (summary["frames"], summary["lost"], summary["rejected"]) == (20, 0, 0)
     assert "deliver" in summary["stages_us"]
+
+
+def test_a_region_outside_the_sheet_exits_2_and_names_the_sheet():
+    code, out, err = finished("subscribe", "ipc:///tmp/x", "--region", "0", "0", "200", "10")
+    assert (code, out) == (2, "")
+    assert "x is 0 to 150, y 0 to 100 mm" in err
 
 
 def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):

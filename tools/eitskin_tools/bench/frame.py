@@ -124,7 +124,7 @@ def _ratio(times: dict[str, Any], slow: str, fast: str) -> float | None:
     """Return how many times longer one variant takes than another, warm; None if either is missing."""
     if slow not in times or fast not in times:
         return None
-    return round(times[slow]["warm"]["p50"] / times[fast]["warm"]["p50"], 1)
+    return round(float(times[slow]["warm"]["p50"]) / float(times[fast]["warm"]["p50"]), 1)
 
 
 def machine() -> dict[str, Any]:
