@@ -14,8 +14,9 @@ from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_proto.table import N_ROWS
 from eitskin_tools.skin import server
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
 from eitskin_tools.skin.faults import FOREIGN_ID, FaultPlayer, parse
+from eitskin_tools.skin.identity import Identity
 from eitskin_tools.skin.pty import PtyPort
 
 

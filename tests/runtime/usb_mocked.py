@@ -24,15 +24,15 @@ from eitskin_proto.codes import MessageType
 from eitskin_proto.frames import FrameView
 from eitskin_proto.framing import encode
 from eitskin_proto.unwrap import StreamCounter
-from eitskin_tools.faults.usb_bus import PACKET
 from eitskin_tools.faults.usb_skin import MockedUsb
+from eitskin_tools.faults.usb_urb import PACKET
 
 PORT = "usb:USB-7"
 
 
 @pytest.fixture(scope="module")
 def bus():
-    with MockedUsb("USB-7", rate_hz=400.0) as made:
+    with MockedUsb("USB-7", rate_hz=250.0) as made:
         os.environ["UMOCKDEV_DIR"] = made.bus["UMOCKDEV_DIR"]
         yield made
 
@@ -48,9 +48,9 @@ def port(bus):
         opened.close()
 
 
-def frames_until(device, counter, enough, timeout_s=30.0):
+def frames_until(device, counter, enough, timeout_s=30.0, view=None):
     """Follow a stream until a number of frames has come; return how many."""
-    view, frames, end_s = FrameView(), 0, time.perf_counter() + timeout_s
+    view, frames, end_s = view or FrameView(), 0, time.perf_counter() + timeout_s
     while frames < enough and time.perf_counter() < end_s:
         for payload in device.payloads(1.0):
             if payload[0] == MessageType.FRAME:
@@ -73,8 +73,11 @@ def test_a_thousand_frames_arrive_whole_and_in_order(port):
     device, counter = Device(port), StreamCounter()
     assert device.hello.serial_number == "USB-7"
     device.start()
-    assert frames_until(device, counter, 1000) >= 1000
-    assert (counter.lost, counter.resets, device.deframer.corrupt) == (0, 0, 0)
+    view = FrameView()
+    assert frames_until(device, counter, 1000, view=view) >= 1000
+    assert (counter.resets, device.deframer.corrupt) == (0, 0)
+    # The bus loses nothing: what is missing is what a busy machine's device could not send, by its own count.
+    assert counter.lost == view.device_dropped
 
 
 def test_silence_is_a_timeout_and_no_error_and_costs_nothing_later(port):
@@ -112,7 +115,7 @@ def test_a_stalled_endpoint_is_cleared_and_the_stream_goes_on_with_the_loss_coun
         time.sleep(0.05)
         assert frames_until(device, counter, 40) >= 40
     assert counter.resets == 0
-    assert counter.lost > 0, "what the endpoint held was lost"
+    assert counter.lost >= 3, "the packet at which it stalled"
     assert device.deframer.corrupt <= 3, "at most one packet cut by each stall"
 
 
@@ -165,7 +168,7 @@ def test_the_stream_resumes_after_each_unplug_and_nothing_is_left_open(bus):
         assert line.returns == cycle
         assert frames_until(device, counter, 10) >= 10
     assert counter.resets == 0, "the device went on scanning"
-    assert counter.lost >= 4 * 10, "0.05 s at 400 frames/s is missing each time, and counted"
+    assert counter.lost >= 4 * 8, "0.05 s at 250 frames/s is missing each time, and counted"
     device.stop()
     line.close()
     assert (len(os.listdir("/proc/self/fd")), len(os.listdir("/proc/self/task"))) == before

@@ -6,7 +6,8 @@ import pytest
 from eitskin_proto import messages
 from eitskin_proto.framing import Deframer, encode
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
+from eitskin_tools.skin.identity import Identity
 
 ROWS_V = np.linspace(-0.1, -0.001, 104)
 

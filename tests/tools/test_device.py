@@ -11,7 +11,8 @@ from eitskin_proto.errors import MismatchError
 from eitskin_proto.framing import encode
 from eitskin_proto.scan_rows import row_count, table_rows
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
+from eitskin_tools.skin.identity import Identity
 
 from .conftest import ROWS_V, Host, Ramp
 

@@ -27,7 +27,8 @@ from eitskin_proto.frames import FrameView
 from eitskin_proto.unwrap import StreamCounter
 from eitskin_tools.faults.usb_skin import MockedUsb, Puller, Steady, missing
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
+from eitskin_tools.skin.identity import Identity
 from eitskin_tools.skin.pty import PtyPort
 from eitskin_tools.skin.server import SkinServer
 

@@ -25,8 +25,9 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.table import N_ROWS
 from eitskin_tools.faults.usb_bus import BusPort
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
 from eitskin_tools.skin.faults import Fault, FaultPlayer
+from eitskin_tools.skin.identity import Identity
 from eitskin_tools.skin.server import SkinServer
 
 WRAPPER: Final = "umockdev-wrapper"

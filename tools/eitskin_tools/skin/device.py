@@ -11,11 +11,7 @@ the process began, and a reset of the device does not turn it back: the world ou
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Final, Protocol
-
-import numpy as np
-import numpy.typing as npt
+from typing import Final
 
 from eitskin_proto import hardware, messages
 from eitskin_proto.codes import Code, EventCode, FrameFlag, HelloFlag, MessageType, Mode
@@ -23,9 +19,9 @@ from eitskin_proto.config import Configuration
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.frames import Frame, full_scale, quantise
 from eitskin_proto.framing import Deframer, encode
-from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_proto.messages import Ack, Hello
 from eitskin_proto.scan_rows import row_count, table_rows
+from eitskin_tools.skin.identity import Identity, Source
 from eitskin_tools.skin.store import Answer, ConfigurationStore
 
 FIRMWARE_VERSION: Final = (1, 0, 0)
@@ -39,27 +35,6 @@ RESTART_NS: Final = 20_000_000
 
 CONVERTER_V: Final = 2.5
 """Voltage at the converter that gives full scale; the amplifier's gain stands before it."""
-
-Array = npt.NDArray[np.float64]
-
-
-class Source(Protocol):
-    """Where voltages come from."""
-
-    def voltages(self, time_s: float) -> Array:
-        """Return the (104,) V at a time since the first START, noise included."""
-        ...
-
-
-@dataclass(frozen=True, slots=True)
-class Identity:
-    """What makes this skin different from others."""
-
-    serial_number: str = "VIRTUAL-0001"
-    protocol_id: str = PROTOCOL_ID
-    """Another than this installation's plays a foreign device."""
-    first_us: int = 0
-    """What the device clock shows at boot; near 2^32 it wraps soon."""
 
 
 class VirtualDevice:

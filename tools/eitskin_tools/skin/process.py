@@ -18,8 +18,9 @@ from typing import Any
 
 from eitskin_proto.ids import PROTOCOL_ID
 from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import Identity, VirtualDevice
+from eitskin_tools.skin.device import VirtualDevice
 from eitskin_tools.skin.faults import FOREIGN_ID, Fault, FaultPlayer
+from eitskin_tools.skin.identity import Identity
 from eitskin_tools.skin.pty import PtyPort
 from eitskin_tools.skin.server import SkinServer, wire_times
 from eitskin_tools.skin.sources import Noise, ScriptSource

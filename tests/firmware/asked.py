@@ -1,0 +1,213 @@
+"""Devices at the end of a line, asked one request at a time: the C core, the virtual skin, the emulated board."""
+
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from eitskin.serial_port import SerialPort
+from eitskin_proto import config_toml, framing
+from eitskin_proto import messages as m
+from eitskin_proto.codes import Code
+from eitskin_proto.config import Configuration
+from eitskin_proto.frames import Frame
+from eitskin_tools.faults.board import Board
+from eitskin_tools.faults.core import HostDevice
+from eitskin_tools.skin.device import VirtualDevice
+from eitskin_tools.skin.identity import Identity
+from eitskin_tools.skin.server import SkinServer
+
+PAPER = config_toml.named("paper")
+FAST = config_toml.named("fast")
+FULL = config_toml.named("full208")
+
+
+def begin(configuration=FAST, token=9, **changes):
+    fields = {"size": 64, "digest": configuration.digest, "hardware_id": configuration.hardware_id,
+              "revision": configuration.revision, "name": configuration.name, "format": 1}  # fmt: skip
+    return m.ConfigBegin(**{"tag": 3, "token": token, **fields, **changes})
+
+
+class Asked:
+    """A device at the end of a line, asked one request at a time."""
+
+    def __init__(self) -> None:
+        self.deframer = framing.Deframer()
+        self.heard: list[m.Message] = []
+
+    def raw(self, data: bytes, wait_s: float = 0.005) -> list[m.Message]:
+        """Send bytes, wait, and return every message that came, events included."""
+        self.send(data)
+        return self.listen(wait_s)
+
+    def listen(self, wait_s: float) -> list[m.Message]:
+        return [m.unpack(payload) for payload in self.deframer.feed(self.wait(wait_s))]
+
+    def ask(self, request: m.Message) -> Any:
+        """Return the one answer to a request."""
+        answers = [
+            found
+            for found in self.raw(b"\0" + framing.encode(request.pack()))
+            if not isinstance(found, m.Event | Frame)
+        ]
+        assert len(answers) == 1, answers
+        assert answers[0].tag == request.tag
+        return answers[0]
+
+    def flash(self, configuration: Configuration, token: int = 9) -> m.Ack:
+        """Begin, write and commit; return the answer to the first step that failed, or the last one."""
+        blob = configuration.to_blob()
+        answer = self.ask(begin(configuration, token))
+        for at in range(0, len(blob), m.CHUNK_BYTES):
+            if answer.code == Code.OK:
+                answer = self.ask(m.ConfigWrite(token, at, blob[at : at + m.CHUNK_BYTES]))
+        return self.ask(m.ConfigCommit(token, configuration.digest)) if answer.code == Code.OK else answer
+
+    def restart(self, token: int) -> m.Hello:
+        """Restart it and return what it says then."""
+        assert self.ask(m.Restart(token)).code == Code.OK
+        self.listen(self.restart_s)
+        return self.ask(m.HelloRequest())
+
+    restart_s = 0.05
+
+    def send(self, data: bytes) -> None:
+        raise NotImplementedError
+
+    def wait(self, seconds: float) -> bytes:
+        raise NotImplementedError
+
+
+class CoreAsked(Asked):
+    """The C core in memory; its clock is moved by hand."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.device = HostDevice()
+        self.wait(0.001)
+
+    def send(self, data: bytes) -> None:
+        self.device.write(data)
+
+    def wait(self, seconds: float) -> bytes:
+        said = b""
+        for _ in range(max(1, round(seconds / 0.1))):
+            self.device.run(round(min(seconds, 0.1) * 1e6), step_us=50 if seconds < 1 else 1000)
+            said += self.device.take()
+        return said
+
+    def power_cycle(self) -> None:
+        self.device.boot()
+
+    def close(self) -> None:
+        pass
+
+
+class Memory:
+    """A line without a kernel, as the virtual skin's server sees one."""
+
+    restart_s, plugged, unsent = 0.0, True, False
+
+    def __init__(self) -> None:
+        self.to_device, self.to_host = bytearray(), bytearray()
+
+    def read(self) -> bytes:
+        data = bytes(self.to_device)
+        self.to_device.clear()
+        return data
+
+    def write(self, data: bytes) -> bool:
+        self.to_host += data
+        return True
+
+    def write_all(self, data: bytes, timeout_s: float) -> bool:
+        return self.write(data)
+
+
+class Ramp:
+    """Voltages that differ from row to row."""
+
+    def voltages(self, time_s: float) -> np.ndarray:
+        return np.linspace(-0.1, -0.001, 104)
+
+
+class VirtualAsked(Asked):
+    """The virtual skin behind its own server; the clock jumps from one thing that is due to the next."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.now_ns = 1_000_000_000
+        self.device = VirtualDevice(Ramp(), PAPER, self.now_ns, Identity())
+        self.port = Memory()
+        self.server = SkinServer(self.device, self.port, clock=lambda: self.now_ns)
+        self.wait(0.001)
+
+    def send(self, data: bytes) -> None:
+        self.port.to_device += data
+
+    def wait(self, seconds: float) -> bytes:
+        end_ns = self.now_ns + round(seconds * 1e9)
+        while True:
+            self.server.turn(self.now_ns)
+            due_ns = self.server.next_ns()
+            if not due_ns or due_ns > end_ns:
+                break
+            self.now_ns = max(due_ns, self.now_ns)
+        self.now_ns = end_ns
+        said = bytes(self.port.to_host)
+        self.port.to_host.clear()
+        return said
+
+    def power_cycle(self) -> None:
+        self.device.boot(self.now_ns)
+
+    def close(self) -> None:
+        pass
+
+
+class BoardAsked(Asked):
+    """The firmware under QEMU: real time, so only questions that need none of it."""
+
+    restart_s = 0.4
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.storage = folder / "storage.bin"
+        self.board = Board(self.storage)
+        self.port = SerialPort(self.board.port)
+        self.wait(0.3)
+
+    def send(self, data: bytes) -> None:
+        self.port.write(data)
+
+    def ask(self, request: m.Message) -> Any:
+        self.send(b"\0" + framing.encode(request.pack()))
+        deadline_s = time.perf_counter() + 10.0
+        while time.perf_counter() < deadline_s:
+            for payload in self.deframer.feed(self.port.read(0.5)):
+                found = m.unpack(payload)
+                if not isinstance(found, m.Event | Frame):
+                    assert found.tag == request.tag
+                    return found
+        raise AssertionError(f"the board did not answer {request}")
+
+    def wait(self, seconds: float) -> bytes:
+        said, deadline_s = b"", time.perf_counter() + max(seconds, 0.2)
+        while (left_s := deadline_s - time.perf_counter()) > 0:
+            said += self.port.read(left_s)
+        return said
+
+    def power_cycle(self) -> None:
+        self.close()
+        self.board = Board(self.storage)
+        self.port = SerialPort(self.board.port)
+        self.deframer.reset()
+        self.wait(0.3)
+
+    def close(self) -> None:
+        self.port.close()
+        self.board.kill()
+
+
+DEVICES = {"core": (CoreAsked, "host"), "virtual": (VirtualAsked, ""), "board": (BoardAsked, "qemu")}
