@@ -42,6 +42,10 @@ PATIENCE_S: Final = 30.0
 """A stream that has not resumed by then is broken."""
 
 
+SETTLES_S: Final = 2.0
+"""What is still there after this long is a leak."""
+
+
 @dataclass(frozen=True, slots=True)
 class Figures:
     """What became of the cycles."""
@@ -116,7 +120,10 @@ def _figures(
     cycles: int, followed: tuple[int, int, StreamCounter], before: tuple[int, int], started_s: float
 ) -> Figures:
     resumed, frames, counter = followed
-    after = _held()
+    after, end_s = _held(), time.perf_counter() + SETTLES_S
+    while after > before and time.perf_counter() < end_s:  # a joined thread may outlive the join in the kernel
+        time.sleep(0.01)
+        after = _held()
     return Figures(
         cycles=cycles,
         resumed=resumed,
