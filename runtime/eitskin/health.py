@@ -34,16 +34,17 @@ class Health:
         self._lock = threading.Lock()
         self._wanted: tuple[int, ...] | None = None
         self._raw = np.zeros(N_ROWS, dtype=np.float32)
-        self._rows_before = np.zeros(N_ROWS, dtype=np.bool_)
         self._events: tuple[str, ...] = ()
         self._unclear = False
         self.drift = Drift(consistency, compensate=compensate_drift)
         self.watch = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
+        self._rows_before = self.watch.missing.copy()
 
     def use(self, reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> None:
         """Hold frames against another reference from now on: (104,) V and the spread of its single frames."""
         by_hand = tuple(finding.electrode for finding in self.watch.findings if finding.state == "excluded")
         self.watch = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
+        self._rows_before = self.watch.missing.copy()
         self.drift.restart()
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
