@@ -26,7 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--deformations", "--bends", type=int, metavar="N", help="deformations to train on (default 10, 140, 140)"
     )
     parser.add_argument("--kept", type=int, metavar="N", help="kept apart, of A and of B each (default 20)")
-    parser.add_argument("--touch-sets", type=int, metavar="N", help="in all (default 10259, 60000); the free set has one a sample")
+    parser.add_argument(
+        "--touch-sets", type=int, metavar="N", help="in all (default 10259, 60000); free has one a sample"
+    )
     parser.add_argument(
         "--per-deformation", type=int, metavar="N", help="touch sets shown at a deformation (default all, 3000, 5000)"
     )
