@@ -9,7 +9,6 @@ import hashlib
 import subprocess
 import sys
 from collections.abc import Sequence
-from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -148,16 +147,11 @@ def _batch_maps(bundle: Bundle, name: str, changes: Array) -> Array:
 
 
 def _feed(bundle: Bundle, changes: Array) -> dict[str, Array]:
-    geometry = _flat_geometry(bundle.path)
+    geometry = GeometryGraph(bundle).geometry(None, None, 0)
     feed = {"dv": changes, "bias": np.repeat(geometry.bias, len(changes), axis=0)}
     if bundle.uses_prediction:
         feed["log_predicted"] = np.repeat(geometry.log_predicted, len(changes), axis=0)
     return feed
-
-
-@lru_cache(maxsize=2)
-def _flat_geometry(path: Any) -> Any:
-    return GeometryGraph(load_bundle(path)).geometry(None, None, 0)
 
 
 if __name__ == "__main__":
