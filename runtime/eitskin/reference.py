@@ -83,9 +83,13 @@ class Reference:
         """Refuse a reference of another device or configuration.
 
         Raises:
+            BadReference: A row is not finite.
             MismatchError: With what was found, expected, and the command that captures a new one.
         """
         hint = "capture one of this device: eitskin reference --port PORT --out FILE"
+        bad = np.flatnonzero(~np.isfinite(self.voltages_V))
+        if bad.size:
+            raise BadReference(f"reference: row {bad[0]} is {self.voltages_V[bad[0]]} V, expected a finite one; {hint}")
         if self.serial_number != hello.serial_number:
             raise MismatchError(
                 "reference: serial_number", found=self.serial_number, expected=hello.serial_number, hint=hint
