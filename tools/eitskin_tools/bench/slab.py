@@ -139,7 +139,7 @@ def contact_boxes(scene: Scene) -> list[Box]:
 
 
 def _points(basis: Any) -> Array:
-    return np.asarray(basis.global_coordinates().value)
+    return np.asarray(basis.global_coordinates())
 
 
 def _tensor_numbers(places: Array, lines: tuple[Array, Array, Array]) -> npt.NDArray[np.int64]:

@@ -46,6 +46,10 @@ def solid_lines(
         for corners, size in ((touched, fine.touch_mm), (boxes, fine.contact_mm)):
             for corner in corners:
                 marks[round(corner[axis], 9)] = marks[round(corner[axis + 2], 9)] = size
+        edges = np.array([box[i] for box in boxes for i in (axis, axis + 2)])
+        for at in marks:  # a touch's border under or beside a contact is as sharp as the contact's own edge
+            if np.abs(edges - at).min() < scene.sheet.thickness_mm:
+                marks[at] = fine.contact_mm
         found.append(geometric(sorted(marks.items()), fine.largest_mm, fine.growth))
     thickness = scene.sheet.thickness_mm
     return found[0], found[1], geometric([(0.0, thickness), (thickness, fine.contact_mm)], thickness, fine.growth)
