@@ -70,7 +70,7 @@ def test_one_constant_stands_for_the_modes_within_its_stated_error() -> None:
 def test_contacts_that_touch_share_a_window_and_far_ones_do_not() -> None:
     apart = Scene()
     assert [len(pieces) for _, pieces in depth._groups(apart)] == [1] * 16
-    positions = (10.0, 14.0, *(30.0 + 30.0 * k for k in range(14)))
+    positions = (10.0, 14.0, *(33.0 + 30.0 * k for k in range(14)))
     close = Scene(electrodes=Electrodes(arc_length_mm=positions), element_size_mm=6.0)
     assert sorted(len(pieces) for _, pieces in depth._groups(close)) == [1] * 14 + [2]
     assert reciprocity_error(factorise_scene(close, "modes")) < 1e-12
