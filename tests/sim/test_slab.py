@@ -69,8 +69,8 @@ def test_voltages_of_sheet_and_solid_agree(sheet: str) -> None:
 
 @pytest.mark.parametrize(
     ("place", "bound"),
-    # 0.002, 0.013 and 0.008 were measured for the first three, of which most is the coarse solid's own error.
-    [("interior", 0.005), ("edge", 0.025), ("corner", 0.015), ("under a contact", 0.025)],
+    # 0.002, 0.013, 0.008 and 0.007 were measured, of which most is the coarse solid's own error.
+    [("interior", 0.005), ("edge", 0.025), ("corner", 0.015), ("under a contact", 0.015)],
 )
 def test_touch_changes_voltages_of_sheet_and_solid_alike(place: str, bound: float) -> None:
     assert change_error("flat", place, "modes") < bound
