@@ -97,7 +97,7 @@ def _torch(bundle: Bundle, buffers: Buffers) -> Infer:
 
     def infer() -> Any:
         with torch.inference_mode():
-            return model(dv, cloud, predicted)  # a tensor
+            return model(dv, cloud, None, predicted)  # a tensor
 
     return infer
 
