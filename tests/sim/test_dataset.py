@@ -210,5 +210,6 @@ def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pyt
 
 def test_a_job_is_plain_values() -> None:
     job = shard_job(PLAN, [1])
-    assert json.loads(json.dumps({**job, "shown": job["shown"].tolist()}))["bends"][0]["angle_deg"] == 180.0
+    plain = {**job, "shown": [sets.tolist() for sets in job["shown"]]}
+    assert json.loads(json.dumps(plain))["bends"][0]["angle_deg"] == 180.0
     assert callable(make_shard)

@@ -103,7 +103,11 @@ def test_ctrl_c_ends_it_early_with_its_summary(place: Path) -> None:
         time.sleep(0.05)
     time.sleep(3.0)
     process.send_signal(signal.SIGINT)
-    out, error = process.communicate(timeout=30)
+    try:
+        out, error = process.communicate(timeout=50)  # well before the 60 s that it was started for
+    finally:
+        process.kill()
+        process.communicate()
     assert process.returncode in (0, 130), error
     if process.returncode == 0:  # 130 where the first frame had not come yet
         assert json.loads(out)["frames"] > 0

@@ -64,9 +64,10 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None
         # flat and untouched: the only difference is half a count
         assert np.abs(frame.counts * hello.volts_per_count - expected).max() <= 0.5001 * hello.volts_per_count
     written = np.load(wire)
-    assert (written[:50] > 0).all()
-    assert not written[50:].any()
-    assert (np.diff(written[:50]) > 0).all()
+    sequence = np.array([frame.sequence for frame in frames])  # a starved skin skips scans that are long overdue
+    assert (written[sequence] > 0).all()
+    assert not np.delete(written, sequence).any()
+    assert (np.diff(written[sequence]) > 0).all()
     assert [event["event"] for event in read_log(log)] == ["boot", "start", "stop"]
 
 
