@@ -2,7 +2,8 @@
 
 Error is 1 - CC, the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``. Run
 time is one call a 5 ms period, the variants taking turns, as a robot sees it; classical solvers have their operators of
-the sheet ready, as the network has its geometry. What no other variant beats in both is on the Pareto front.
+the sheet ready, as the network has its geometry. Of the variants that give a whole map, those that no other one beats
+in both are on the Pareto front.
 
 ::
 
@@ -125,11 +126,13 @@ def measure(
         {"variant": way.name, "error": round(errors[way.name], 5), **percentiles_us(np.array(spans[way.name]))}
         for way in ways
     ]
+    whole = {way.name for way in ways if way.error is _whole_error}
+    rivals = [row for row in rows if row["variant"] in whole]
     for row in rows:
         beaten = any(
-            other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row for other in rows
+            other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row for other in rivals
         )
-        row["pareto"] = not beaten
+        row["pareto"] = row["variant"] in whole and not beaten
     return rows
 
 
