@@ -31,8 +31,10 @@ def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     assert all(0.0 <= row["error"] <= 2.0 and row["p50"] > 0.0 for row in rows)
     front = [row for row in rows if row["pareto"]]
     assert front
+    whole = [row for row in rows if not row["variant"].startswith(("gate", "vd2t, quarter"))]
+    assert all(row in whole for row in front)
     for one in front:
-        assert not any(other["error"] < one["error"] and other["p50"] < one["p50"] for other in rows)
+        assert not any(other["error"] < one["error"] and other["p50"] < one["p50"] for other in whole)
     assert markdown(rows).count("\n") == len(rows) + 1
     assert picture.stat().st_size > 10_000
 
