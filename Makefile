@@ -66,9 +66,11 @@ wheel-test: $(VENV)/.dev
 	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt .build/wheel/*.whl pytest hypothesis
 	tools/wheel-test.sh .build/clean/bin/python
 
-# The 3-D solid takes tens of minutes: `eitskin bench physics --json` has it.
+# Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.
 bench: $(VENV)/.dev
-	@for name in footprint frame dataset 'physics --no-slab'; do $(BIN)/eitskin bench $$name --json || exit 1; done
+	@for name in footprint frame dataset physics scan skip 'stability --quick' 'electrodes --quick'; do \
+	    $(BIN)/eitskin bench $$name --json || exit 1; \
+	done
 
 firmware qemu: $(VENV)/.dev system-packages
 	$(MAKE) -C firmware_proto $@ PYTHON=$(abspath $(BIN)/python)

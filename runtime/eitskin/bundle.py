@@ -19,7 +19,6 @@ each time: a session keeps its own copy of the weights, so that another one in P
 import hashlib
 import io
 import json
-import mmap
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +64,7 @@ class Files(Mapping[str, bytes]):
     def __getitem__(self, name: str) -> bytes:
         expected = self._digests[name]
         with _Opened(self._path) as archive:
-            data = _member(archive.members, name, LARGEST_FILE, self._path, check=False)
+            data = _member(archive.members, name, LARGEST_FILE, self._path)
         found = hashlib.sha256(data).hexdigest()
         if found != expected:
             raise BundleError(
@@ -180,7 +179,7 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
 
 
 class _Opened:
-    """The members of an archive, mapped into memory while the block lasts."""
+    """The members of an archive, open while the block lasts."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -189,31 +188,28 @@ class _Opened:
     def __enter__(self) -> Self:
         where = self._path
         try:
-            with where.open("rb") as stream:
-                self._map = mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ)
+            self._stream = where.open("rb")
         except FileNotFoundError as error:
             raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
         except OSError as error:
             raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
-        except ValueError as error:
-            raise BundleError(f"{where} is no intact bundle (it is empty); {EXPORT_HINT}") from error
         try:
-            self.members = members(self._map)
+            self.members = members(self._stream)
         except BadArchiveError as error:
-            self._map.close()
+            self._stream.close()
             raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
         return self
 
     def __exit__(self, *_: object) -> None:
         self.members = {}
-        self._map.close()
+        self._stream.close()
 
 
-def _member(found: Mapping[str, Member], name: str, largest: int, where: Path, *, check: bool = True) -> bytes:
+def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -> bytes:
     if name not in found:
         raise BundleError(f"{where} has no {name}; {EXPORT_HINT}")
     try:
-        return found[name].read(largest, check=check)
+        return found[name].read(largest)
     except BadArchiveError as error:
         raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
 

@@ -1,6 +1,7 @@
 """Captures a reference from a port, without any bundle: what ``eitskin reference`` does."""
 
 import time
+from collections.abc import Iterator
 
 from eitskin.device import Device
 from eitskin.errors import BadReference
@@ -44,9 +45,14 @@ def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -
         transport.close()
 
 
-def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Reference:
+def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
+    """Yield whole scans of a device's present configuration as they come; the next one overwrites the view.
+
+    Args:
+        device: It streams.
+        end_s: ``perf_counter`` at which to stop waiting.
+    """
     view = FrameView()
-    normaliser = Normaliser(device.hello.volts_per_count)
     while (left_s := end_s - time.perf_counter()) > 0:
         for payload in device.payloads(left_s):
             if payload[0] != MessageType.FRAME:
@@ -54,12 +60,19 @@ def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Referen
             try:
                 view.load(payload)
             except ProtocolError:
-                continue  # not of this device's making; the reference waits for the next
-            fits = view.drives == ALL_DRIVES and view.generation == device.hello.generation and not view.saturation
-            if fits:
-                normaliser.load(view.counts)
-                if builder.add(normaliser.voltages()):
-                    return builder.finish(device.hello)
+                continue  # not of this device's making
+            if view.drives == ALL_DRIVES and view.generation == device.hello.generation:
+                yield view
+
+
+def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Reference:
+    normaliser = Normaliser(device.hello.volts_per_count)
+    for view in whole_frames(device, end_s):
+        if view.saturation:
+            continue
+        normaliser.load(view.counts)
+        if builder.add(normaliser.voltages()):
+            return builder.finish(device.hello)
     raise BadReference(
         f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "
         "check the current and the gain of the configuration with 'eitskin flash'"

@@ -7,7 +7,7 @@ and its reciprocal must agree, which no touch and no deformation can break.
 """
 
 import time
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -15,6 +15,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.capture import whole_frames
 from eitskin.device import Device
 from eitskin.electrodes import WELL, WINDOW, ElectrodeWatch
 from eitskin.errors import BadReference
@@ -23,11 +24,7 @@ from eitskin.lines import open_line
 from eitskin.normaliser import Normaliser
 from eitskin.reference import Reference
 from eitskin.serial_port import DEFAULT_BAUD
-from eitskin_proto.codes import MessageType
-from eitskin_proto.errors import ProtocolError
-from eitskin_proto.frames import FrameView
 from eitskin_proto.normalise import relative_change
-from eitskin_proto.scan_rows import ALL_DRIVES
 from eitskin_proto.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 
 MODEL_SPREAD: Final = 0.02
@@ -78,10 +75,12 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
     try:
         device = Device(transport)
         device.start()
+        normaliser = Normaliser(device.hello.volts_per_count)
         volts, gaps = [], []
-        for voltages, gap in _frames(device, time.perf_counter() + seconds):
-            volts.append(voltages)
-            if gap is not None:
+        for view in whole_frames(device, time.perf_counter() + seconds):
+            normaliser.load(view.counts)
+            volts.append(normaliser.voltages().copy())
+            if (gap := _gap(view.counts)) is not None:
                 gaps.append(gap)
         device.stop()
     finally:
@@ -89,21 +88,6 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
     if len(volts) < WINDOW:
         raise BadReference(f"{len(volts)} whole frames came in {seconds:g} s; expected at least {WINDOW}")
     return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None)
-
-
-def _frames(device: Device, end_s: float) -> Iterator[tuple[Array, Array | None]]:
-    view, normaliser = FrameView(), Normaliser(device.hello.volts_per_count)
-    while (left_s := end_s - time.perf_counter()) > 0:
-        for payload in device.payloads(left_s):
-            if payload[0] != MessageType.FRAME:
-                continue
-            try:
-                view.load(payload)
-            except ProtocolError:
-                continue
-            if view.drives == ALL_DRIVES and view.generation == device.hello.generation:
-                normaliser.load(view.counts)
-                yield normaliser.voltages().copy(), _gap(view.counts)
 
 
 def _gap(counts: npt.NDArray[np.int32]) -> Array | None:

@@ -55,7 +55,7 @@ bundle = load_bundle({path!r})
 model = VD2T(Recipe.from_dict(bundle.manifest["recipe"]).architecture).eval()
 torch.set_num_threads(1)
 with torch.inference_mode():
-    model(torch.zeros(1, 104), torch.zeros(1, 3, 30, 45), torch.zeros(1, 104) if bundle.uses_prediction else None)
+    model(torch.zeros(1, 104), torch.zeros(1, 3, 30, 45), None, torch.zeros(1, 104) if bundle.uses_prediction else None)
 """
 
 ROWS: Final = {
