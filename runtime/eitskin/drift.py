@@ -50,12 +50,13 @@ class Drift:
             _Model(consistency.untouched_mean, consistency.untouched_covariance, *consistency.drift_limits[0]),
             _Model(consistency.predicted_mean, consistency.predicted_covariance, *consistency.drift_limits[1]),
         )
-        self._range = consistency.ratio_range
+        self._low_high = (float(consistency.ratio_range[0]) - 1.0, float(consistency.ratio_range[1]) - 1.0)
         self._compensate = compensate
         self._average = np.zeros(N_ROWS)
         self._plausible = 0
         self._seen = 0
         self._told = False
+        self._steady = np.zeros(0)
         self.taken_out = 0.0
         """What compensation has taken out so far, in log."""
         self.percent = float("nan")
@@ -80,33 +81,51 @@ class Drift:
             np.subtract(change, np.float32(1.0), out=change)
 
     def look(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32], *, touched: bool) -> bool:
-        """Take one frame's evidence and return whether the frame should say that the reference has drifted.
+        """Take the evidence of one frame or of several and return whether a frame should say that there is drift.
 
         Args:
-            change: (104,) dV before compensation, failed rows filled in.
+            change: (104,) or (n, 104) dV before compensation, failed rows filled in.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
-            touched: What the gate says of the frame.
+            touched: What the gate says of the frame, or of any of them.
         """
-        logs = np.log1p(np.clip(change, self._range[0] - 1.0, self._range[1] - 1.0), dtype=np.float64)
-        self._seen += 1
-        self._average += (logs - self._average) / min(float(self._seen), AVERAGED)
+        logs = np.maximum(np.atleast_2d(change), self._low_high[0], dtype=np.float64)
+        np.minimum(logs, self._low_high[1], out=logs)
+        np.log1p(logs, out=logs)
+        frames = len(logs)
+        weights = self._weights(frames)
+        np.multiply(self._average, weights[0], out=self._average)
+        np.add(self._average, weights[1:] @ logs, out=self._average)
         with_scan = bool(predicted.any())
         model = self._models[with_scan]
         drift, distance = model.estimate(self._average - predicted)
         if distance > model.limit:
             self._plausible = 0
             return False
-        self._plausible += 1
+        self._plausible += frames
         if self._plausible < HOLD:
             return False
         self.percent = 100.0 * float(np.expm1(drift))
         self.sigma_percent = 100.0 * model.sigma
         if self._compensate and with_scan and not (touched and abs(drift - self.taken_out) < LEAST):
-            self.taken_out += float(np.clip(drift - self.taken_out, -SLOPE, SLOPE))
+            most = SLOPE * frames
+            self.taken_out += min(max(drift - self.taken_out, -most), most)
         told = abs(drift) > max(SIGMAS * model.sigma, LEAST)
         fresh = told and not self._told
         self._told = told
         return fresh
+
+    def _weights(self, frames: int) -> Array:
+        """Return (1 + n,) how much of the running mean and of each of n frames is in the mean after them."""
+        if self._seen >= AVERAGED and len(self._steady) == 1 + frames:
+            return self._steady
+        weights = np.ones(1 + frames)
+        for row in range(1, 1 + frames):
+            self._seen += 1
+            weights[row] = 1.0 / min(float(self._seen), AVERAGED)
+            weights[:row] *= 1.0 - weights[row]
+        if self._seen - frames >= AVERAGED:
+            self._steady = weights
+        return weights
 
 
 class _Model:

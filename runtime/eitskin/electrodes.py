@@ -1,18 +1,12 @@
 """Which electrodes have failed, from the frames alone, within a few dozen milliseconds.
 
-Each electrode has 26 of the 104 rows, and the others say what those should be (:mod:`eitskin.imputation`). An
-electrode's *surprise* compares how far its rows are from that with how far everything else is from the ordinary, so
-that a heavy touch, which is far from ordinary everywhere, surprises nowhere in particular::
-
-    D_e = y_e^T P_ee^-1 y_e          surprise_e = (D_e / 26) / ((2 + D - D_e) / (2 + 78))      D = (l - mean)^T y
-
-Three kinds of failure do something that no touch does, and are known by it: a shorted pair of neighbours reads
-nothing at all, exchanged neighbours read the reverse, a loose contact jumps from frame to frame in all its rows and in
-no others. All evidence is counted: ``NEEDED`` of the last ``WINDOW`` frames must agree. What then explains the frame
-best, one electrode's rows unexplained or two wires exchanged, by likelihood, is what is reported.
+Each electrode has 26 of the 104 rows, and the others say what those should be (:mod:`eitskin.imputation`). What a frame
+says of each is in :mod:`eitskin.evidence`: surprise, silence, reversal, jumps. All of it is counted: ``NEEDED`` of the
+last ``WINDOW`` frames must agree. What then explains the frame best, one electrode's rows unexplained or two wires
+exchanged, by likelihood, is what is reported.
 
 An electrode is taken back after ``HEALTHY`` frames in a row without any of this. Nothing here is in a frame's way: a
-frame is looked at after it was published.
+frame is looked at after it was published, and several of them at a time.
 """
 
 from dataclasses import dataclass
@@ -22,9 +16,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
 from eitskin.imputation import Array, Consistency, Imputation, rows_of
 from eitskin.rewiring import Rewiring, rewiring
-from eitskin_proto.table import N_ELECTRODES, N_ROWS, TABLE
+from eitskin_proto.table import N_ELECTRODES, TABLE
 
 WINDOW: Final = 14
 """Frames over which evidence is counted."""
@@ -37,24 +32,6 @@ HEALTHY: Final = 200
 
 MOST_OUT: Final = 4
 """Electrodes that may be out at a time; with fewer than twelve left nothing is filled in that deserves the name."""
-
-FREEDOM: Final = 2.0
-"""Of the t distribution whose conditional gives the surprise: touches are far more varied than a Gaussian allows."""
-
-SHORTED_RATIO: Final = 0.01
-"""A pair that reads less than this of its reference is shorted: the heaviest touches leave 0.02."""
-
-OPEN_RATIO: Final = 0.05
-"""Its neighbours read more than this: a detached electrode silences both of its pairs."""
-
-REVERSED_RATIO: Final = -0.2
-"""A pair whose rows, weighted by their size, read less than this is reversed; a sheet never reads below 0."""
-
-JUMP: Final = 4.0
-"""Standard deviations of a row's second difference that count as a jump."""
-
-JUMPING_ROWS: Final = 6
-"""Rows of a pair's 13 that must jump at once: a loose contact's pair, in half of its draws or more."""
 
 USUAL_NOISE: Final = 0.005
 """Relative noise of a row that the samples had; where a reference's frames vary by more, so may these."""
@@ -89,22 +66,6 @@ class Finding:
         return f"{self.electrode}:{self.state}{partner}:{self.remedy}"
 
 
-@dataclass(slots=True, eq=False)
-class Evidence:
-    """What the last frame said of each electrode, for whoever wants to see it."""
-
-    surprise: Array
-    """(16,) against the threshold of ``ElectrodeWatch.threshold``."""
-    pair_ratio: Array
-    """(16,) |V| of pair e, e + 1 against its reference."""
-    pair_sign: Array
-    """(16,) the same with sign."""
-    jumping: Array
-    """(16,) share of the pair's rows that jumped."""
-    total: float
-    """Of the whole frame, per row."""
-
-
 class ElectrodeWatch:
     """Looks at one frame after another.
 
@@ -127,14 +88,15 @@ class ElectrodeWatch:
         self._mean = consistency.mean
         self._range = consistency.ratio_range
         self._reference = reference_V
-        self._of = np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
-        self._inner = np.array([np.linalg.inv(self.precision[np.ix_(rows, rows)]) for rows in self._of])
-        self._pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
-        weight = self._pairs * np.abs(reference_V)
-        self._pair_weight = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)
-        self._logs, self._scores = np.zeros(N_ROWS), np.zeros(N_ROWS)
-        self._history = np.zeros((WINDOW, 3 * N_ELECTRODES + 1), dtype=np.bool_)
-        self._before = np.zeros((2, N_ROWS))
+        thresholds = np.array([self.threshold, self.threshold_total])
+        self._weigher = Weigher(
+            consistency.mean, self.precision, consistency.ratio_range, reference_V, self._sigma, thresholds
+        )
+        self._of = self._weigher.of
+        self._pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)])
+        self._history: Votes = np.zeros((WINDOW, N_VOTES), dtype=np.bool_)
+        self._suspected = False
+        """Whether any vote is in the history."""
         self._seen = 0
         self._resting = 0
         self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
@@ -148,9 +110,13 @@ class ElectrodeWatch:
         """What a frame says of electrodes that are not well."""
         self.unclear = False
         """The frames fit nothing: neither a sheet nor any single failure."""
-        nothing = np.zeros(N_ELECTRODES)
-        self.evidence = Evidence(nothing, nothing, nothing, nothing, 0.0)
+        self._row = -1
         self.exclude(excluded)
+
+    @property
+    def evidence(self) -> Evidence:
+        """What the last frame said."""
+        return self._weigher.evidence(self._row)
 
     @property
     def missing(self) -> npt.NDArray[np.bool_]:
@@ -191,14 +157,30 @@ class ElectrodeWatch:
         self.imputation.fill(change)
 
     def look(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
-        """Take one frame's evidence and return whether any electrode's state changed.
+        """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
+
+        Frames behind the one with which something changed say nothing: they were put right by what was known before.
 
         Args:
-            raw: (104,) dV as measured.
-            change: (104,) the same after :meth:`correct`.
+            raw: (104,) or (n, 104) dV as measured.
+            change: The same after :meth:`correct`.
         """
-        now = self._take(raw, change)
-        self._history[self._seen % WINDOW] = now
+        raw, change = np.atleast_2d(raw), np.atleast_2d(change)
+        votes = self._weigher.weigh(raw, change, self._pair_in_use)
+        suspicious = bool(votes.any())
+        if not (suspicious or self._suspected or self.findings or self._resting or self.unclear):
+            self._row = -1
+            self._seen += len(raw)  # nothing to write down: the history holds no vote
+            return False
+        for row, vote in enumerate(votes):
+            self._row = row
+            if self._count(vote, raw[row], change[row]):
+                return True
+        return False
+
+    def _count(self, vote: Votes, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
+        """Take one frame's votes and return whether any electrode's state changed."""
+        self._history[self._seen % WINDOW] = vote
         self._seen += 1
         changed = False
         if self.findings:
@@ -207,63 +189,33 @@ class ElectrodeWatch:
             self._resting -= 1
             return changed
         counts = self._history.sum(axis=0)
+        self._suspected = bool(counts.any())
         if counts.max() < NEEDED:
-            self.unclear = self.unclear and bool(counts[-1])
+            self.unclear = self.unclear and bool(counts[WHOLE])
             return changed
         return self._judge(counts, change) or changed
 
-    def _take(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> npt.NDArray[np.bool_]:
-        """Return (49,) what this frame says: surprising, shorted or reversed, jumping, and the whole."""
-        evidence = self.evidence
-        evidence.surprise, evidence.total = self.surprise(change)
-        ratio = raw.astype(np.float64) + 1.0
-        evidence.pair_sign = self._pair_weight @ ratio
-        evidence.pair_ratio = self._pair_weight @ np.abs(ratio)
-        jump = np.abs(raw - 2.0 * self._before[0] + self._before[1])
-        self._before[1], self._before[0] = self._before[0], raw
-        jumping = jump > JUMP * np.sqrt(6.0) * self._sigma * np.maximum(np.abs(ratio), 1.0)
-        of_pair = self._pairs @ jumping
-        evidence.jumping = of_pair / self._pairs.sum(axis=1)
-        now = np.zeros(3 * N_ELECTRODES + 1, dtype=np.bool_)
-        worst = int(np.argmax(evidence.surprise))
-        now[worst] = evidence.surprise[worst] > self.threshold
-        beside = np.minimum(np.roll(evidence.pair_ratio, 1), np.roll(evidence.pair_ratio, -1))
-        shorted = (evidence.pair_ratio < SHORTED_RATIO) & (beside > OPEN_RATIO)
-        now[16:32] = (shorted | (evidence.pair_sign < REVERSED_RATIO)) & self._pair_in_use
-        both = np.minimum(of_pair, np.roll(of_pair, 1)) >= JUMPING_ROWS  # pairs e - 1 and e
-        alone = np.array([jumping.sum() - jumping[rows].sum() for rows in self._of]) <= 0.2 * (N_ROWS - 26)
-        now[32:48] = both & alone & (self._seen > 1)
-        now[48] = evidence.total > self.threshold_total
-        return now
-
-    def surprise(self, change: npt.NDArray[np.float32]) -> tuple[Array, float]:
+    def surprise(self, change: npt.NDArray[np.floating]) -> tuple[Array, float]:
         """Return the (16,) surprises of (104,) dV, and that of the whole frame per row."""
-        scores, logs = self._score(change)
-        part = scores[self._of]
-        own = np.matmul(np.matmul(part[:, None, :], self._inner), part[:, :, None])[:, 0, 0]
-        total = float(logs @ scores)
-        rest = np.maximum(total - own, 0.0)
-        return np.asarray((own / 26.0) / ((FREEDOM + rest) / (FREEDOM + N_ROWS - 26.0))), total / N_ROWS
+        surprise, total = self._weigher.surprise(change[None])
+        return surprise[0], float(total[0])
 
     def _score(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
         """Return (104,) y and l - mean."""
-        np.clip(change, self._range[0] - 1.0, self._range[1] - 1.0, out=self._logs)
-        np.log1p(self._logs, out=self._logs)
-        np.subtract(self._logs, self._mean, out=self._logs)
-        np.matmul(self.precision, self._logs, out=self._scores)
-        return self._scores, self._logs
+        scores, logs = self._weigher.scores(change[None])
+        return scores[0], logs[0]
 
     def _judge(self, counts: npt.NDArray[np.intp], change: npt.NDArray[np.float32]) -> bool:
         """Say what explains the frame best, and act on it."""
         out = {finding.electrode for finding in self.findings}
-        jumping = [int(e) for e in np.flatnonzero(counts[32:48] >= NEEDED // 2) if int(e) not in out]
+        jumping = [int(e) for e in np.flatnonzero(counts[JUMPING] >= NEEDED // 2) if int(e) not in out]
         shorted = self.evidence.pair_ratio < SHORTED_RATIO
-        pair = int(np.argmax(counts[16:32]))
+        pair = int(np.argmax(counts[PAIR_WRONG]))
         found: tuple[Finding, ...] = ()
-        if counts[16 + pair] >= NEEDED and shorted[pair]:
+        if counts[PAIR_WRONG][pair] >= NEEDED and shorted[pair]:
             found = self._shorted_or_detached(pair, change)
         elif jumping:
-            found = (Finding(max(jumping, key=lambda e: counts[32 + e]), "noisy"),)
+            found = (Finding(max(jumping, key=lambda e: counts[JUMPING][e]), "noisy"),)
         else:
             found = self._most_likely(change)
         found = tuple(finding for finding in found if finding.electrode not in out)
@@ -300,7 +252,7 @@ class ElectrodeWatch:
     def _most_likely(self, change: npt.NDArray[np.float32]) -> tuple[Finding, ...]:
         """Return the one failure that explains a frame best by likelihood, or none."""
         scores, logs = self._score(change)
-        scores, total = scores.copy(), float(logs @ scores)
+        total = float(logs @ scores)
         best: tuple[Finding, ...] = ()
         costs = total
         for electrode in range(N_ELECTRODES):
