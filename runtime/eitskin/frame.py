@@ -39,6 +39,15 @@ STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publis
 COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
 """Totals since the runtime started."""
 
+NUMBERS: Final = (
+    "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift", *STAGES,
+    *COUNTS,
+)  # fmt: skip
+"""What changes with each frame, in the order of the message."""
+
+TOUCHED: Final = (0xC2, 0xC3)
+"""False and true in MessagePack."""
+
 MAP_BYTES: Final = 4 * N_PIXELS
 
 FIRST_BYTE: Final = b"\xde"
@@ -146,8 +155,8 @@ class FramePacker:
     """
 
     __slots__ = (
-        "_buffer", "_constant", "_end", "_map", "_map_at", "_short", "_short_end", "_short_view", "_slots", "_tail_at",
-        "_tails", "_view",
+        "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
+        "_short_view", "_slots", "_tail_at", "_tails", "_view",
     )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
@@ -169,6 +178,7 @@ class FramePacker:
         self._constant: dict[str, object] = {**constant, "host": host_id()}
         plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
                  ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"))  # fmt: skip
+        assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
         entries = 1 + len(plain) + 4 + 5 + len(self._constant)
         head += FIRST_BYTE + struct.pack(">H", entries)
         key("v")
@@ -194,18 +204,36 @@ class FramePacker:
         self._short[: self._map_at] = head[: self._map_at]
         struct.pack_into(">H", self._short, 1, entries - 2)
         self._short_view = memoryview(self._short)
+        self._at, self._layout, self._arguments = self._whole()
         self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
         self._end = self._tail_at
         self._short_end = self._map_at
 
+    def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
+        """Return where the numbers begin, and what writes all of them, and the names between them, in one call."""
+        first = end = self._slots[NUMBERS[0]][1]
+        layout, arguments = ">", list[Any]()
+        for name in NUMBERS:
+            one, at = self._slots[name]
+            between = bytes(self._buffer[end:at])
+            layout += f"{len(between)}s{one.format.lstrip('>')}"
+            arguments += [between, 0]
+            end = at + one.size
+        return first, struct.Struct(layout), arguments
+
+    def put_numbers(self, numbers: tuple[float, ...]) -> None:
+        """Overwrite all numbers.
+
+        Args:
+            numbers: In the order of ``NUMBERS``; touched as ``TOUCHED[bool]``.
+        """
+        self._arguments[1::2] = numbers
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
+
     def put(self, name: str, value: float) -> None:
-        """Overwrite one number: of ``STAGES``, of ``COUNTS``, or one of the plain fields."""
+        """Overwrite one number of ``NUMBERS``."""
         layout, at = self._slots[name]
         layout.pack_into(self._buffer, at, value)
-
-    def put_touched(self, touched: bool) -> None:
-        """Overwrite the gate's answer."""
-        self._buffer[self._slots["touched"][1]] = 0xC3 if touched else 0xC2
 
     def put_map(self, values: memoryview) -> None:
         """Copy the map.

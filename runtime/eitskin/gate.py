@@ -30,6 +30,9 @@ EXTRAS: Final = ("floor", "w3", "b3")
 """Arrays that a gate may have besides."""
 
 
+_ZERO: Final = np.zeros((), dtype=np.float32)
+
+
 class Gate:
     """Judges dV: fill ``change``, then call :meth:`touched`, once a frame.
 
@@ -63,7 +66,7 @@ class Gate:
         floor = float(values["floor"].reshape(-1)[0]) if "floor" in values else FLOOR
         if not 0.0 < floor < 1.0:
             raise BundleError(f"gate.npz: floor is {floor:g}, expected more than 0 and less than 1; export it again")
-        self._drop = floor - 1.0
+        self._drop = np.array(floor - 1.0, dtype=np.float32)  # a Python number would be converted in every call
         # Standardisation and bias are folded into the first layer, the bias as the weights of a feature that is 1:
         # on a paced loop every operation costs microseconds of cold cache, whatever its size.
         weights = values["w1"] / scale[:, None]
@@ -90,12 +93,12 @@ class Gate:
         np.log1p(self._logarithms, out=self._logarithms)
         hidden = self._hidden
         np.matmul(self.features, self._first, out=hidden)
-        np.maximum(hidden, 0.0, out=hidden)
+        np.maximum(hidden, _ZERO, out=hidden)
         if self._second is not None:
             np.matmul(hidden, self._second, out=self._second_hidden)
             hidden = self._second_hidden
             np.add(hidden, self._second_bias, out=hidden)
-            np.maximum(hidden, 0.0, out=hidden)
+            np.maximum(hidden, _ZERO, out=hidden)
         self.logit = float(np.dot(hidden, self._output)) + self._shift
         return self.logit > self.threshold
 

@@ -133,6 +133,7 @@ class Pipeline:
         """A frame carried another one: the device must be asked what it runs now."""
         self.withheld = dict.fromkeys(REASONS, 0)
         """Frames that were not fit to publish."""
+        self.withheld_total = 0
         self._begin()
         self._next_geometry: Geometry | None = None
         self._view = FrameView()
@@ -425,6 +426,7 @@ class Pipeline:
 
     def _withhold(self, reason: str) -> bool:
         self.withheld[reason] += 1
+        self.withheld_total += 1
         event = WITHHELD[reason]
         if event not in self._withheld_since:
             self._withheld_since += (event,)

@@ -80,7 +80,7 @@ class SerialPort:
             ready = self._poll.poll(None if timeout_s is None else max(0, round(timeout_s * 1000)))
             if not ready:
                 return b""
-            if any(fd == self._wake for fd, _ in ready):
+            if len(ready) > 1 or ready[0][0] == self._wake:
                 os.eventfd_read(self._wake)
                 return b""
             data = os.read(self._fd, READ_BYTES)

@@ -26,22 +26,19 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
         HandshakeError: The device fell silent and does not answer, or came back as another one.
     """
     next_look_ns = time.perf_counter_ns() + LOOK_NS
-
-    def wanted() -> bool:
-        publisher.look()
-        if publisher.regions is not regions[0]:
-            regions[0] = publisher.regions
-            skin.set_regions(publisher.regions)
-        return publisher.wanted
-
-    regions = [publisher.regions]
-    for _ in skin.readings(wanted, until_ns):
+    regions = publisher.regions
+    publisher.look()
+    for _ in skin.readings(lambda: publisher.wanted, until_ns):
         if publisher.wanted:
             publisher.send(skin.pack(short=publisher.takes_short and not publisher.joined))
             publisher.joined = False
         else:
             skin.pass_over()
         skin.finish()
+        publisher.look()  # behind the frame, not before it: who comes now is served from the next one on
+        if publisher.regions is not regions:
+            regions = publisher.regions
+            skin.set_regions(regions)
         if frames is not None and skin.statistics.frames >= frames:
             return
         if skin.pipeline.stamps[0] > next_look_ns:

@@ -24,7 +24,7 @@ from eitskin.cutter import Cutter
 from eitskin.device import Device
 from eitskin.engine import GeometryGraph
 from eitskin.errors import BadReference, BundleError, HandshakeError, PortReturned, SkinError
-from eitskin.frame import STAGES, Frame, FramePacker, unpack_frame
+from eitskin.frame import TOUCHED, Frame, FramePacker, unpack_frame
 from eitskin.health import health_of
 from eitskin.idle import IdleGate, IdleMode
 from eitskin.imputation import MISSING
@@ -127,6 +127,8 @@ class Skin:
         self._started = False
         self._sent_map = -1
         """The frame whose map went out last."""
+        self._packed_map = -2
+        """The frame whose map the packer holds; -1 for one that is zero."""
         self._fruitless = 0
         self._revision = 0
         self._lock = threading.Lock()
@@ -326,32 +328,26 @@ class Skin:
         short = short and pipeline.map_sequence == self._sent_map
         self._sent_map = pipeline.map_sequence
         if not short:
-            packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
-        packer.put("n", self.published)
-        packer.put("seq", pipeline.sequence)
-        packer.put("device_us", pipeline.device_us)
-        packer.put("gate_logit", pipeline.gate_logit)
-        packer.put("cloud", pipeline.buffers.revision)
-        packer.put("weak_rows", pipeline.normaliser.weak_count)
-        packer.put("map_seq", pipeline.map_sequence)
-        health = pipeline.health
-        packer.put("drift", math.nan if health is None else health.drift.percent)
-        packer.put("lost", pipeline.counter.lost)
-        packer.put("corrupt", self.device.deframer.corrupt)
-        packer.put("withheld", sum(pipeline.withheld.values()))
-        packer.put_touched(pipeline.touched)
+            packed = -1 if pipeline.map_is_zero else pipeline.map_sequence
+            if packed != self._packed_map:
+                packer.put_map(pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes)
+                self._packed_map = packed
         stamps[PACK] = time.perf_counter_ns()
         pipeline.judge(stamps[PACK])
-        packer.put("overrun", pipeline.ladder.overruns)
         if short:
             pipeline.skipped += MAP_UNCHANGED
-        out = () if health is None else health.watch.texts
+        drift, out = math.nan, tuple[str, ...]()
+        if (health := pipeline.health) is not None:
+            drift, out = health.drift.percent, health.watch.texts
         packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events, pipeline.regions, out)
-        for index in range(PUBLISH):
-            packer.put(STAGES[index], stamps[index])
         stamps[PUBLISH] = time.perf_counter_ns()
-        packer.put(STAGES[PUBLISH], stamps[PUBLISH])
-        packer.put("age_us", max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000))
+        age_us = max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000)
+        packer.put_numbers(
+            (self.published, pipeline.sequence, pipeline.device_us, age_us, TOUCHED[pipeline.touched],
+             pipeline.gate_logit, pipeline.buffers.revision, pipeline.normaliser.weak_count, pipeline.map_sequence,
+             drift, *stamps, pipeline.counter.lost, self.device.deframer.corrupt, pipeline.withheld_total,
+             pipeline.ladder.overruns)
+        )  # fmt: skip
         return packer.short_message() if short else packer.message()
 
     def pass_over(self) -> None:
@@ -467,7 +463,7 @@ class Skin:
             "published": self.published,
             "lost": pipeline.counter.lost,
             "corrupt": self.device.deframer.corrupt,
-            "withheld": sum(pipeline.withheld.values()),
+            "withheld": pipeline.withheld_total,
             "withheld_by_reason": dict(pipeline.withheld),
             "resets": pipeline.counter.resets,
             "recoveries": self.recoveries,

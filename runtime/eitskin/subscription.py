@@ -21,6 +21,8 @@ from eitskin.regions import ALWAYS, UNCHANGED, WHOLE, Region
 
 MODES: Final = ("latest", "all")
 
+_POLLIN: Final = int(zmq.POLLIN)
+
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
@@ -62,6 +64,8 @@ class Subscription:
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
         modest = region_mm is not None or skip_unchanged
         self._timeout_ms = -1 if timeout_s is None else max(1, round(timeout_s * 1000))
+        self._waits_ms = -1
+        """What the socket waits at most; -1 for ever. It waits by itself: ``poll`` first would delay each frame."""
         self._max_age_s = max_age_s
         self.endpoint = endpoint
         self.received = 0
@@ -102,16 +106,20 @@ class Subscription:
             StaleFrame: One came, but it is older than ``max_age_s``.
         """
         deadline_ns = time.perf_counter_ns() + self._timeout_ms * 1_000_000
+        left_ms = self._timeout_ms
         while True:
-            left_ms = -1
-            if self._timeout_ms >= 0:
-                left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
-            if not self._socket.poll(left_ms):
+            if left_ms != self._waits_ms:
+                self._waits_ms = left_ms
+                self._socket.setsockopt(zmq.RCVTIMEO, left_ms)
+            try:
+                frame = self._take()
+            except zmq.Again:
                 raise NoFrame(
                     f"no frame from {self.endpoint} within {self._timeout_ms / 1000:g} s; is the runtime running?"
-                )
-            frame = self._take()
+                ) from None
             if frame is None:
+                if left_ms >= 0:
+                    left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
                 continue
             age_s = frame.age_s
             if self._max_age_s is not None and age_s > self._max_age_s:
@@ -131,7 +139,7 @@ class Subscription:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
-            if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+            if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
                 if frame is not None:
                     self._count(frame)
                 return frame

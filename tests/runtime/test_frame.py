@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.frame import COUNTS, MAP_BYTES, STAGES, FramePacker, unpack_frame
+from eitskin.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, FramePacker, unpack_frame
 
 
 @pytest.fixture
@@ -22,9 +22,8 @@ def filled(packer, **numbers):
     values |= {"weak_rows": 1, "map_seq": 7}
     values |= {name: 10 + index for index, name in enumerate(COUNTS)}
     values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
-    for name, value in (values | numbers).items():
-        packer.put(name, value)
-    packer.put_touched(True)
+    values |= {"touched": TOUCHED[True], "drift": math.nan} | numbers
+    packer.put_numbers(tuple(values[name] for name in NUMBERS))
     packer.put_map(np.linspace(0, 1, 1350, dtype="<f4").tobytes())
     packer.put_texts("vd2t", ("geometry:cloud_unchanged",), ("lost", "overrun"))
     return bytes(packer.message())
@@ -50,6 +49,20 @@ def test_a_packed_frame_comes_back_field_by_field(packer):
     assert frame.stages_us() == {name: 1.0 for name in (*STAGES[1:],)} | {"deliver": 2.0}
 
 
+def test_numbers_put_together_are_those_put_one_by_one(packer):
+    together = filled(packer, drift=0.25)
+    for name in reversed(NUMBERS):
+        packer.put(name, TOUCHED[False] if name == "touched" else 0)
+    assert bytes(packer.message()) != together
+    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2, "weak_rows": 1}
+    values |= {"map_seq": 7, "drift": 0.25, "touched": TOUCHED[True]}
+    values |= {name: 10 + index for index, name in enumerate(COUNTS)}
+    values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
+    for name, value in values.items():
+        packer.put(name, value)
+    assert bytes(packer.message()) == together
+
+
 def test_any_messagepack_reader_sees_one_plain_map(packer):
     fields = msgpack.unpackb(filled(packer))
     assert fields["v"] == 1
@@ -66,7 +79,7 @@ def test_the_map_of_a_frame_cannot_be_written(packer):
 
 def test_the_next_frame_overwrites_everything_that_changes(packer):
     filled(packer)
-    packer.put_touched(False)
+    packer.put("touched", TOUCHED[False])
     packer.put_map(bytes(MAP_BYTES))
     packer.put_texts("none", ("inference:untouched",), ())
     packer.put("seq", 8)
