@@ -191,6 +191,8 @@ class FrameView:
             # a stray byte below. One arithmetic shift then extends the sign and drops the stray.
             self._kept = memoryview(self._raw.data)[1 : 1 + 3 * rows]
             self._source = np.ndarray((rows,), "<i4", self._raw.data, 0, (3,))
+        elif width == 4:
+            self._kept = self._counts.data.cast("B")[: 4 * rows]
         else:
             self._kept = memoryview(self._raw.data)[: rows * width]
             self._source = self._raw[: rows * width].view(f"<i{width}")
@@ -215,9 +217,10 @@ class FrameView:
         if not known:
             self._reshape(shape)
         self._kept[:] = payload[HEADER_BYTES:end]
-        self.counts[...] = self._source
         if width == 3:
-            np.right_shift(self.counts, _EIGHT, out=self.counts)
+            np.right_shift(self._source, _EIGHT, out=self.counts)
+        elif width == 2:
+            self.counts[...] = self._source
         self.generation, self.sequence, self.device_us = generation, sequence, device_us
         self.device_dropped, self.saturation = dropped, saturation
 

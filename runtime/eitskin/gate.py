@@ -46,8 +46,8 @@ class Gate:
     """
 
     __slots__ = (
-        "_drop", "_first", "_hidden", "_logarithms", "_output", "_second", "_second_bias", "_second_hidden", "_shift",
-        "change", "features", "logit", "threshold",
+        "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
+        "_second_hidden", "_shift", "change", "features", "logit", "threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -71,9 +71,12 @@ class Gate:
         # on a paced loop every operation costs microseconds of cold cache, whatever its size.
         weights = values["w1"] / scale[:, None]
         bias = values["b1"] - values["mean"] @ weights
-        self._first = np.ascontiguousarray(np.vstack([weights, bias[None]]), dtype=np.float32)
-        self._second = np.ascontiguousarray(values["w2"], dtype=np.float32) if deep else None
-        self._second_bias = np.asarray(values["b2"], dtype=np.float32).reshape(last)
+        start = 0 if weights[:rows].any() else rows  # a gate that goes by logarithms alone reads half of the weights
+        self._first = np.ascontiguousarray(np.vstack([weights[start:], bias[None]]), dtype=np.float32)
+        self._second: npt.NDArray[np.float32] | None = None
+        if deep:
+            layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
+            self._second = np.ascontiguousarray(layers, dtype=np.float32)
         self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
         self._shift = float(values["b3" if deep else "b2"].reshape(-1)[0])
         self.threshold = float(values["threshold"].reshape(-1)[0])
@@ -82,7 +85,9 @@ class Gate:
         self.change = self.features[:rows]
         """(104,) or (rows,) dV, to be filled before ``touched``."""
         self._logarithms = self.features[rows : 2 * rows]
-        self._hidden = np.zeros(hidden, dtype=np.float32)
+        self._inputs = self.features[start:]
+        self._hidden_and_one = np.ones(hidden + 1, dtype=np.float32)
+        self._hidden = self._hidden_and_one[:hidden]
         self._second_hidden = np.zeros(last, dtype=np.float32)
         self.logit = 0.0
         """Of the last frame judged."""
@@ -92,12 +97,11 @@ class Gate:
         np.maximum(self.change, self._drop, out=self._logarithms)
         np.log1p(self._logarithms, out=self._logarithms)
         hidden = self._hidden
-        np.matmul(self.features, self._first, out=hidden)
+        np.matmul(self._inputs, self._first, out=hidden)
         np.maximum(hidden, _ZERO, out=hidden)
         if self._second is not None:
-            np.matmul(hidden, self._second, out=self._second_hidden)
+            np.matmul(self._hidden_and_one, self._second, out=self._second_hidden)
             hidden = self._second_hidden
-            np.add(hidden, self._second_bias, out=hidden)
             np.maximum(hidden, _ZERO, out=hidden)
         self.logit = float(np.dot(hidden, self._output)) + self._shift
         return self.logit > self.threshold

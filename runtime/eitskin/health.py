@@ -1,8 +1,9 @@
 """What the runtime knows of its own senses: which electrodes have failed, and how far the reference has drifted.
 
 Before a frame is judged, what is known is put right (``correct``), and a healthy frame pays one copy of 104 numbers.
-After it was published it is put aside, and several are looked at in one go: a fifth of the cost of each by itself,
-since the arithmetic is small and its weights leave the caches in between. What changes is told by the next frame. A
+After it was published it is put aside, and several are looked at in one go, when the line rests: a fifth of the cost of
+each by itself, since the arithmetic is small and its weights leave the caches in between, and in nobody's way, since a
+frame that was published just now is still being handed over by other threads. What changes is told by the next frame. A
 bundle without ``consistency.npz`` has none of this, and says so where it is asked for.
 """
 
@@ -16,14 +17,17 @@ from eitskin.bundle import Bundle
 from eitskin.drift import Drift
 from eitskin.electrodes import ElectrodeWatch
 from eitskin.errors import BundleError
-from eitskin.imputation import MISSING, Consistency, without_rows
+from eitskin.imputation import MISSING, UNPREDICTED, Consistency, without_rows
 from eitskin_proto.table import N_ROWS
 
 TOGETHER: Final = 5
 """Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
 
-DRIFT_TOGETHER: Final = 20
-"""The same for drift, which moves in minutes; a multiple of ``TOGETHER``."""
+MOST_TOGETHER: Final = TOGETHER + 1
+"""The line may never rest: so many frames are looked at in any case."""
+
+DRIFT_TOGETHER: Final = 24
+"""The same for drift, which moves in minutes; a multiple of ``MOST_TOGETHER``."""
 
 
 class Health:
@@ -41,7 +45,7 @@ class Health:
         self._consistency = consistency
         self._lock = threading.Lock()
         self._wanted: tuple[int, ...] | None = None
-        self._raw = np.zeros((TOGETHER, N_ROWS), dtype=np.float32)
+        self._raw = np.zeros((MOST_TOGETHER, N_ROWS), dtype=np.float32)
         self._waiting = 0
         """Frames of ``_raw`` that were published and not yet looked at."""
         self._followed = np.zeros((DRIFT_TOGETHER, N_ROWS), dtype=np.float32)
@@ -72,61 +76,73 @@ class Health:
         with self._lock:
             self._wanted = electrodes
 
-    def correct(self, change: npt.NDArray[np.float32]) -> None:
-        """Put (104,) dV right, in place, by what is known of electrodes and drift."""
-        np.copyto(self._raw[self._waiting], change)
-        if self.watch.findings:
-            self.watch.correct(change)
-        self.drift.correct(change)
-
-    def look(self, predicted: npt.NDArray[np.float32], *, touched: bool) -> bool:
-        """Put the last frame aside, look at those that wait once they are enough, and return whether rows changed.
+    def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
+        """Put (104,) dV right, in place, by what is known of electrodes and drift.
 
         Args:
-            predicted: (104,) log(V_pred / V0) of the cloud in use.
-            touched: What the gate said.
+            change: (104,) dV.
+            predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
+        """
+        np.copyto(self._raw[self._waiting], change)
+        if self.watch.findings:
+            self.watch.correct(change, predicted)
+        self.drift.correct(change)
 
-        Returns:
-            Whether other rows are missing from now on.
+    def put_aside(self, *, touched: bool) -> bool:
+        """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
+
+        Args:
+            touched: What the gate said.
         """
         self._waiting += 1
         self._touched |= touched
-        if self._waiting < TOGETHER and self._wanted is None:
-            return False
-        raw, self._waiting = self._raw[: self._waiting], 0
-        return self._look(raw, predicted)
+        return self._waiting == MOST_TOGETHER
 
-    def _look(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> bool:
-        """Take the evidence of (n, 104) frames and return whether other rows are missing from now on."""
+    @property
+    def due(self) -> bool:
+        """Whether enough frames wait to be looked at, or somebody wants electrodes left out."""
+        return self._waiting >= TOGETHER or self._wanted is not None
+
+    def look(self, predicted: npt.NDArray[np.float32]) -> bool:
+        """Look at the frames that wait, and return whether other rows are missing from now on.
+
+        Args:
+            predicted: (104,) log(V_pred / V0) of the cloud in use.
+        """
+        raw, self._waiting = self._raw[: self._waiting], 0
         watch, before = self.watch, self.watch.texts
         with self._lock:
             wanted, self._wanted = self._wanted, None
         if wanted is not None:
             watch.exclude(wanted)
-        change = raw
-        if watch.findings:
-            change = raw.copy()
-            for row in change:
-                watch.correct(row)
-        watch.look(raw, change)
+        if len(raw):
+            self._weigh(raw, predicted)
         if watch.texts != before:
             self._tell(tuple(f"electrode:{text}" for text in watch.texts if text not in before))
             self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in watch.texts))
         if watch.unclear and not self._unclear:
             self._tell(("electrodes:unclear",))
         self._unclear = watch.unclear
-        self._follow(change, predicted)
         if watch.missing is self._rows_before:
             return False
         self._rows_before = watch.missing
         return True
+
+    def _weigh(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
+        change = raw
+        if self.watch.findings:
+            change = raw.copy()
+            for row in change:
+                self.watch.correct(row, predicted)
+        self.watch.look(raw, change)
+        self._follow(change, predicted)
 
     def _follow(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
         """Show (n, 104) frames, failed rows filled in, to drift once they are enough."""
         end = self._following + len(change)
         self._followed[self._following : end] = change
         self._following = end
-        if end + TOGETHER <= DRIFT_TOGETHER:
+        if end + MOST_TOGETHER <= DRIFT_TOGETHER:
             return
         touched, self._following, self._touched = self._touched, 0, False
         if self.drift.look(self._followed[:end], predicted, touched=touched):

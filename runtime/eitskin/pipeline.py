@@ -286,7 +286,7 @@ class Pipeline:
         if not self.normaliser.change_into(self._change):
             return self._withhold("no_signal" if self.normaliser.silent else "implausible")
         if self.health is not None:
-            self.health.correct(self._change)
+            self.health.correct(self._change, self.buffers.log_predicted[0])
             self.events += self.health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
@@ -393,13 +393,20 @@ class Pipeline:
             self._stillness.keep(self._change)
         return True
 
+    def note_health(self) -> None:
+        """Keep what electrodes and drift are judged by of the frame that was just published."""
+        if self.health is not None and not self.idle and self.health.put_aside(touched=self.touched):
+            self.look_at_health()
+
     def look_at_health(self) -> None:
-        """Look at electrodes and drift in the frame that was just published; what changes acts on the next one."""
-        health = self.health
-        if health is None or self.idle:
-            return
-        if health.look(self.buffers.log_predicted[0], touched=self.touched):
+        """Look at electrodes and drift in the last few frames; what changes acts on the next one."""
+        if self.health is not None and self.health.look(self.buffers.log_predicted[0]):
             self._leave_out()
+
+    @property
+    def has_leisure_work(self) -> bool:
+        """Whether there is something to do while the line rests."""
+        return self.health is not None and self.health.due
 
     def _leave_out(self) -> None:
         """Take the rows that are missing now out of the projection, and the map that is held out of use."""

@@ -45,6 +45,9 @@ CAPTURE_S = 30.0
 
 MAP_UNCHANGED = ("map:unchanged",)
 
+LEISURE_S = 0.001
+"""The line rests if nothing comes for so long; what was published has been handed over by then."""
+
 MOST_FRUITLESS = 5
 """How often a device is greeted anew without a single payload in between."""
 
@@ -359,7 +362,7 @@ class Skin:
         pipeline = self.pipeline
         pipeline.stamps[PUBLISH] = time.perf_counter_ns()
         self.statistics.add(pipeline.stamps, pipeline.solver, pipeline.touched, pipeline.skipped, pipeline.events)
-        pipeline.look_at_health()
+        pipeline.note_health()
 
     def _accepted(self, until_ns: int | None) -> Iterator[None]:
         """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``.
@@ -377,7 +380,7 @@ class Skin:
                 if wait_s <= 0:
                     return
             try:
-                payloads = device.payloads(wait_s)
+                payloads = self._payloads(wait_s)
                 if payloads and (backlog or pipeline.ladder.drops_stale):
                     payloads = self._newest(payloads)
                     backlog = False
@@ -405,6 +408,14 @@ class Skin:
                         return
             if pipeline.generation_differs:
                 self._recover()
+
+    def _payloads(self, wait_s: float) -> list[bytes]:
+        """Return what comes, waiting for it; if nothing comes for a moment, do what can wait, and wait on."""
+        if self.pipeline.has_leisure_work:
+            if payloads := self.device.payloads(LEISURE_S):
+                return payloads
+            self.pipeline.look_at_health()
+        return self.device.payloads(wait_s)
 
     def _start(self) -> None:
         """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""

@@ -5,8 +5,9 @@ import pytest
 from tests.runtime.test_electrodes import NOISE, REFERENCE, consistency, detached, healthy
 
 from eitskin.drift import HOLD, Drift
+from eitskin.electrodes import WINDOW
 from eitskin.evidence import N_VOTES, Weigher
-from eitskin.health import DRIFT_TOGETHER, TOGETHER, Health
+from eitskin.health import DRIFT_TOGETHER, MOST_TOGETHER, TOGETHER, Health
 from eitskin.imputation import rows_of
 from eitskin_proto.table import N_ROWS
 
@@ -71,9 +72,22 @@ def test_a_stream_has_its_failure_named_within_20_frames():
     health.use(REFERENCE, NOISE * np.abs(REFERENCE))
     for number, frame in enumerate(np.concatenate([healthy(53), detached(healthy(20, seed=1), 6)])):
         health.correct(frame.copy())
-        if health.look(NO_SCAN, touched=True):
+        health.put_aside(touched=True)
+        if health.due and health.look(NO_SCAN):
             assert 53 + 10 <= number + 1 <= 53 + 20
             break
     assert health.watch.texts == ("6:detached:imputed",)
     assert health.take_events() == ("electrode:6:detached:imputed",)
-    assert 14 + TOGETHER - 1 <= 20  # frames of evidence, and those that wait for the others
+    assert WINDOW + MOST_TOGETHER - 1 <= 20  # frames of evidence, and those that wait for the others
+
+
+def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
+    health = Health(consistency())
+    frame = healthy(1)[0]
+    must = []
+    for _ in range(MOST_TOGETHER):
+        health.correct(frame.copy())
+        must.append(health.put_aside(touched=False))
+    assert must == [False] * TOGETHER + [True]
+    assert not health.look(NO_SCAN)
+    assert not health.due
