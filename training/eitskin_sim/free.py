@@ -6,7 +6,9 @@ Parts (:mod:`eitskin_sim.free_parts`) are condensed one by one; a touch set is p
     [ .        1             W_q  ]        whose Cholesky factor ends in a 16 x 16 triangle R with U = R R^T
     [ W_p^T    W_q^T         G_EE ]
 
-so a part that several sets have is condensed once, and parts that share an element are one part. Against a
+so a part that several sets have is condensed once, and parts that share an element are one part. The factor of a set
+holds those of the sets that end a part earlier: the rows of electrodes in the columns of the first parts, E, lower the
+electrodes' potentials by E E^T, so a family of sets, each the one before and a part more, costs one factor. Against a
 factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
 off by 0.9 % (median); two touches that leave less than an element between them conduct as if they met.
 """
@@ -18,9 +20,9 @@ from scipy.linalg import lapack
 
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.free_mesh import ELEMENT_MM, FreeMesh, free_mesh
-from eitskin_sim.free_parts import Geometry, Part, condense, geometry
+from eitskin_sim.free_parts import Geometry, Part, between, condense, geometry
 from eitskin_sim.free_pool import FreePool
-from eitskin_sim.free_sets import PartSets, merged
+from eitskin_sim.free_sets import PartSets, families, merged
 from eitskin_sim.free_sheet import FreeSheet
 from eitskin_sim.free_touches import Array, FreeTouches
 from eitskin_sim.units import to_voltages
@@ -67,31 +69,39 @@ def put_together(sheet: FreeSheet, parts: Sequence[Part], sets: PartSets) -> Arr
     """Return the (s, 16, 16) potentials of electrodes, V for 1 A into each, under sets of parts at one deformation."""
     response = np.empty((len(sets), N_ELECTRODES, N_ELECTRODES))
     at_terminals = sheet.inverse[-N_ELECTRODES:, -N_ELECTRODES:]
-    for number in range(len(sets)):
-        own = [parts[part] for part in sets.of(number)]
-        if not own:
-            response[number] = at_terminals
-        elif len(own) == 1:
-            response[number] = at_terminals - own[0].load.T @ own[0].load
-        else:
-            response[number] = _several(sheet.inverse, own, at_terminals)
+    for family in families(sets):
+        own = [parts[part] for part in sets.of(family[-1])]
+        fall = _fall(sheet.inverse, own, at_terminals)
+        width = np.cumsum([0, *(part.factor.shape[1] for part in own)])
+        for number in family:
+            last = width[sets.first[number + 1] - sets.first[number]]
+            response[number] = at_terminals - fall[:, :last] @ fall[:, :last].T
     return response
 
 
-def _several(inverse: Array, parts: list[Part], at_terminals: Array) -> Array:
-    """Return the (16, 16) electrode response under two parts or more."""
-    first = np.cumsum([0, *(part.factor.shape[1] for part in parts)])
+def _fall(inverse: Array, parts: list[Part], at_terminals: Array) -> Array:
+    """Return E (16, n), by whose first columns' squares the first parts lower the electrodes' potentials.
+
+    A part alone has 1 in the diagonal, so the first part is eliminated by one product.
+    """
+    if not parts:
+        return np.empty((N_ELECTRODES, 0))
+    first = np.cumsum([0, *(part.factor.shape[1] for part in parts[1:])])
+    where = np.cumsum([0, *(len(part.dofs) for part in parts[1:])])
+    dofs = np.concatenate([np.empty(0, dtype=np.intp), *(part.dofs for part in parts[1:])])
     size = int(first[-1])
+    panel = np.empty((size + N_ELECTRODES, parts[0].factor.shape[1]), order="F")
+    panel[size:] = parts[0].load.T
     whole = np.zeros((size + N_ELECTRODES, size + N_ELECTRODES), order="F")
     whole[np.arange(size), np.arange(size)] = 1.0
     whole[size:, size:] = at_terminals
     for column, part in enumerate(parts):
-        at = slice(first[column], first[column + 1])
-        whole[size:, at] = part.load.T
-        for row in range(column + 1, len(parts)):
-            other = parts[row]
-            seen = inverse[other.dofs[:, None], part.dofs]
-            whole[first[row] : first[row + 1], at] = other.factor.T @ (seen @ part.factor)
+        into = whole[:, first[column - 1] : first[column]] if column else panel
+        into[size:] = part.load.T
+        seen = between(inverse, dofs[where[column] :], part.dofs) @ part.factor
+        for row in range(column, len(parts) - 1):
+            their = seen[where[row] - where[column] : where[row + 1] - where[column]]
+            into[first[row] : first[row + 1]] = parts[row + 1].factor.T @ their
+    whole -= panel @ panel.T
     triangle, _ = lapack.dpotrf(whole, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
-    root = np.tril(triangle[size:, size:])
-    return np.asarray(root @ root.T)
+    return np.concatenate([panel[size:], triangle[size:, :size]], axis=1)

@@ -1,11 +1,20 @@
 """Touch sets drawn from a pool of touches: one to eight of them apart from each other, or none.
 
+Touches are drawn one after the other, so the first k of a set are themselves a set as k touches would be drawn. Sets
+come in families, each the one before and a touch more: fewer factors to make (:mod:`eitskin_sim.free`), and as many sets
+of every size as if each were drawn for itself, since every size is rarer than the one below. ::
+
+    a   a b   a b c   a b c d           families begin with touches in turn, so sets of one touch hardly recur
+    e   e f   e f g
+    h
+
 Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told apart, is well inside what is drawn. In
 half of the sets all touches have one conductivity. A set whose map may resemble a published phantom's is left out and
 another drawn: its correlation is bounded from above by sums over its touches, whose maps are made once a pool.
 """
 
 from functools import lru_cache
+from itertools import count as count_up
 from typing import Final
 
 import numpy as np
@@ -29,7 +38,10 @@ RESEMBLES: Final = 0.97
 """A map with at least this correlation to a phantom's is that phantom, slightly moved."""
 
 ATTEMPTS: Final = 40
-"""Touches tried for a place in a set before the set does without it."""
+"""Touches tried for a place in a family before the family ends there."""
+
+REDRAWN: Final = 4
+"""Times that families which ended early are drawn again; then their largest sets have fewer touches."""
 
 
 def draw_sets(pool: FreeTouches, count: int, generator: np.random.Generator) -> PartSets:
@@ -37,26 +49,52 @@ def draw_sets(pool: FreeTouches, count: int, generator: np.random.Generator) -> 
     if not count:
         return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
     bar, near = _Bar(pool), _near(pool)
-    found = _draw(near, count, generator)
-    while True:
-        barred = np.flatnonzero(bar.may_resemble(found))
-        if not len(barred):
+    wanted = np.bincount(generator.choice(len(COUNTS), count, p=COUNTS), minlength=len(COUNTS))
+    family = np.concatenate([np.arange(number) for number in wanted])
+    size = np.repeat(np.arange(len(COUNTS)), wanted)
+    length = np.zeros(max(wanted[1:].max(), 1), dtype=np.intp)
+    np.maximum.at(length, family[size > 0], size[size > 0])
+    turns = -(-len(length) // len(pool))
+    begin = np.concatenate([generator.permutation(len(pool)) for _ in range(turns)])[: len(length)]
+    shared = generator.random(len(length)) < 0.5
+    found = _draw(near, begin, length, shared, generator)
+    for attempt in count_up():
+        again = bar.may_resemble(found)
+        if attempt < REDRAWN:
+            again |= (found >= 0).sum(axis=1) < length
+        rows = np.flatnonzero(again)
+        if not len(rows):
             break
-        found[barred] = _draw(near, len(barred), generator)
-    taken = found >= 0
-    return PartSets(found[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
+        begin = generator.integers(len(pool), size=len(rows))
+        found[rows] = _draw(near, begin, length[rows], shared[rows], generator)
+    order = generator.permutation(count)
+    own = found[np.where(size > 0, family, 0)[order]]
+    taken = (own >= 0) & (np.arange(own.shape[1]) < size[order, None])
+    return PartSets(own[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
 
 
-def _draw(near: npt.NDArray[np.bool_], count: int, generator: np.random.Generator) -> Index:
-    """Return (count, 8) numbers of touches, -1 after the last; (p + 1, p + 1) ``near`` says which exclude others."""
-    total = len(near) - 1
-    most = len(COUNTS) - 1
-    wanted = generator.choice(most + 1, count, p=COUNTS)
-    shared = generator.random(count) < 0.5
-    own_class = generator.integers(min(CLASSES, total), size=count)
-    found = np.full((count, most), -1, dtype=np.intp)
-    for place in range(most):
-        missing = np.flatnonzero(wanted > place)
+def _draw(
+    near: npt.NDArray[np.bool_],
+    begin: Index,
+    length: Index,
+    shared: npt.NDArray[np.bool_],
+    generator: np.random.Generator,
+) -> Index:
+    """Return (f, 8) numbers of touches of families, -1 after the last.
+
+    Args:
+        near: (p + 1, p + 1) which touches exclude each other; the last is none.
+        begin: (f,) their first touches.
+        length: (f,) how many they shall have.
+        shared: (f,) whether all have the first one's conductivity.
+        generator: Where draws come from.
+    """
+    total, most = len(near) - 1, len(COUNTS) - 1
+    own_class = begin % CLASSES
+    found = np.full((len(begin), most), -1, dtype=np.intp)
+    found[:, 0] = np.where(length > 0, begin, -1)
+    for place in range(1, most):
+        missing = np.flatnonzero((length > place) & (found[:, place - 1] >= 0))
         for _ in range(ATTEMPTS):
             if not len(missing):
                 break
@@ -64,12 +102,10 @@ def _draw(near: npt.NDArray[np.bool_], count: int, generator: np.random.Generato
             of_class = drawn - drawn % CLASSES + own_class[missing]
             of_class = np.where(of_class < total, of_class, own_class[missing])
             candidate = np.where(shared[missing], of_class, drawn)
-            others = found[missing, :place]  # -1 is none, and the last row of the table is near nothing
-            free = ~near[candidate[:, None], others].any(axis=1)
+            free = ~near[candidate[:, None], found[missing, :place]].any(axis=1)
             found[missing[free], place] = candidate[free]
             missing = missing[~free]
-    order = np.argsort(found < 0, axis=1, kind="stable")
-    return np.take_along_axis(found, order, axis=1)
+    return found
 
 
 def _near(pool: FreeTouches) -> npt.NDArray[np.bool_]:
@@ -99,11 +135,11 @@ class _Bar:
         self._square: Array = np.append(np.asarray(maps.multiply(maps).sum(axis=1)).ravel(), 0.0)
         self._sum: Array = np.append(np.asarray(maps.sum(axis=1)).ravel(), 0.0)
 
-    def may_resemble(self, sets: Index) -> npt.NDArray[np.bool_]:
-        """Return which of (n, 8) sets may correlate with a phantom by ``RESEMBLES`` or more."""
-        product, square, total = (table[sets].sum(axis=1) for table in (self._product, self._square, self._sum))
+    def may_resemble(self, found: Index) -> npt.NDArray[np.bool_]:
+        """Return which of (f, 8) families have a set that may correlate with a phantom by ``RESEMBLES`` or more."""
+        product, square, total = (table[found].cumsum(axis=1) for table in (self._product, self._square, self._sum))
         length = np.sqrt(np.maximum(square - total**2 / N_PIXELS, 1e-12))
-        return np.asarray((product >= RESEMBLES * length[:, None]).any(axis=1))
+        return np.asarray((product >= RESEMBLES * length[..., None]).any(axis=(1, 2)))
 
 
 @lru_cache(maxsize=1)

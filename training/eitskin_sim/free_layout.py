@@ -1,7 +1,8 @@
 """Which unknowns the touched elements of a part have, and where every number goes: made once for all deformations.
 
 A part is a touch, or several that share elements. Its nodes are inside, when all their elements are touched, or on its
-outline. Parts follow each other, each a square of numbers in one long buffer. ::
+outline. The last of an outline is held at zero: a part passes no current where all potentials are alike, so what it does
+to the others says all. Parts follow each other, each a square of numbers in one long buffer. ::
 
     elements --81 numbers each--> parts (inside | outline) --eliminate the inside--> outlines
 """
@@ -22,16 +23,16 @@ class Layout:
         slot: (e * 81,) where each number of the elements' blocks goes in the buffer; its last place is for what goes
             nowhere.
         begin: (p + 1,) where each part begins in the buffer.
-        inside: (p,) unknowns inside.
-        outline: (p,) unknowns on the outline, which follow them.
+        width: (p,) unknowns of each part but the one held: the side of its square.
+        inside: (p,) how many of them are inside; they come first.
         first_outline: (p + 1,) where each part's outline begins in ``dofs``.
-        dofs: Unknowns of the sheet, outline after outline.
+        dofs: Unknowns of the sheet, outline after outline, each with the one held last.
     """
 
     slot: Index
     begin: Index
+    width: Index
     inside: Index
-    outline: Index
     first_outline: Index
     dofs: Index
 
@@ -56,20 +57,23 @@ def make_layout(part: Index, element: Index, count: int, grid: FreeMesh) -> Layo
     order = np.lexsort((unique, ~inside, owner))
     n_inside = np.bincount(owner[inside], minlength=count)
     n_outline = np.bincount(owner[~inside], minlength=count)
-    width = n_inside + n_outline
+    total = n_inside + n_outline
     place = np.empty(len(unique), dtype=np.intp)
-    place[order] = np.arange(len(unique)) - np.repeat(np.cumsum(width) - width, width)
+    place[order] = np.arange(len(unique)) - np.repeat(np.cumsum(total) - total, total)
 
+    width = np.maximum(total - 1, 0)
+    place[place == width[owner]] = -1
     begin = np.concatenate([[0], np.cumsum(width**2)])
     local = np.full(dofs.shape, -1, dtype=np.intp)
     local[valid] = place[back]
     slot = begin[part, None, None] + local[:, :, None] * width[part, None, None] + local[:, None, :]
-    slot[~(valid[:, :, None] & valid[:, None, :])] = begin[-1]
+    kept = local >= 0
+    slot[~(kept[:, :, None] & kept[:, None, :])] = begin[-1]
     return Layout(
         slot=slot.ravel(),
         begin=begin,
+        width=width,
         inside=n_inside,
-        outline=n_outline,
         first_outline=np.concatenate([[0], np.cumsum(n_outline)]),
         dofs=unique[order[~inside[order]]] % n_dofs,
     )

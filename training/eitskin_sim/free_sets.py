@@ -33,6 +33,20 @@ class PartSets:
         return self.member[self.first[number] : self.first[number + 1]]
 
 
+def families(sets: PartSets) -> list[list[int]]:
+    """Return the numbers of sets, in lists where each set has the parts of the one before, in their order, and more."""
+    keys = [tuple(sets.of(number).tolist()) for number in range(len(sets))]
+    found: list[list[int]] = []
+    last: tuple[int, ...] = (-1,)
+    for number in sorted(range(len(sets)), key=keys.__getitem__):
+        if keys[number][: len(last)] == last:
+            found[-1].append(number)
+        else:
+            found.append([number])
+        last = keys[number]
+    return found
+
+
 def merged(
     parts: FreeTouches, batches: Sequence[Geometry], sets: PartSets, grid: FreeMesh
 ) -> tuple[FreeTouches, PartSets]:
@@ -77,11 +91,13 @@ def _sharing(bits: npt.NDArray[np.uint64], sets: PartSets) -> Index:
 
 
 def _joined(members: list[int], pairs: list[list[int]]) -> list[tuple[int, ...]]:
-    """Return the groups that pairs join, each ascending."""
+    """Return the groups that pairs join, each ascending, in the order of their last members: a family stays one."""
     group = {member: {member} for member in members}
     for a, b in pairs:
         if group[a] is not group[b]:
             joined = group[a] | group[b]
             for member in joined:
                 group[member] = joined
-    return sorted({tuple(sorted(own)) for own in group.values()})
+    place = {member: at for at, member in enumerate(members)}
+    groups = {tuple(sorted(own)) for own in group.values()}
+    return sorted(groups, key=lambda own: max(place[member] for member in own))
