@@ -7,12 +7,14 @@ frames of fourteen, so that noise alone names no electrode; a scene that is held
 """
 
 import io
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.correction import NAMES
 from eitskin.drift import estimates
 from eitskin.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.imputation import Consistency as Deployed
@@ -34,6 +36,9 @@ MARGIN: Final = 1.2
 SNR_DB: Final = 50.0
 """N2 noise of these frames. Noise that differs from frame to frame does not add up to ten of fourteen."""
 
+HALF_LARGEST: Final = 65504.0
+"""Of half precision."""
+
 Array = npt.NDArray[np.float64]
 
 
@@ -41,7 +46,7 @@ Array = npt.NDArray[np.float64]
 class Healthy:
     """A bundle's consistency.npz and what was measured of it."""
 
-    arrays: dict[str, Array]
+    arrays: dict[str, npt.NDArray[np.floating]]
     false_alarm_rate: float
     """Share of the measuring frames that exceed a threshold."""
     frames: int
@@ -60,11 +65,18 @@ class Healthy:
             "frames": self.frames,
             "thresholds": [round(float(value), 3) for value in self.arrays["thresholds"]],
             "named_after_frames": [NEEDED, WINDOW],
+            "filling": [list(self.arrays[name].shape) for name in NAMES] if NAMES[0] in self.arrays else None,
             "drift_error_percent": [round(100.0 * float(limit[0]), 2) for limit in self.arrays["drift_limits"]],
         }
 
 
-def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse: Array) -> Healthy:
+def healthy(
+    data: TrainingData,
+    recipe: Recipe,
+    bends: Bends,
+    projection_inverse: Array,
+    filling: Mapping[str, npt.NDArray[np.floating]] | None = None,
+) -> Healthy:
     """Return what a bundle says of healthy frames.
 
     Args:
@@ -72,6 +84,7 @@ def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse
         recipe: Its noise.
         bends: Untouched sheets.
         projection_inverse: (104, 104) (J J^T + tau I)^-1 of the bundle's projection.
+        filling: What corrects filled-in rows, of an adapted run; stored in half precision.
     """
     found = consistency_of(data, recipe)
     rng = np.random.default_rng([data.seed, 0xE1EC])
@@ -80,7 +93,7 @@ def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse
     change = noisy_change(data, rows, ("N2",), SNR_DB, rng)
     logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
     unpredicted = _unpredicted(data, np.unique(data.deformation[data.train]))
-    arrays = {
+    arrays: dict[str, npt.NDArray[np.floating]] = {
         "mean": found.mean,
         "covariance": found.covariance,
         "ratio_range": np.array(RATIO_RANGE),
@@ -93,12 +106,24 @@ def healthy(data: TrainingData, recipe: Recipe, bends: Bends, projection_inverse
         "projection_inverse": projection_inverse,
         "thresholds": np.ones(2),
     }
+    arrays |= {name: _half(value) for name, value in (filling or {}).items()}
     arrays["drift_limits"] = _drift_limits(Deployed.of(arrays), data, bends)
     seen = evidence(Deployed.of(arrays), change)
     choose, measure = seen[::2], seen[1::2]
     thresholds = np.quantile(choose, 1.0 - RATE, axis=0) if len(choose) else np.full(2, np.inf)
     alarms = float((measure > thresholds).any(axis=1).mean()) if len(measure) else 0.0
     return Healthy({**arrays, "thresholds": thresholds}, alarms, len(measure))
+
+
+def _half(value: npt.NDArray[np.floating]) -> npt.NDArray[np.float16]:
+    """Return weights in half precision, which has eleven bits: a filled-in row changes by 1e-3 of its correction.
+
+    Raises:
+        ValueError: A weight is too large for half precision, or not finite.
+    """
+    if not (np.abs(value) <= HALF_LARGEST).all():
+        raise ValueError(f"a filling's weight is {np.abs(value).max()}; expected at most {HALF_LARGEST}: adapt again")
+    return np.asarray(value, dtype=np.float16)
 
 
 def _unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:

@@ -106,13 +106,14 @@ def export(
     )
     tell("learning what healthy frames look like")
     inverse = projection.damped_inverse(jacobian())
-    healthy = consistency.healthy(data, found.recipe, untouched, inverse)
+    filling = {name: value.numpy() for name, value in found.content.get("filling", {}).items()}
+    healthy = consistency.healthy(data, found.recipe, untouched, inverse, filling)
     tell("scoring on held-out bends")
     metrics = {
         "held_out": card(found.model, data),
         "parity": differences,
         "int8": int8,
-        "electrodes": healthy.facts(),
+        "electrodes": {**healthy.facts(), "adapted": found.content.get("adapted")},
         "parameters": found.model.parameter_count(),
         "streamed_weights": found.model.streamed_weights(),
     }

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
-from eitskin.imputation import Array, Consistency, Imputation, rows_of
+from eitskin.imputation import UNPREDICTED, Array, Consistency, Imputation, rows_of
 from eitskin.rewiring import Rewiring, rewiring
 from eitskin_proto.table import N_ELECTRODES, TABLE
 
@@ -101,7 +101,7 @@ class ElectrodeWatch:
         self._resting = 0
         self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
         self._healthy: dict[int, int] = {}
-        self.imputation = Imputation(self._mean, self.precision, self._range)
+        self.imputation = Imputation(self._mean, self.precision, self._range, consistency.layers)
         """Fills in what is missing."""
         self.rearranged: Rewiring | None = None
         """Undoes an exchange of wires."""
@@ -149,12 +149,17 @@ class ElectrodeWatch:
         if len(set(electrodes)) > MOST_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
             raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MOST_OUT}, from 0 to 15")
 
-    def correct(self, change: npt.NDArray[np.float32]) -> None:
-        """Rearrange and fill in (104,) dV, in place, for the failures that are known."""
+    def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
+        """Rearrange and fill in (104,) dV, in place, for the failures that are known.
+
+        Args:
+            change: (104,) dV.
+            predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
+        """
         if self.rearranged is not None:
             volts = (change.astype(np.float64) + 1.0) * self._reference
             change[:] = self.rearranged.matrix @ volts / self._reference - 1.0
-        self.imputation.fill(change)
+        self.imputation.fill(change, predicted)
 
     def look(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
@@ -319,4 +324,4 @@ class ElectrodeWatch:
             rows = rows | self.rearranged.missing
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
-        self.imputation.leave_out(rows, self.precision)
+        self.imputation.leave_out(rows, self.precision, out)

@@ -8,6 +8,7 @@ the network learned from). Let rows m be missing and y = P (l - mean), with anyt
 
 The second is the same identity, and equals building the projection anew from the rows that are left. A change of the
 missing rows costs one small solve, a frame one product with a 104-column matrix, an unchanged healthy frame nothing.
+Where whole electrodes are gone, a bundle's small network corrects the first (:mod:`eitskin.correction`).
 """
 
 from collections.abc import Mapping
@@ -17,6 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.correction import Correction, Layers
 from eitskin.errors import BundleError
 from eitskin_proto.table import N_ELECTRODES, N_ROWS, TABLE
 
@@ -37,6 +39,11 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
     "thresholds": (2,),
 }
 """Arrays of consistency.npz."""
+
+HIGHEST_LOG: Final = 50.0
+
+UNPREDICTED: Final = np.zeros(N_ROWS, dtype=np.float32)
+"""log(V_pred / V0) where nothing was predicted."""
 
 MISSING: Final = "not available in this bundle; make it again with 'eitskin export'"
 
@@ -67,6 +74,8 @@ class Consistency:
     """(104, 104) K of the bundle's projection."""
     thresholds: Array
     """(2,) an electrode's surprise and a whole frame's, above which they are no touch and no deformation."""
+    layers: Layers | None = None
+    """What corrects filled-in rows; None in a bundle whose network never learned with it."""
 
     @classmethod
     def of(cls, arrays: Mapping[str, npt.NDArray[np.generic]]) -> "Consistency":
@@ -75,7 +84,7 @@ class Consistency:
         Raises:
             BundleError: One is missing, has another shape, or is not finite.
         """
-        found = {}
+        found: dict[str, Array] = {}
         for name, shape in SHAPES.items():
             value = np.asarray(arrays[name], dtype=np.float64) if name in arrays else np.zeros(0)
             if value.shape != shape or not np.isfinite(value).all():
@@ -84,7 +93,7 @@ class Consistency:
                     "again with 'eitskin export'"
                 )
             found[name] = value
-        return cls(**found)
+        return cls(**found, layers=Layers.of(arrays))
 
     def precision(self, extra: Array | None = None) -> Array:
         """Return (104, 104) P, with (104,) more variance of the rows where a device is noisier than the samples."""
@@ -106,10 +115,14 @@ class Imputation:
         mean: (104,) of l.
         precision: (104, 104) P.
         ratio_range: Where V / V0 is cut off.
+        layers: What corrects the rows of lost electrodes, if there is such a thing.
     """
 
     __slots__ = (
+        "_corrected",
+        "_correction",
         "_expected",
+        "_layers",
         "_logs",
         "_low_high",
         "_mean",
@@ -121,8 +134,11 @@ class Imputation:
         "missing",
     )
 
-    def __init__(self, mean: Array, precision: Array, ratio_range: Array) -> None:
+    def __init__(self, mean: Array, precision: Array, ratio_range: Array, layers: Layers | None = None) -> None:
         self._mean = mean
+        self._layers = layers
+        self._correction: Correction | None = None
+        self._corrected = np.zeros(0, dtype=np.intp)
         self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
         self._logs = np.zeros(N_ROWS)
         self._missing = self._present = np.zeros(0, dtype=np.intp)
@@ -132,12 +148,13 @@ class Imputation:
         """(104,) rows that are filled in."""
         self.leave_out(self.missing, precision)
 
-    def leave_out(self, rows: Rows, precision: Array) -> None:
+    def leave_out(self, rows: Rows, precision: Array, electrodes: tuple[int, ...] = ()) -> None:
         """Fill these rows in from the next frame on; under a millisecond.
 
         Args:
             rows: (104,) the missing ones; none is allowed.
             precision: (104, 104) P.
+            electrodes: Those that are gone altogether: all of their rows must be among the missing ones.
         """
         self.missing = rows.copy()
         self._missing, self._present = np.flatnonzero(rows), np.flatnonzero(~rows)
@@ -146,9 +163,19 @@ class Imputation:
         self._weights = np.asarray(weights, dtype=np.float64)
         self._seen, self._part = np.zeros(len(self._present)), np.zeros(len(self._missing))
         self._expected = self._mean[rows]
+        self._correction = None
+        if self._layers is not None and electrodes:
+            own = np.flatnonzero(rows_of(electrodes))
+            self._corrected = np.searchsorted(self._missing, own)
+            self._correction = Correction(self._layers, own, electrodes)
 
-    def fill(self, change: npt.NDArray[np.float32]) -> None:
-        """Overwrite the missing rows of (104,) dV by what the others say of them; allocates nothing."""
+    def fill(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
+        """Overwrite the missing rows by what the others say of them.
+
+        Args:
+            change: (104,) dV.
+            predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
+        """
         if not len(self._missing):
             return
         np.clip(change, *self._low_high, out=self._logs)
@@ -156,7 +183,12 @@ class Imputation:
         np.subtract(self._logs, self._mean, out=self._logs)
         np.take(self._logs, self._present, out=self._seen, mode="clip")
         np.matmul(self._weights, self._seen, out=self._part)
-        np.subtract(self._expected, self._part, out=self._part)
+        np.negative(self._part, out=self._part)
+        if self._correction is not None:
+            self._logs[self._missing] = self._part
+            self._part[self._corrected] += self._correction.of(self._logs, predicted)
+        np.add(self._expected, self._part, out=self._part)
+        np.minimum(self._part, HIGHEST_LOG, out=self._part)  # beyond it, expm1 would overflow before the clip
         np.expm1(self._part, out=self._part)
         np.clip(self._part, *self._low_high, out=self._part)
         change[self._missing] = self._part

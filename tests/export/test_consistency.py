@@ -5,6 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import torch
 
 from eitskin.electrodes import ElectrodeWatch
 from eitskin.imputation import Consistency, without_rows
@@ -12,8 +13,9 @@ from eitskin.imputation import rows_of as deployed_rows
 from eitskin_export.consistency import Healthy, evidence, healthy
 from eitskin_export.projection import damped_inverse, tikhonov
 from eitskin_export.untouched import bends_of
-from eitskin_sim.consistency import Filler, rows_of
+from eitskin_sim.consistency import Filler, logarithms, rows_of
 from eitskin_training.data import TrainingData, consistency_of, noisy_change
+from eitskin_training.filling import Filling
 from eitskin_training.recipes import recipe
 
 INVERSE = np.eye(104)
@@ -46,6 +48,39 @@ def test_training_and_runtime_fill_in_the_same(data: TrainingData, found: Health
     # The same mathematics in another order of operations, rounded to float32.
     np.testing.assert_allclose(change, taught, atol=2e-5)
     assert np.array_equal(rows_of((3, 9)), deployed_rows((3, 9)))
+
+
+def test_an_adapted_run_and_the_runtime_fill_in_the_same(data: TrainingData) -> None:
+    chosen = recipe("tiny")
+    torch.manual_seed(1)
+    filling = Filling(consistency_of(data, chosen), width=40)
+    torch.nn.init.normal_(filling.out.weight, std=0.05)  # untaught it would add nothing
+    found = healthy(data, chosen, bends_of(data), INVERSE, filling.arrays())
+    with np.load(io.BytesIO(found.to_npz()), allow_pickle=False) as archive:
+        deployed = Consistency.of(dict(archive))
+    change = noisy_change(data, data.validation[:5], ("N2",), 50.0, np.random.default_rng(0))
+    predicted = data.log_predicted[data.deformation[data.validation[:5]]]
+    logs = torch.from_numpy(logarithms(change).astype(np.float32))
+    with torch.inference_mode():
+        taught, _ = filling(logs, [(slice(0, 5), (3, 9))], torch.from_numpy(predicted))
+    watch = ElectrodeWatch(deployed, data.reference, np.zeros(104), excluded=(3, 9))
+    plain = change.copy()
+    for row in range(len(change)):
+        watch.correct(change[row], predicted[row])
+        watch.imputation.fill(plain[row])
+    rows = rows_of((3, 9))
+    # Weights of eleven bits, summed 40 at a time: the corrections agree to a thousandth of their size.
+    step = np.abs(np.log1p(change[:, rows]) - np.log1p(plain[:, rows]))
+    assert step.max() > 0.0
+    np.testing.assert_allclose(np.log1p(change[:, rows]), taught.numpy()[:, rows], atol=2e-3)
+    assert found.facts()["filling"] == [[224, 40], [40], [40, 40], [40], [40, 104], [104]]
+
+
+def test_weights_beyond_half_precision_are_refused(data: TrainingData) -> None:
+    arrays = Filling(consistency_of(data, recipe("tiny")), width=4).arrays()
+    arrays["filling_third_bias"] = np.full(104, 1e5, dtype=np.float32)
+    with pytest.raises(ValueError, match="adapt again"):
+        healthy(data, recipe("tiny"), bends_of(data), INVERSE, arrays)
 
 
 def test_thresholds_hold_on_frames_that_did_not_choose_them(data: TrainingData, found: Healthy) -> None:

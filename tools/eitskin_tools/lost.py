@@ -16,11 +16,13 @@ import numpy.typing as npt
 
 from eitskin.bundle import Bundle
 from eitskin.imputation import Consistency, Imputation, rows_of
+from eitskin.prediction import log_ratio
 from eitskin_proto.normalise import relative_change
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.evaluate import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.metrics import scaled
 from eitskin_sim.parts import Phantom
+from eitskin_sim.predict import flat_voltages
 from eitskin_sim.solvers.downdate import Precomputed, precompute
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import SATURATED, Operators, linear_data, log_data
@@ -65,12 +67,16 @@ def accuracy(
         most_sets: Sets of two and of three electrodes.
     """
     network = named(Request("vd2t", bundle=bundle.path), bundle.labels).run
-    filling = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range)
+    filling = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range, consistency.layers)
+    linear = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range)
     plan: list[tuple[str, str, Lost, Run]] = [("vd2t", "intact", (), network)]
     for count in (1, 2, 3):
         for lost in lost_sets(count, most_sets):
             plan.append(("vd2t", "zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
             plan.append(("vd2t", "imputed", lost, Run(_imputed(network.solver, lost, filling, consistency), "pre")))
+            if consistency.layers is not None:
+                solver = _imputed(network.solver, lost, linear, consistency)
+                plan.append(("vd2t", "imputed, Gaussian alone", lost, Run(solver, "pre")))
     if classical:
         kept: dict[int, Precomputed] = {}
         for name, solve in _CLASSICAL.items():
@@ -107,9 +113,9 @@ def _imputed(solver: Solver, lost: Lost, filling: Imputation, consistency: Consi
     rows, precision = rows_of(lost), consistency.precision()
 
     def solve(case: Case) -> Array:
-        filling.leave_out(rows, precision)
+        filling.leave_out(rows, precision, lost)
         change = relative_change(case.voltages, case.flat_reference).astype(np.float32)
-        filling.fill(change)
+        filling.fill(change, log_ratio(case.sheet.predicted(), flat_voltages()))
         return solver(replace(case, voltages=case.flat_reference * (1.0 + change.astype(np.float64))))
 
     return solve
@@ -156,14 +162,14 @@ def _without(
 def costs(operators: Operators, consistency: Consistency, repeats: int = 20) -> list[dict[str, Any]]:
     """Return CPU milliseconds of what a lost electrode changes, beside building it anew."""
     kept, gone = precompute(operators), rows_of((5,))
-    filling, precision = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range), None
+    filling = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range, consistency.layers)
     precision = consistency.precision()
     change = np.zeros(len(gone), dtype=np.float32)
     jobs: dict[str, Callable[[], object]] = {
         "tikhonov, down-dated": lambda: kept.tikhonov(gone),
         "tikhonov, built anew": lambda: tikhonov_matrix(operators.relative_jacobian[~gone]),
         "l1 and sbl, rows removed": lambda: kept.left(gone),
-        "network, rows chosen": lambda: filling.leave_out(gone, precision),
+        "network, rows chosen": lambda: filling.leave_out(gone, precision, (5,)),
         "network, rows filled in, a frame": lambda: filling.fill(change),
     }
     rows = []

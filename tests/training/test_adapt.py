@@ -1,0 +1,103 @@
+"""The second training: what it changes, what it leaves, and that it is of use."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin_sim.consistency import Filler, logarithms, rows_of
+from eitskin_training import train
+from eitskin_training.adapt import Plan, adapt, write
+from eitskin_training.data import consistency_of, noisy_change
+from eitskin_training.filling import Filling
+from eitskin_training.model import VD2T
+from eitskin_training.recipes import Recipe, recipe
+
+QUICK = Plan(fitting_steps=20, steps=20, batch=64, rate=3e-3, width=32)
+
+
+def tiny(**changes: Any) -> Recipe:
+    return replace(recipe("tiny"), labels="units", **changes)
+
+
+def trained(data: Any) -> VD2T:
+    torch.manual_seed(0)
+    return VD2T(tiny().architecture).eval()
+
+
+def test_untaught_it_fills_in_what_the_gaussian_says(toy_data: Any) -> None:
+    data = toy_data("units", samples=600)
+    consistency = consistency_of(data, tiny())
+    change = noisy_change(data, data.validation[:6], ("N2",), 50.0, np.random.default_rng(0))
+    expected = change.copy()
+    Filler(consistency).fill(expected[:4], (3, 9))
+    logs = torch.from_numpy(logarithms(change).astype(np.float32))
+    filled, missing = Filling(consistency)(logs, [(slice(0, 4), (3, 9))], torch.zeros(6, 104))
+    # P has a condition of up to 1e5 and is multiplied in float32 here.
+    np.testing.assert_allclose(np.expm1(filled.detach().numpy()[:4]), expected[:4], atol=2e-4)
+    assert torch.equal(filled[4:], logs[4:])
+    np.testing.assert_array_equal(missing.numpy(), np.arange(6)[:, None] < 4 * rows_of((3, 9)))
+
+
+def test_a_taught_filling_finds_what_no_linear_map_can(toy_data: Any) -> None:
+    data = toy_data("units", samples=900)
+    rng = np.random.default_rng(7)
+    causes = rng.uniform(-1.0, 1.0, (len(data.voltages), 2))
+    logs = 0.2 * causes @ rng.standard_normal((2, 104)) + 0.2 * causes**2 @ rng.standard_normal((2, 104))
+    bent = replace(data, voltages=(data.reference * np.exp(logs)).astype(np.float32))
+    taught = adapt(trained(data), tiny(), bent, replace(QUICK, fitting_steps=200, steps=0)).filling
+    shown = torch.from_numpy(logarithms(noisy_change(bent, data.train, ("N2",), 50.0, rng)).astype(np.float32))
+    predicted = torch.zeros(shown.shape)
+    rows = rows_of((6,))
+    errors = []
+    for filling in (Filling(consistency_of(bent, tiny())), taught):
+        with torch.inference_mode():
+            filled, _ = filling(shown, [(slice(0, len(shown)), (6,))], predicted)
+        errors.append(float((filled - shown)[:, rows].square().mean().sqrt()))
+    assert errors[1] < 0.8 * errors[0]
+
+
+def test_the_clouds_half_and_the_running_means_stay(toy_data: Any) -> None:
+    data = toy_data("units", samples=600)
+    model = trained(data)
+    before = {name: value.clone() for name, value in model.state_dict().items()}
+    adapted = adapt(model, tiny(), data, QUICK)
+    after = adapted.model.state_dict()
+    for name, value in before.items():
+        kept = name.startswith(("cloud.", "fusion_cloud.", "standardise.")) or "running" in name
+        assert not kept or torch.equal(value, after[name]), name
+    assert not torch.equal(before["out.weight"], after["out.weight"])
+    assert all(parameter.requires_grad for parameter in adapted.model.parameters())
+
+
+def test_the_same_seed_gives_the_same_network(toy_data: Any) -> None:
+    data = toy_data("units", samples=600)
+    first, second = (adapt(trained(data), tiny(), data, replace(QUICK, steps=5), seed=3) for _ in range(2))
+    assert torch.equal(first.model.out.weight, second.model.out.weight)
+    assert first.facts == second.facts
+
+
+def test_maps_without_an_electrode_gain(toy_data: Any, tmp_path: Path) -> None:
+    data, chosen = toy_data("units", samples=1000), tiny(epochs=6, learning_rate=5e-3, lost_electrode=0.0)
+    train.train(data, chosen, tmp_path / "run")
+    content = train.read(tmp_path / "run" / "best.pt")
+    model = train.network(chosen, content["weights"])
+    adapted = adapt(model, chosen, data, replace(QUICK, steps=80))
+    before, after = adapted.facts["before"], adapted.facts["after"]
+    assert after["two_lost"] > before["two_lost"]
+    assert after["whole"] > before["whole"] - 0.05
+    path = write(tmp_path / "adapted", content, adapted)
+    again = train.read(path)
+    assert again["adapted"] == adapted.facts
+    network = train.network(chosen, again["weights"])
+    assert torch.equal(network.out.weight, adapted.model.out.weight)
+    assert again["filling"]["filling_first"].shape[0] == 224
+
+
+@pytest.mark.parametrize("change", [{"steps": -1}, {"batch": 8}, {"share": 0.0}, {"share": 1.5}])
+def test_a_plan_that_cannot_be_is_refused(change: dict[str, Any]) -> None:
+    with pytest.raises(ValueError, match="expected no negative steps"):
+        replace(Plan(), **change)

@@ -1,0 +1,308 @@
+"""A short second training for lost electrodes: the network and what fills their rows in learn together.
+
+Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.lost`). This stage
+starts from a run's best epoch ::
+
+    1. fitting     the filling alone, towards the rows that were lost
+    2. together    filling and network on the training's loss; half of each batch lacks one to four electrodes
+
+Alone, a filling that is nearer to the true rows makes the maps worse: the network knows the Gaussian's errors and not
+the new ones (held-out CC 0.857 instead of 0.875). Together both gain. The cloud's half of the network stays as it is,
+and so do the statistics of its normalisation. The result is a ``best.pt`` like any other, with the filling in it.
+"""
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from eitskin_proto.grid import map_from_units
+from eitskin_proto.table import N_ELECTRODES
+from eitskin_sim.consistency import logarithms
+from eitskin_training.data import TrainingData, assemble, consistency_of, lose_rows, noisy_change
+from eitskin_training.filling import WIDTH, Filling, Lost
+from eitskin_training.mirror import MIRRORS
+from eitskin_training.model import VD2T
+from eitskin_training.recipes import Recipe
+from eitskin_training.score import correlation, training_loss
+
+HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
+"""Chances that one to four electrodes are gone; the runtime leaves out four at most."""
+
+GROUPS: Final = 8
+"""Different sets of electrodes in a batch."""
+
+ROWS_WEIGHT: Final = 2e-3
+"""Of the rows' own error beside the cross-entropy: what is filled in stays near voltages, which the gate reads too."""
+
+RISING_STEPS: Final = 50
+"""Steps in which a learning rate rises; then it falls as half a cosine."""
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """How long and how fast."""
+
+    fitting_steps: int = 2000
+    steps: int = 3000
+    batch: int = 512
+    fitting_rate: float = 3e-3
+    rate: float = 1e-3
+    share: float = 0.5
+    """Of a batch that loses electrodes."""
+    width: int = WIDTH
+    """Of the filling."""
+
+    def __post_init__(self) -> None:
+        if self.fitting_steps < 0 or self.steps < 0 or self.batch < 2 * GROUPS or not 0.0 < self.share <= 1.0:
+            raise ValueError(
+                f"a plan of {self.fitting_steps} and {self.steps} steps, batches of {self.batch}, a share of "
+                f"{self.share}; expected no negative steps, at least {2 * GROUPS} in a batch, 0 < share <= 1"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Adapted:
+    """What comes out.
+
+    Args:
+        model: The network, in evaluation mode.
+        filling: What fills lost rows in for it.
+        facts: Held-out accuracy before and after.
+    """
+
+    model: VD2T
+    filling: Filling
+    facts: dict[str, Any]
+
+
+def adapt(
+    model: VD2T,
+    recipe: Recipe,
+    data: TrainingData,
+    plan: Plan | None = None,
+    *,
+    seed: int = 0,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Adapted:
+    """Return a network and a filling that go together; the model that is given is changed.
+
+    Args:
+        model: A trained network.
+        recipe: Of it: noise, flips, lost rows.
+        data: The data set that it was trained on.
+        plan: Lengths and rates.
+        seed: Of every draw.
+        tell: Told how it goes on.
+    """
+    plan = Plan() if plan is None else plan
+    torch.manual_seed(seed)
+    model.eval()
+    filling = Filling(consistency_of(data, recipe), plan.width)
+    before = held_out(model, filling, data)
+    tell(f"before: {_line(before)}")
+    biases = _biases(model, data)
+    rng = np.random.default_rng([seed, 0xADA])
+    frozen = {id(parameter) for part in (model.cloud, model.fusion_cloud) for parameter in part.parameters()}
+    for parameter in model.parameters():
+        parameter.requires_grad_(False)
+
+    def towards_rows() -> Tensor:
+        return _rows_loss(filling, _draw(data, recipe, plan.batch, 1.0, rng))
+
+    def together() -> Tensor:
+        return _map_loss(model, recipe, filling, biases, data, _draw(data, recipe, plan.batch, plan.share, rng))
+
+    _run(plan.fitting_steps, plan.fitting_rate, list(filling.parameters()), 0.0, tell, towards_rows)
+    for parameter in model.parameters():
+        parameter.requires_grad_(id(parameter) not in frozen)
+    learning = [p for p in (*model.parameters(), *filling.parameters()) if p.requires_grad]
+    _run(plan.steps, plan.rate, learning, recipe.weight_decay, tell, together)
+    for parameter in model.parameters():
+        parameter.requires_grad_(True)
+    after = held_out(model, filling, data)
+    tell(f"after: {_line(after)}")
+    return Adapted(model, filling, {"plan": asdict(plan), "seed": seed, "before": before, "after": after})
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """One batch."""
+
+    logs: Tensor
+    change: Tensor
+    groups: list[tuple[slice, Lost]]
+    lost: int
+    predicted: Tensor
+    rows: npt.NDArray[np.intp]
+    mirror: int
+
+
+def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.random.Generator) -> _Drawn:
+    """Return samples of which the first ``share`` lose electrodes, in groups."""
+    rows = rng.choice(data.train, size=size)
+    number = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
+    change = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
+    lost = max(GROUPS, int(share * size))
+    whole = change[lost:]
+    lose_rows(whole, recipe, rng)
+    change[lost:] = whole
+    predicted = data.log_predicted[data.deformation[rows]]
+    predicted[rng.random(size) < recipe.predicted_dropout] = 0.0
+    image = MIRRORS[number].rows
+    change, predicted = np.ascontiguousarray(change[:, image]), np.ascontiguousarray(predicted[:, image])
+    edges = np.linspace(0, lost, GROUPS + 1).astype(int)
+    groups = []
+    for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
+        chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
+        groups.append((slice(start, stop), chosen))
+    logs = torch.from_numpy(logarithms(change[:lost]).astype(np.float32))
+    return _Drawn(logs, torch.from_numpy(change), groups, lost, torch.from_numpy(predicted), rows, number)
+
+
+def _rows_loss(filling: Filling, drawn: _Drawn) -> Tensor:
+    """Return the mean square error of filled-in rows, in variances that the Gaussian leaves them."""
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    return _rows_error(filling, drawn, filled, missing)
+
+
+def _rows_error(filling: Filling, drawn: _Drawn, filled: Tensor, missing: Tensor) -> Tensor:
+    scale = torch.cat(
+        [filling.gaussian.uncertainty(lost).expand(part.stop - part.start, -1) for part, lost in drawn.groups]
+    )
+    return (((filled - drawn.logs) / scale).square() * missing).sum() / missing.sum()
+
+
+def _map_loss(
+    model: VD2T, recipe: Recipe, filling: Filling, biases: list[Tensor], data: TrainingData, drawn: _Drawn
+) -> Tensor:
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    change = torch.cat(
+        [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.lost]), drawn.change[drawn.lost :]]
+    )
+    mirror = MIRRORS[drawn.mirror]
+    columns = mirror.units if data.labels_kind == "units" else mirror.pixels
+    labels = torch.from_numpy(data.labels[data.touch_set[drawn.rows]][:, columns].astype(np.float32))
+    if data.labels_kind == "area":
+        labels = labels / 255.0
+    bias = biases[drawn.mirror][torch.from_numpy(data.deformation[drawn.rows])]
+    found = training_loss(model.logits(change, bias, drawn.predicted), labels, recipe.correlation_weight)
+    return found + ROWS_WEIGHT * _rows_error(filling, drawn, filled, missing)
+
+
+def _biases(model: VD2T, data: TrainingData) -> list[Tensor]:
+    """Return what each cloud adds, (D, H) for each mirror image: the cloud's half does not change."""
+    with torch.inference_mode():
+        found = [model.bias(torch.from_numpy(mirror.clouds(data.clouds))) for mirror in MIRRORS]
+    return [bias.clone() for bias in found]
+
+
+def _run(
+    steps: int,
+    rate: float,
+    learning: list[torch.nn.Parameter],
+    decay: float,
+    tell: Callable[[str], None],
+    loss: Callable[[], Tensor],
+) -> None:
+    matrices = [parameter for parameter in learning if parameter.ndim > 1]
+    others = [parameter for parameter in learning if parameter.ndim <= 1]
+    groups = [{"params": matrices, "weight_decay": decay}, {"params": others, "weight_decay": 0.0}]
+    optimiser = torch.optim.AdamW(groups, lr=rate)
+    mean = 0.0
+    for step in range(steps):
+        for group in optimiser.param_groups:
+            group["lr"] = rate * _share(step, steps)
+        value = loss()
+        optimiser.zero_grad(set_to_none=True)
+        value.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        mean += float(value.detach())
+        if (step + 1) % 250 == 0:
+            tell(f"step {step + 1}/{steps} loss {mean / 250:.5f}")
+            mean = 0.0
+
+
+def _share(step: int, steps: int) -> float:
+    """Return the share of the peak learning rate at a step."""
+    return min(1.0, (step + 1) / RISING_STEPS) * (0.5 + 0.5 * math.cos(math.pi * step / steps))
+
+
+def held_out(
+    model: VD2T, filling: Filling, data: TrainingData, *, most: int = 600, sets: int = 6, seed: int = 0
+) -> dict[str, float]:
+    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes.
+
+    Args:
+        model: The network.
+        filling: Fills lost rows in.
+        data: The data set.
+        most: Samples, with N2 noise.
+        sets: Of two and of three electrodes; of one, all 16.
+        seed: Of the draws.
+    """
+    rng = np.random.default_rng([seed, 0x0FF])
+    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
+    change = noisy_change(data, rows, ("N2",), 50.0, rng)
+    batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
+    truth = batch.labels.numpy()
+    truth = map_from_units(truth).reshape(len(rows), -1) if data.labels_kind == "units" else truth
+    touched = truth.max(axis=1) > 0
+    logs = torch.from_numpy(logarithms(change).astype(np.float32))
+
+    def cc(lost: Lost) -> float:
+        shown = batch.dv
+        if lost:
+            filled, missing = filling(logs, [(slice(0, len(rows)), lost)], batch.log_predicted)
+            shown = torch.where(missing, torch.expm1(filled), batch.dv)
+        maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
+        return float(correlation(maps[touched], truth[touched]).mean())
+
+    with torch.inference_mode():
+        bias = model.bias(batch.clouds)[batch.which]
+        found = {"whole": cc(())}
+        single = [cc((electrode,)) for electrode in range(N_ELECTRODES)]
+        found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
+        for name, count in (("two_lost", 2), ("three_lost", 3)):
+            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
+            found[name] = float(np.mean([cc(lost) for lost in drawn]))
+    return {name: round(value, 5) for name, value in found.items()}
+
+
+def _line(scores: dict[str, float]) -> str:
+    return "held-out CC " + ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
+
+
+def write(out: Path, content: dict[str, Any], adapted: Adapted) -> Path:
+    """Write RUN/best.pt, which ``eitskin export`` reads, and return its path.
+
+    Args:
+        out: The new run's folder.
+        content: Of the ``best.pt`` that was adapted.
+        adapted: The result.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    arrays = adapted.filling.arrays()
+    found = {
+        **content,
+        "weights": adapted.model.state_dict(),
+        "filling": {name: torch.from_numpy(value) for name, value in arrays.items()},
+        "adapted": adapted.facts,
+    }
+    path = out / "best.pt"
+    beside = path.with_suffix(".new")
+    with beside.open("wb") as file:
+        torch.save(found, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+    return path
