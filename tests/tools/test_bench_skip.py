@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from eitskin_tools.cli import main
+from eitskin_tools.skips import waking
 from eitskin_tools.skips.cost import TURN, interleaved, saving
 from eitskin_tools.skips.gate_error import bound
 from eitskin_tools.skips.scenes import Motion, contrasts_of_growth, first_above
@@ -78,7 +79,31 @@ def test_a_test_misses_half_where_a_touch_is_as_large_as_the_threshold() -> None
     assert hidden == pytest.approx(1.0 - FALSE_ALARM_RATE, abs=1e-3)
 
 
-@pytest.mark.parametrize("options", [["--frames", "3"], ["--bends", "1"]])
+@pytest.mark.parametrize("options", [["--frames", "3"], ["--bends", "1"], ["--touches", "0"]])
 def test_too_few_frames_or_bends_are_refused(options: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "skip", *options]) == 2
     assert "at least" in capsys.readouterr().err
+
+
+def test_touches_fall_evenly_into_the_idle_period_and_the_source_shows_them() -> None:
+    begins = waking.begins_s(40)
+    assert (np.diff(begins) > waking.HELD_S + waking.AFTER_S).all()  # asleep again in between
+    phases = np.sort((begins - waking.FIRST_S - waking.EVERY_S * np.arange(40)) / waking.SPREAD_S)
+    np.testing.assert_allclose(phases, np.arange(40) / 40, atol=0.05)  # within two places of evenly spaced
+    source = waking.Touched(np.zeros((2, 104)), np.ones((3, 104)), 40)
+    for begin in begins:
+        assert not source.voltages(begin - 1e-6).any()
+        assert source.voltages(begin + 1e-6).all()
+        assert not source.voltages(begin + waking.HELD_S + 1e-6).any()
+
+
+def test_a_wait_ends_with_the_first_whole_frame_that_shows_the_touch() -> None:
+    ms = 1_000_000
+    stream = [(0, 0, 1), (50, 0, 1), (100, 0, 1), (150, 1, 1), (156, 0, 0), (161, 1, 0), (166, 1, 0)]
+    seen = np.array(stream, dtype=np.int64) * [ms, 1, 1] + [10_000 * ms, 0, 0]
+    found = waking.waits(seen, 10_000 * ms, np.array([0.09, 0.158, 5.0]))
+    assert found["ms"] == {"mean": 71.0, "p50": 71.0, "largest": 71.0}
+    assert found["frames_that_missed_it"] == 2  # that at 100 ms, and the whole one at 156
+    assert found["awake_already"] == 2
+    assert found["never_met"] == 0
+    assert waking.waits(seen[:4], 10_000 * ms, np.array([0.09]))["never_met"] == 1

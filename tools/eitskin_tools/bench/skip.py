@@ -26,6 +26,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--frames", type=int, default=2000, metavar="N", help="frames of each way (default 2000)")
     parser.add_argument("--bends", type=int, default=100, metavar="N", help="fresh bends of A and of B (default 100)")
+    parser.add_argument(
+        "--touches", type=int, default=20, metavar="N", help="touches of each kind to wake an idling skin (default 20)"
+    )
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -33,9 +36,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    if arguments.frames < 20 or arguments.bends < 2:
-        raise UsageError("--frames must be at least 20 and --bends at least 2")
-    found = measure(arguments.bundle, arguments.frames, arguments.bends, arguments.seed)
+    if arguments.frames < 20 or arguments.bends < 2 or arguments.touches < 1:
+        raise UsageError("--frames must be at least 20, --bends at least 2 and --touches at least 1")
+    found = measure(arguments.bundle, arguments.frames, arguments.bends, arguments.seed, touches=arguments.touches)
     if arguments.json:
         print(json.dumps(found))
     else:
@@ -43,7 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def measure(path: Path | None, frames: int, bends: int, seed: int = 0) -> dict[str, Any]:
+def measure(path: Path | None, frames: int, bends: int, seed: int = 0, *, touches: int = 20) -> dict[str, Any]:
     """Return the rows, what is missing, and what it was measured on.
 
     Args:
@@ -51,6 +54,7 @@ def measure(path: Path | None, frames: int, bends: int, seed: int = 0) -> dict[s
         frames: Of each way.
         bends: Fresh bends of A and of B for false alarms; a tenth of it for motions and touches.
         seed: Of the noise.
+        touches: Of each kind, that wake an idling skin.
     """
     import numpy as np
 
@@ -72,7 +76,7 @@ def measure(path: Path | None, frames: int, bends: int, seed: int = 0) -> dict[s
         _say("errors of the gate at fresh deformations")
         found["untouched"]["error"] = gate_row.errors_of(bundle, shown.reference_V, bends, rng)
     _say("idle acquisition")
-    idle = idle_row.idle(bundle, shown.reference_V, bends, rng)
+    idle = idle_row.idle(bundle, shown, bends, touches, rng)
     if idle is None:
         missing["idle"] = "this bundle has no idle gate"
     else:
@@ -103,6 +107,8 @@ def _print_errors(name: str, row: dict[str, Any]) -> None:
         shares = ", ".join(f"{entry['drives']} {entry['share_of_information']:.2f}" for entry in row["chosen_by"])
         print(f"idle drives {row['drives']}; best subsets and their share of the information: {shares}")
         print(f"idle times: {json.dumps(row['configuration'])}")
+        for touch, met in row["touch_to_first_full_frame"].items():
+            print(f"idle, {touch}: ms from the touch to the first full frame, measured: {json.dumps(met)}")
     for where, noises in row["error"]["false_alarms"].items():
         rates = ", ".join(
             f"{noise} {100 * entry['rate']:.2f} % ({100 * entry['interval_95'][0]:.2f} to "

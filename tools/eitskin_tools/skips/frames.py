@@ -76,6 +76,7 @@ class Material:
         bent_V: (n, 104) V of untouched sheets at bends of family A.
         one_V: (n, 104) V of one touch on the flat sheet.
         two_V: (n, 104) V of the same touch and a weak one of 10 mm.
+        weak_V: (n, 104) V of the weak one alone.
     """
 
     frames: Frames
@@ -83,6 +84,7 @@ class Material:
     bent_V: Array
     one_V: Array
     two_V: Array
+    weak_V: Array
 
     @classmethod
     def of(cls, rng: np.random.Generator, bends: int = 20, each: int = 200) -> "Material":
@@ -95,8 +97,8 @@ class Material:
         sheet = free_sheet(bends_of("flat", 1)[0])
         reference_V = sheet.untouched_V
         one = squares([(60.0, 50.0)], 15.0, 50.0)[0]
-        both = np.concatenate([one, squares([(100.0, 40.0)], 10.0, CONTRAST)[0]])
-        one_V, two_V = free_voltages([sheet], gather([one, both]))[0]
+        weak = squares([(100.0, 40.0)], 10.0, CONTRAST)[0]
+        one_V, two_V, weak_V = free_voltages([sheet], gather([one, np.concatenate([one, weak]), weak]))[0]
         bent_V = reference_V * np.exp(still("A", bends))
         return cls(
             Frames(reference_V, rng),
@@ -104,6 +106,7 @@ class Material:
             noisy(bent_V, max(each // bends, 1), reference_V, rng),
             noisy(one_V, each, reference_V, rng),
             noisy(two_V, each, reference_V, rng),
+            noisy(weak_V, each, reference_V, rng),
         )
 
 
