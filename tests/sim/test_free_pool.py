@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin_sim import free_draws
-from eitskin_sim.free_draws import COUNTS, GAP_MM, RESEMBLES, draw_sets, phantom_maps
+from eitskin_sim.free_draws import COUNTS, GAP_MM, RESEMBLES, Bar, SetDrawer, phantom_maps
 from eitskin_sim.free_gap import gap_mm, half_extents_mm
 from eitskin_sim.free_patterns import CLASSES, CONTRAST, LONGEST_MM, touch_pool
 from eitskin_sim.free_pool import FreePool, free_pool
@@ -137,13 +137,13 @@ def test_no_phantom_passes_not_even_slightly_moved(monkeypatch: pytest.MonkeyPat
     moved = touch_pool(64, np.random.default_rng(5))
     pieces = np.concatenate([np.array([rectangle(75.2, 50.1, 60.0, 10.0)]), moved.pieces])
     with_phantom = FreeTouches(pieces, np.concatenate([[0], moved.first + 1]))
-    bar = free_draws._Bar(with_phantom)
+    bar = Bar(with_phantom)
     alone = np.full((len(with_phantom), 8), -1)
     alone[:, 0] = np.arange(len(with_phantom))
     assert bar.may_resemble(alone)[0]
     assert bar.may_resemble(alone).mean() < 0.05
     monkeypatch.setattr(free_draws, "COUNTS", (0.0, 1.0))
-    sets = draw_sets(with_phantom, 2_000, np.random.default_rng(6))
+    sets = SetDrawer(with_phantom).draw(2_000, np.random.default_rng(6))
     assert len(sets) == 2_000
     assert 0 not in sets.member
 

@@ -1,8 +1,8 @@
 """Touch sets drawn from a pool of touches: one to eight of them apart from each other, or none.
 
 Touches are drawn one after the other, so the first k of a set are themselves a set as k touches would be drawn. Sets
-come in families, each the one before and a touch more: fewer factors to make (:mod:`eitskin_sim.free`), and as many sets
-of every size as if each were drawn for itself, since every size is rarer than the one below. ::
+come in families, each the one before and a touch more: fewer factors to make (:mod:`eitskin_sim.free`), and as many
+sets of every size as if each were drawn for itself, since every size is rarer than the one below. ::
 
     a   a b   a b c   a b c d           families begin with touches in turn, so sets of one touch hardly recur
     e   e f   e f g
@@ -44,33 +44,45 @@ REDRAWN: Final = 4
 """Times that families which ended early are drawn again; then their largest sets have fewer touches."""
 
 
-def draw_sets(pool: FreeTouches, count: int, generator: np.random.Generator) -> PartSets:
-    """Return ``count`` sets of a pool's touches."""
-    if not count:
-        return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
-    bar, near = _Bar(pool), _near(pool)
-    wanted = np.bincount(generator.choice(len(COUNTS), count, p=COUNTS), minlength=len(COUNTS))
-    family = np.concatenate([np.arange(number) for number in wanted])
-    size = np.repeat(np.arange(len(COUNTS)), wanted)
-    length = np.zeros(max(wanted[1:].max(), 1), dtype=np.intp)
-    np.maximum.at(length, family[size > 0], size[size > 0])
-    turns = -(-len(length) // len(pool))
-    begin = np.concatenate([generator.permutation(len(pool)) for _ in range(turns)])[: len(length)]
-    shared = generator.random(len(length)) < 0.5
-    found = _draw(near, begin, length, shared, generator)
-    for attempt in count_up():
-        again = bar.may_resemble(found)
-        if attempt < REDRAWN:
-            again |= (found >= 0).sum(axis=1) < length
-        rows = np.flatnonzero(again)
-        if not len(rows):
-            break
-        begin = generator.integers(len(pool), size=len(rows))
-        found[rows] = _draw(near, begin, length[rows], shared[rows], generator)
-    order = generator.permutation(count)
-    own = found[np.where(size > 0, family, 0)[order]]
-    taken = (own >= 0) & (np.arange(own.shape[1]) < size[order, None])
-    return PartSets(own[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
+class SetDrawer:
+    """Draws sets of a pool's touches; what it must know of pairs of touches and of their maps is found once."""
+
+    def __init__(self, pool: FreeTouches) -> None:
+        self._near = near_table(pool)
+        self._bar = Bar(pool)
+
+    def draw(self, count: int, generator: np.random.Generator) -> PartSets:
+        """Return ``count`` sets."""
+        if not count:
+            return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
+        total = len(self._near) - 1
+        wanted = np.bincount(generator.choice(len(COUNTS), count, p=COUNTS), minlength=len(COUNTS))
+        family = np.concatenate([np.arange(number) for number in wanted])
+        size = np.repeat(np.arange(len(COUNTS)), wanted)
+        length = np.zeros(max(wanted[1:].max(), 1), dtype=np.intp)
+        np.maximum.at(length, family[size > 0], size[size > 0])
+        turns = -(-len(length) // total)
+        begin = np.concatenate([generator.permutation(total) for _ in range(turns)])[: len(length)]
+        found = self._families(begin, length, generator)
+        order = generator.permutation(count)
+        own = found[np.where(size > 0, family, 0)[order]]
+        taken = (own >= 0) & (np.arange(own.shape[1]) < size[order, None])
+        return PartSets(own[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
+
+    def _families(self, begin: Index, length: Index, generator: np.random.Generator) -> Index:
+        """Return (f, 8) touches of families, -1 after the last, from their first ones and lengths."""
+        shared = generator.random(len(length)) < 0.5
+        found = _draw(self._near, begin, length, shared, generator)
+        for attempt in count_up():
+            again = self._bar.may_resemble(found)
+            if attempt < REDRAWN:
+                again |= (found >= 0).sum(axis=1) < length
+            rows = np.flatnonzero(again)
+            if not len(rows):
+                break
+            begin = generator.integers(len(self._near) - 1, size=len(rows))
+            found[rows] = _draw(self._near, begin, length[rows], shared[rows], generator)
+        return found
 
 
 def _draw(
@@ -108,22 +120,23 @@ def _draw(
     return found
 
 
-def _near(pool: FreeTouches) -> npt.NDArray[np.bool_]:
-    """Return (p + 1, p + 1) which touches of a pool come closer to each other than the least gap."""
+def near_table(pool: FreeTouches) -> npt.NDArray[np.bool_]:
+    """Return (p + 1, p + 1) which touches of a pool come closer to each other than the least gap; the last is none."""
     pieces = pool.pieces
-    near = np.zeros((len(pieces), len(pieces)), dtype=np.bool_)
     reach = np.hypot(*half_extents_mm(pieces).T)
-    for number, piece in enumerate(pieces):
-        apart = np.hypot(*(pieces[:, 1:3] - piece[1:3]).T) - reach - reach[number]
-        maybe = np.flatnonzero(apart < GAP_MM)
-        near[number, maybe] = gap_mm(np.repeat(piece[None], len(maybe), axis=0), pieces[maybe]) < GAP_MM
-    first = pool.first[:-1]
+    one, other = np.triu_indices(len(pieces))
+    apart = np.hypot(*(pieces[one, 1:3] - pieces[other, 1:3]).T) - reach[one] - reach[other]
+    maybe = apart < GAP_MM
+    one, other = one[maybe], other[maybe]
+    close = gap_mm(pieces[one], pieces[other]) < GAP_MM
+    owner = np.repeat(np.arange(len(pool)), np.diff(pool.first))
+    a, b = owner[one[close]], owner[other[close]]
     found = np.zeros((len(pool) + 1, len(pool) + 1), dtype=np.bool_)
-    found[:-1, :-1] = np.logical_or.reduceat(np.logical_or.reduceat(near, first, axis=0), first, axis=1)
+    found[a, b] = found[b, a] = True
     return found
 
 
-class _Bar:
+class Bar:
     """Upper bounds of correlations between maps of sets and the published phantoms'.
 
     Touches of a set overlap no other, so the square of a set's map is at least the sum of its touches' squares.

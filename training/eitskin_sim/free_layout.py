@@ -1,8 +1,8 @@
 """Which unknowns the touched elements of a part have, and where every number goes: made once for all deformations.
 
 A part is a touch, or several that share elements. Its nodes are inside, when all their elements are touched, or on its
-outline. The last of an outline is held at zero: a part passes no current where all potentials are alike, so what it does
-to the others says all. Parts follow each other, each a square of numbers in one long buffer. ::
+outline. The last of an outline is held at zero: a part passes no current where all potentials are alike, so what it
+does to the others says all. Parts follow each other, each a square of numbers in one long buffer. ::
 
     elements --81 numbers each--> parts (inside | outline) --eliminate the inside--> outlines
 """

@@ -9,12 +9,12 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.free_draws import draw_sets
+from eitskin_sim.free_draws import SetDrawer
 from eitskin_sim.free_patterns import CLASSES, touch_pool
 from eitskin_sim.free_sets import PartSets
 from eitskin_sim.free_touches import FreeTouches
 
-TOUCHES_PER_SET: Final = 0.25
+TOUCHES_PER_SET: Final = 0.2
 """Touches of a pool for each set that a deformation shows; more are more varied, and take longer."""
 
 LEAST: Final = 2 * CLASSES
@@ -53,10 +53,11 @@ def free_pool(counts: dict[int, tuple[int, int]], seed: int) -> FreePool:
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
         pools.append(touch_pool(max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0, generator))
+    drawers = [SetDrawer(pool) for pool in pools]
     sets = {}
     for number, (total, apart) in counts.items():
         generator = np.random.default_rng([seed, 5, number])
-        own = [draw_sets(pool, size, generator) for pool, size in zip(pools, (total - apart, apart), strict=True)]
+        own = [drawer.draw(size, generator) for drawer, size in zip(drawers, (total - apart, apart), strict=True)]
         sets[number] = PartSets(
             np.concatenate([own[0].member, own[1].member + len(pools[0])]),
             np.concatenate([own[0].first, own[0].first[-1] + own[1].first[1:]]),
