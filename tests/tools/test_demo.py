@@ -121,7 +121,7 @@ def test_ctrl_c_ends_it_early_with_its_summary(place: Path) -> None:
     assert left_in(place) == set()
 
 
-@pytest.mark.parametrize("arguments", [["--seconds=0"], ["--rate=-5"], ["--noise=N9"]])
+@pytest.mark.parametrize("arguments", [["--seconds=0"], ["--rate=-5"], ["--noise=N9"], ["--solver=magic"]])
 def test_bad_usage_is_exit_2(arguments: list[str]) -> None:
     done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False)
     assert done.returncode == 2

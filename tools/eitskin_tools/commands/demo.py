@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from eitskin_tools.cli import UsageError
+from eitskin_tools.commands.run import SOLVERS
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="how long, from the first frame (20)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov")
     parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it touches come and go")
     parser.add_argument(
         "--device", default="virtual", choices=("virtual", "qemu"),
@@ -35,6 +37,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    if arguments.solver is not None and arguments.solver not in SOLVERS:
+        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
     summary = demonstrate(
@@ -42,6 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             seconds=arguments.seconds,
             rate_hz=arguments.rate,
             bundle=arguments.bundle,
+            solver=arguments.solver,
             scene=arguments.scene,
             noise=arguments.noise,
             device=arguments.device,

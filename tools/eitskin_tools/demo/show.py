@@ -44,6 +44,8 @@ class Options:
     seconds: float = 20.0
     rate_hz: float = 200.0
     bundle: Path | None = None
+    solver: str | None = None
+    """The most accurate solver to use, as for ``eitskin run``."""
     scene: Path | None = None
     noise: str = "N2"
     device: str = "virtual"
@@ -134,6 +136,7 @@ def demonstrate(options: Options) -> dict[str, Any]:
         "start_s": round(streamed.start_s, 2),
         "noise": options.noise,
         "bundle": str(options.bundle) if options.bundle else "shipped",
+        "solvers": streamed.runtime.get("solvers"),
     }
 
 
@@ -151,10 +154,11 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     )  # fmt: skip
     children.append(skin)
     port = json.loads(skin.line(skin.out, "{", START_S))["port"]
-    bundle = ["--bundle", str(options.bundle)] if options.bundle else []
+    chosen = ["--bundle", str(options.bundle)] if options.bundle else []
+    chosen += ["--solver", options.solver] if options.solver else []
     runtime = Child(
         "run", "eitskin_tools.cli",
-        ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *bundle], folder,
+        ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *chosen], folder,
     )  # fmt: skip
     children.append(runtime)
     capacity = int(options.seconds * options.rate_hz * 1.1) + 1000
