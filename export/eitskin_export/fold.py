@@ -1,18 +1,21 @@
 """A trained network as the two halves that are deployed, batch normalisation folded into the weights, dropout gone.
 
-In evaluation batch normalisation is an affine map, so it disappears into the linear layer beside it: the
-standardisation of the inputs into the layer after it, every other one into the layer before it. The one in the fusion
+In evaluation batch normalisation is an affine map, so it disappears into the linear layer before it; the
+standardisation of the inputs disappears into the layer after it. The one in the fusion
 scales both column blocks, so the bias comes out already scaled. Folding is done in float64 and rounded once.
 """
 
 import copy
 
+import numpy as np
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from eitskin_proto.grid import N_PIXELS
-from eitskin_training.model import VD2T, Architecture, Residual, activation, features
+from eitskin_proto.grid import N_PIXELS, UNIT_OF_PIXEL
+from eitskin_training.model import VD2T, Architecture, Residual, Standardise, activation, features
+from eitskin_training.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
 
 
 class Geometry(nn.Module):
@@ -32,41 +35,56 @@ class Geometry(nn.Module):
 
 
 class Head(nn.Module):
-    """(1, 104) dv [, (1, 104) log_predicted], (1, H) bias -> (1, 1350) map in [0, 1]."""
+    """(1, 104) dv [, (1, 104) log_predicted], (1, H) bias -> (1, 1350) map in [0, 1].
 
-    def __init__(self, architecture: Architecture, voltage: nn.Module, fusion: nn.Linear, out: nn.Linear) -> None:
+    A sharpened head's last layer gives cell after cell, nine pixels each, so that a gather of whole cells can stand
+    behind it: where the runtime cuts a region out (:mod:`eitskin.onnx_rows`), cells that were left out are taken from
+    one untouched cell at the end.
+    """
+
+    cell: Tensor
+    unit_of_pixel: Tensor
+
+    def __init__(
+        self, architecture: Architecture, voltage: nn.Module, fusion: nn.Linear, out: nn.Linear, sharpen: Sharpen
+    ) -> None:
         super().__init__()
         self.architecture = architecture
         self.voltage = voltage
         self.fusion = fusion
         self.activation = activation(architecture)
         self.out = out
+        self.sharpen = sharpen
+        self.register_buffer("cell", torch.arange(CELLS[0] * CELLS[1]), persistent=False)
+        unit_of_pixel = torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).astype(np.int64))
+        self.register_buffer("unit_of_pixel", unit_of_pixel, persistent=False)
 
-    def map(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None, unit_of_pixel: Tensor) -> Tensor:
+    def map(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None) -> Tensor:
         """Return (B, 1350)."""
         x = self.voltage(features(dv, self.architecture, log_predicted))
-        touched = torch.sigmoid(self.out(self.activation(self.fusion(x) + bias)))
-        return touched if self.architecture.outputs == N_PIXELS else torch.index_select(touched, 1, unit_of_pixel)
+        logits = self.out(self.activation(self.fusion(x) + bias))
+        if len(self.sharpen.blocks):
+            cells = functional.pad(logits, (0, CELL**2), value=-LOGITS).view(len(logits), -1, CELL**2)
+            cells = torch.index_select(cells, 1, self.cell).transpose(1, 2).reshape(-1, CELL**2, *CELLS)
+            return torch.sigmoid(functional.pixel_shuffle(self.sharpen.cells(cells), CELL).flatten(1))
+        touched = torch.sigmoid(logits)
+        return touched if self.architecture.outputs == N_PIXELS else torch.index_select(touched, 1, self.unit_of_pixel)
 
 
 class PlainHead(Head):
     """The head whose inputs are dv and bias."""
 
-    unit_of_pixel: Tensor
-
     def forward(self, dv: Tensor, bias: Tensor) -> Tensor:
         """Return (B, 1350)."""
-        return self.map(dv, bias, None, self.unit_of_pixel)
+        return self.map(dv, bias, None)
 
 
 class PredictedHead(Head):
     """The head whose inputs are dv, log_predicted and bias."""
 
-    unit_of_pixel: Tensor
-
     def forward(self, dv: Tensor, log_predicted: Tensor, bias: Tensor) -> Tensor:
         """Return (B, 1350)."""
-        return self.map(dv, bias, log_predicted, self.unit_of_pixel)
+        return self.map(dv, bias, log_predicted)
 
 
 def split(model: VD2T) -> tuple[Geometry, Head]:
@@ -85,8 +103,11 @@ def split(model: VD2T) -> tuple[Geometry, Head]:
     fusion = _linear(exact.fusion_voltage.weight * scale[:, None], None)
     linear = _linear(exact.fusion_cloud.weight * scale[:, None], exact.fusion_cloud.bias * scale + shift)
     kind = PredictedHead if architecture.log_predicted else PlainHead
-    head = kind(architecture, voltage, fusion, exact.out)
-    head.register_buffer("unit_of_pixel", exact.get_buffer("unit_of_pixel"), persistent=False)
+    out = exact.out
+    if len(exact.sharpen.blocks):
+        order = torch.from_numpy(PIXEL_OF_CELL)
+        out = _linear(out.weight[order], out.bias[order])
+    head = kind(architecture, voltage, fusion, out, exact.sharpen)
     geometry = Geometry(_folded(exact.cloud), linear, architecture.use_cloud)
     return geometry.float().eval(), head.float().eval()
 
@@ -118,11 +139,10 @@ def _affine(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
     return scale.detach(), (norm.bias - mean * scale).detach()
 
 
-def _fold_before(norm: nn.BatchNorm1d, linear: nn.Linear) -> None:
-    scale, shift = _affine(norm)
-    weight, bias = linear.weight.detach(), linear.bias.detach()
-    linear.weight = nn.Parameter(weight * scale)
-    linear.bias = nn.Parameter(bias + weight @ shift)
+def _fold_before(standardise: Standardise, linear: nn.Linear) -> None:
+    weight = linear.weight.detach() * standardise.scale
+    linear.bias = nn.Parameter(linear.bias.detach() - weight @ standardise.mean)
+    linear.weight = nn.Parameter(weight)
 
 
 def _first_linear(module: nn.Module) -> nn.Linear:

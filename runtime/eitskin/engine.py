@@ -93,26 +93,28 @@ class HeadEngine:
         name: What frames call it.
         buffers: Bound as inputs and output.
         pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
+        graph: Instead of the file's; with pixels it gives those alone.
 
     Raises:
-        BundleError: The graph cannot be loaded, or has another signature, or no single pixels can be had from it.
+        BundleError: The graph cannot be loaded, or has another signature.
     """
 
     __slots__ = ("_binding", "_map", "_part", "_pixels", "_session", "_values", "name")
 
     def __init__(
-        self, bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None
+        self,
+        bundle: Bundle,
+        file: str,
+        name: str,
+        buffers: Buffers,
+        pixels: npt.NDArray[np.intp] | None = None,
+        graph: bytes | None = None,
     ) -> None:
         self.name = name
         self._pixels = pixels
         self._map = buffers.map[0]
         self._part = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
-        graph = bundle.files[file]
-        if pixels is not None:
-            from eitskin.onnx_rows import cut  # noqa: PLC0415 -- only regions need it
-
-            graph = cut(graph, pixels, N_PIXELS)
-        self._session = _session(bundle, file, graph)
+        self._session = _session(bundle, file, bundle.files[file] if graph is None else graph)
         arrays = {"dv": buffers.change, "bias": buffers.bias}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
@@ -169,7 +171,7 @@ class ProjectionEngine:
 
 
 class MaskedEngine:
-    """A whole map with all but some pixels set to 0: where a network's last layer cannot be cut.
+    """A whole map with all but some pixels set to 0: where a network's last layer cannot be cut down to pixels.
 
     Args:
         engine: Fills the whole map.
@@ -280,11 +282,15 @@ def engines(
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
+    if pixels is None:
+        return HeadEngine(bundle, file, name, buffers)
+    from eitskin.onnx_rows import cut, cut_cells  # noqa: PLC0415 -- only regions need it
+
+    graph = bundle.files[file]
     try:
-        return HeadEngine(bundle, file, name, buffers, pixels)
+        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, N_PIXELS))
     except UncutError:
-        assert pixels is not None
-        return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)
+        return MaskedEngine(HeadEngine(bundle, file, name, buffers, graph=cut_cells(graph, pixels)), buffers, pixels)
 
 
 def _session(bundle: Bundle, file: str, graph: bytes) -> Any:

@@ -7,6 +7,11 @@ intermediate shapes, which are dropped. ::
     x -- Gemm(W, b) -- Sigmoid --> map (1, 1350)          W (1350, H) -> W[pixels], b -> b[pixels]
     x -- MatMulInteger(W8) -- Cast -- Mul(scale) -- Add(b) -- Sigmoid --> map            the same, by columns
     x -- Gemm -- Sigmoid -- Gather(index) --> map         index -> index[pixels]; the layer is as small as it gets
+
+A head that sharpens its map mixes a pixel with those around it. There the layer is cut down to the cells (nine pixels)
+that the region can see, the others are taken from one untouched cell, and the whole map comes out, right in the region::
+
+    x -- Gemm(W, b) -- Pad -- Reshape (151, 9) -- Gather(cells) -- Conv ... --> map (1, 1350)
 """
 
 from collections.abc import Iterator
@@ -17,14 +22,18 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, UncutError
+from eitskin_proto.grid import GRID_SHAPE
 
 GRAPH: Final = 7
 """Field of ModelProto; those of GraphProto and TensorProto follow."""
 NODE, INITIALISER, OUTPUT, VALUE_INFO = 1, 5, 12, 13
-DIMS, DATA_TYPE, FLOATS, INT32S, NAME, RAW = 1, 2, 4, 5, 8, 9
+DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME, RAW = 1, 2, 4, 5, 7, 8, 9
 
 DTYPES: Final = {1: "<f4", 2: "u1", 3: "i1", 6: "<i4", 7: "<i8"}
 """ONNX's numbers for element types that a head's last layer has."""
+
+CELL: Final = 3
+"""Pixels along a side of a cell, in which a head sharpens."""
 
 THROUGH: Final = frozenset({"Sigmoid", "Add", "Mul", "Cast"})
 """Operators that keep every output apart from the others."""
@@ -52,6 +61,62 @@ def cut(model: bytes, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
     fields = list(_fields(memoryview(model)))
     graph = _bytes(next(field for field in fields if field.number == GRAPH))
     return b"".join(_message(GRAPH, _cut_graph(graph, pixels, outputs)) if f.number == GRAPH else f.raw for f in fields)
+
+
+def cut_cells(model: bytes, pixels: npt.NDArray[np.intp]) -> bytes:
+    """Return the model with a last layer of only those cells that some pixels of a sharpened map depend on.
+
+    Args:
+        model: With one output (1, 1350); one that does not sharpen comes back as it is.
+        pixels: (n,) those that must be right, at least one.
+
+    Raises:
+        UncutError: The last layer is of a kind that cannot be cut.
+        BundleError: It is no ONNX model.
+    """
+    fields = list(_fields(memoryview(model)))
+    graph = list(_fields(_bytes(next(field for field in fields if field.number == GRAPH))))
+    nodes = [node for node in map(_node, graph) if node is not None]
+    producers = {name: node for node in nodes for name in node.outputs}
+    gather = next((node for node in nodes if node.kind == "Gather" and _padded(node, producers)), None)
+    if gather is None:
+        return model
+    tensors = {_text(field, NAME): _bytes(field) for field in graph if field.number == INITIALISER}
+    kernels = [_dims(tensors[node.inputs[1]]) for node in nodes if node.kind == "Conv"]
+    cells = _seen_cells(pixels, sum(kernel[-1] // 2 for kernel in kernels))
+    pad = producers[producers[gather.inputs[0]].inputs[0]]
+    affected: set[str] = set()
+    _trace(pad.inputs[0], producers, set(tensors), affected)
+    kept = (CELL**2 * cells[:, None] + np.arange(CELL**2)).ravel()
+    place = np.full(int(np.prod(_dims(tensors[gather.inputs[1]]))), len(cells), dtype="<i8")
+    place[cells] = np.arange(len(cells))
+    size = CELL**2 * len(place)
+    changed = {name: bytes(_cut_tensor(tensors[name], kept, size)) for name in affected}
+    changed[gather.inputs[1]] = _with_values(list(_fields(tensors[gather.inputs[1]])), place)
+    cut_graph = b"".join(
+        _message(INITIALISER, changed[_text(field, NAME)])
+        if field.number == INITIALISER and _text(field, NAME) in changed
+        else field.raw
+        for field in graph
+        if field.number != VALUE_INFO
+    )
+    return b"".join(_message(GRAPH, cut_graph) if field.number == GRAPH else field.raw for field in fields)
+
+
+def _padded(gather: "_Node", producers: "dict[str, _Node]") -> bool:
+    """Return whether what is gathered from is a padded row of cells."""
+    reshape = producers.get(gather.inputs[0])
+    before = producers.get(reshape.inputs[0]) if reshape is not None and reshape.kind == "Reshape" else None
+    return before is not None and before.kind == "Pad"
+
+
+def _seen_cells(pixels: npt.NDArray[np.intp], reach: int) -> npt.NDArray[np.intp]:
+    """Return (c,) the cells of some pixels and those at most ``reach`` cells from them, ascending."""
+    rows, columns = np.divmod(pixels, GRID_SHAPE[1])
+    seen = np.zeros((GRID_SHAPE[0] // CELL, GRID_SHAPE[1] // CELL), dtype=bool)
+    for row, column in set(zip((rows // CELL).tolist(), (columns // CELL).tolist(), strict=True)):
+        seen[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1] = True
+    return np.flatnonzero(seen)
 
 
 def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
@@ -109,8 +174,7 @@ def _trace(name: str, producers: dict[str, _Node], constants: set[str], affected
 
 
 def _cut_tensor(tensor: memoryview, pixels: npt.NDArray[np.intp], outputs: int) -> bytes | memoryview:
-    fields = list(_fields(tensor))
-    dims = [value for field in fields if field.number == DIMS for value in _integers(field)]
+    fields, dims = list(_fields(tensor)), _dims(tensor)
     if outputs not in dims:
         return tensor  # one scale or zero point for all outputs
     kind = next(int(field.value) for field in fields if field.number == DATA_TYPE)
@@ -118,10 +182,18 @@ def _cut_tensor(tensor: memoryview, pixels: npt.NDArray[np.intp], outputs: int) 
         raise UncutError(f"the head's last layer holds elements of ONNX type {kind}, expected {sorted(DTYPES)}")
     values = _values(fields, np.dtype(DTYPES[kind])).reshape(dims)
     axis = dims.index(outputs)
-    kept = np.ascontiguousarray(np.take(values, pixels, axis=axis))
-    shape = b"".join(_number(DIMS, size) for size in kept.shape)
-    rest = b"".join(field.raw for field in fields if field.number not in (DIMS, RAW, FLOATS, INT32S))
-    return shape + rest + _message(RAW, kept.tobytes())
+    return _with_values(fields, np.ascontiguousarray(np.take(values, pixels, axis=axis)))
+
+
+def _dims(tensor: memoryview) -> list[int]:
+    return [value for field in _fields(tensor) if field.number == DIMS for value in _integers(field)]
+
+
+def _with_values(fields: list[_Field], values: npt.NDArray[np.generic]) -> bytes:
+    """Return a tensor with other values of the same type."""
+    shape = b"".join(_number(DIMS, size) for size in values.shape)
+    rest = b"".join(field.raw for field in fields if field.number not in (DIMS, RAW, FLOATS, INT32S, INT64S))
+    return shape + rest + _message(RAW, values.tobytes())
 
 
 def _values(fields: list[_Field], kind: np.dtype[np.generic]) -> npt.NDArray[np.generic]:

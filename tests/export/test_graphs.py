@@ -6,6 +6,8 @@ import pytest
 import torch
 from torch import nn
 
+from eitskin.onnx_rows import cut_cells
+from eitskin.regions import Region, pixels
 from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
@@ -24,6 +26,9 @@ def trained_looking(architecture: Architecture) -> VD2T:
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             nn.init.uniform_(module.weight, 0.5, 1.5)
             nn.init.uniform_(module.bias, -0.5, 0.5)
+    model.standardise.fit(0.3 + 2.0 * torch.randn(99, len(model.standardise.mean)))
+    for block in model.sharpen.blocks:
+        nn.init.normal_(block[-1].weight, std=0.3)  # it begins as the identity
     return model.eval()
 
 
@@ -40,6 +45,9 @@ ARCHITECTURES = {
     "residual": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, dropout=0.1),
     "units": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs=126),
     "predicted": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True),
+    "sharpened": Architecture(
+        widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True, activation="silu", sharpening=(8, 8)
+    ),
     "no cloud": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, use_cloud=False),
 }
 
@@ -80,7 +88,7 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     }
     bias = [1, model.architecture.hidden]
     expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
-    assert shapes == (expected | {"log_predicted": [1, 104]} if name == "predicted" else expected)
+    assert shapes == (expected | {"log_predicted": [1, 104]} if model.architecture.log_predicted else expected)
 
 
 def test_parity_fails_for_another_network() -> None:
@@ -142,3 +150,33 @@ def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> Non
     first = next(index for index, kind in enumerate(kinds) if kind in {"Gemm", "MatMul", "MatMulInteger"})
     assert kinds[first] != "MatMulInteger"
     assert kinds.count("MatMulInteger") == len(model.architecture.widths) + 1
+
+
+@pytest.mark.parametrize("bounds", [(0, 10, 5, 20), (29, 30, 44, 45), (12, 13, 12, 13)])
+@pytest.mark.parametrize("int8", [False, True])
+def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
+    bounds: tuple[int, int, int, int], int8: bool
+) -> None:
+    _, head = split(trained_looking(ARCHITECTURES["sharpened"]))
+    whole = graphs.head_graph(head)
+    if int8:
+        whole = quantise.int8_head(whole)
+    wanted = pixels((Region(*bounds),))
+    part = cut_cells(whole, wanted)
+    rng = np.random.default_rng(3)
+    feed = {
+        item.name: 0.3 * rng.standard_normal(item.shape).astype(np.float32)
+        for item in parity.session(whole).get_inputs()
+    }
+    (expected,), (found,) = (parity.session(graph).run(["map"], feed) for graph in (whole, part))
+    assert np.ptp(expected[0, wanted]) > 0 or len(wanted) == 1
+    assert np.array_equal(found[0, wanted], expected[0, wanted])
+    assert not np.array_equal(found, expected), "cells out of sight were computed"
+    seen = 9 * 7 * 5  # one pixel's cell and two around it; the largest region sees 6 x 10 cells
+    assert len(part) < len(whole) - (1 if int8 else 4) * 48 * (1350 - 2 * seen)
+
+
+def test_a_head_that_does_not_sharpen_has_no_cells_to_cut() -> None:
+    _, head = split(trained_looking(ARCHITECTURES["residual"]))
+    whole = graphs.head_graph(head)
+    assert cut_cells(whole, np.arange(3)) == whole

@@ -10,8 +10,9 @@ import torch
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_training import curves, train
 from eitskin_training.card import card
+from eitskin_training.data import inputs
 from eitskin_training.recipes import Recipe, recipe
-from eitskin_training.score import correlation, loss_of, score
+from eitskin_training.score import correlation, loss_of, score, training_loss
 
 
 def tiny(labels: str = "area", **changes: Any) -> Recipe:
@@ -135,3 +136,33 @@ def test_the_curves_are_drawn_where_matplotlib_is_installed(toy_data: Any, tmp_p
     assert curves.draw(history, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
     assert not curves.draw([], tmp_path / "none.png")
+
+
+def test_the_training_loss_adds_what_touched_maps_lack_in_correlation() -> None:
+    generator = torch.Generator().manual_seed(4)
+    labels = (torch.rand(5, 1350, generator=generator) > 0.9).float()
+    labels[3] = 0.0
+    logits = torch.randn(5, 1350, generator=generator)
+    touched = labels.amax(dim=1) > 0
+    cc = correlation(torch.sigmoid(logits).numpy(), labels.numpy())
+    expected = float(loss_of(logits, labels)) + 0.3 * float(((1.0 - cc) * touched.numpy()).mean())
+    assert float(training_loss(logits, labels, 0.3)) == pytest.approx(expected, rel=1e-5)
+    assert torch.equal(training_loss(logits, labels, 0.0), loss_of(logits, labels))
+
+
+def test_a_map_without_contrast_has_a_finite_gradient() -> None:
+    logits = torch.full((2, 1350), -8.0, requires_grad=True)
+    labels = torch.zeros(2, 1350)
+    labels[0, :9] = 1.0
+    training_loss(logits, labels, 0.3).backward()
+    assert torch.isfinite(logits.grad).all()
+
+
+def test_inputs_are_standardised_by_the_training_data(toy_data: Any, tmp_path: Path) -> None:
+    data, chosen = toy_data("area"), tiny(epochs=1)
+    run = train.train(data, chosen, tmp_path)
+    x = run.model.standardise(inputs(data, chosen))
+    assert float(x.mean(dim=0).abs().max()) < 1e-4
+    moving = x.std(dim=0) > 0.5
+    assert moving.float().mean() > 0.9
+    torch.testing.assert_close(x.std(dim=0)[moving], torch.ones(int(moving.sum())), rtol=0, atol=1e-3)

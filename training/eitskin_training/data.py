@@ -28,6 +28,7 @@ from eitskin_sim.noise import Kind, add_noise
 from eitskin_sim.prediction_cache import predicted_log_of
 from eitskin_training.lost import lose_electrodes
 from eitskin_training.mirror import MIRRORS, Mirror
+from eitskin_training.model import features
 from eitskin_training.recipes import Recipe
 
 MOST_LOST_ROWS: Final = 4
@@ -212,6 +213,18 @@ def consistency_of(data: TrainingData, recipe: Recipe) -> Consistency:
     """Return how rows go together in the training samples under the recipe's noise; the same at every call."""
     chosen = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
     return fit(noisy_change(data, chosen, recipe.noises, recipe.snr_db, np.random.default_rng(0)))
+
+
+def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
+    """Return (n, 104 * blocks) features of training samples in every mirror image shown; the same at every call."""
+    rng = np.random.default_rng(0)
+    rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    found = []
+    for mirror in MIRRORS if recipe.flips else MIRRORS[:1]:
+        dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
+        batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]], mirror)
+        found.append(features(batch.dv, recipe.architecture, batch.log_predicted))
+    return torch.cat(found)
 
 
 def load(directory: str) -> TrainingData:

@@ -4,12 +4,13 @@ Two channels meet in two linear layers. The first of them is linear in both chan
 blocks: what the cloud adds there is a *bias* that changes only when the sheet's shape does. ::
 
     dv (B, 104) ── features ── voltage channel ──┐ W_v
-                                                 + ── BN ── ReLU ── dropout ── linear ── sigmoid ── map
+                                                 + ── BN ── ReLU ── dropout ── linear ── sharpen ── sigmoid ── map
     cloud (D, 3, 30, 45) ── cloud channel ───────┘ W_c, b        = bias (D, H)
 
 ``bias`` and ``logits`` are the two halves; training uses them too, so that geometry costs once a bend, not once a
 sample. Two voltage channels exist: the paper's (three-layer MLP, then three-layer 1-D CNN) and a residual MLP that
-reaches more with the same number of weights. Widths are ours: the paper gives none.
+reaches more with the same number of weights. Sharpening (:mod:`eitskin_training.sharpen`) is ours, and so are all
+widths: the paper gives none.
 """
 
 import itertools
@@ -21,6 +22,7 @@ from torch import Tensor, nn
 
 from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, N_UNITS, UNIT_OF_PIXEL
 from eitskin_proto.table import N_ROWS
+from eitskin_training.sharpen import Sharpen
 
 VoltageChannel = Literal["paper", "residual"]
 Activation = Literal["relu", "silu"]
@@ -52,6 +54,7 @@ class Architecture:
         outputs: 1350 pixels, or 126 units that the graph spreads over their pixels.
         dropout: Fraction of activations dropped in training.
         activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
+        sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
     """
 
     voltage_channel: VoltageChannel = "residual"
@@ -65,12 +68,15 @@ class Architecture:
     outputs: int = N_PIXELS
     dropout: float = 0.0
     activation: Activation = "relu"
+    sharpening: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.outputs not in (N_PIXELS, N_UNITS):
             raise ValueError(f"outputs is {self.outputs}; expected {N_PIXELS} pixels or {N_UNITS} units")
         if self.voltage_channel == "residual" and len(set(self.widths)) != 1:
             raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
+        if self.sharpening and self.outputs != N_PIXELS:
+            raise ValueError(f"sharpening needs {N_PIXELS} outputs, found {self.outputs}: units have no pixels around")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
 
@@ -78,6 +84,34 @@ class Architecture:
     def feature_blocks(self) -> int:
         """How many times 104 values the voltage channel reads."""
         return 1 + self.log_ratio + self.log_predicted
+
+
+class Standardise(nn.Module):
+    """(x - mean) * scale with numbers of the training data, fitted once; the identity until then.
+
+    Batch normalisation here would show the network each batch's own mean and spread, which the bends that happen to be
+    in it move: held-out CC after three epochs 0.828 with it, 0.846 with fixed numbers. Whitening gains no more (0.847).
+
+    Args:
+        width: Features of a sample.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("scale", torch.ones(width))
+
+    def fit(self, samples: Tensor) -> None:
+        """Take mean and spread from (n, width) samples."""
+        self.mean.copy_(samples.mean(dim=0))
+        self.scale.copy_(1.0 / torch.clamp(samples.std(dim=0), min=1e-6))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, width)."""
+        return (x - self.mean) * self.scale
 
 
 class Residual(nn.Module):
@@ -102,7 +136,7 @@ class VD2T(nn.Module):
     def __init__(self, architecture: Architecture) -> None:
         super().__init__()
         self.architecture = architecture
-        self.standardise = nn.BatchNorm1d(architecture.feature_blocks * N_ROWS, momentum=0.01)
+        self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
         self.voltage, voltage_width = _voltage_channel(architecture)
         self.cloud, cloud_width = _cloud_channel(architecture)
         self.fusion_voltage = nn.Linear(voltage_width, architecture.hidden, bias=False)
@@ -111,6 +145,7 @@ class VD2T(nn.Module):
             nn.BatchNorm1d(architecture.hidden), activation(architecture), nn.Dropout(architecture.dropout)
         )
         self.out = nn.Linear(architecture.hidden, architecture.outputs)
+        self.sharpen = Sharpen(architecture.sharpening, _kind(architecture))
         nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
         self.register_buffer("unit_of_pixel", torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).copy()), persistent=False)
 
@@ -134,7 +169,7 @@ class VD2T(nn.Module):
         """
         x = self.standardise(features(dv, self.architecture, log_predicted))
         hidden = self.fusion(self.fusion_voltage(self.voltage(x)) + bias)
-        return self.out(hidden)  # type: ignore[no-any-return]
+        return self.sharpen(self.out(hidden))  # type: ignore[no-any-return]
 
     def forward(
         self, dv: Tensor, clouds: Tensor, which: Tensor | None = None, log_predicted: Tensor | None = None
@@ -182,7 +217,11 @@ def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | Non
 
 def activation(architecture: Architecture) -> nn.Module:
     """Return the nonlinearity after each linear layer."""
-    return nn.SiLU() if architecture.activation == "silu" else nn.ReLU()
+    return _kind(architecture)()
+
+
+def _kind(architecture: Architecture) -> type[nn.Module]:
+    return nn.SiLU if architecture.activation == "silu" else nn.ReLU
 
 
 def _dense(inputs: int, outputs: int, architecture: Architecture) -> nn.Sequential:

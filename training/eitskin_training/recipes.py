@@ -44,6 +44,7 @@ class Recipe:
         average: Decay a step of the running mean of the weights that is validated and exported; 0 takes the last ones.
         noises: Definitions of 50 dB, one drawn for each sample.
         snr_db: Signal-to-noise ratio.
+        correlation_weight: Weight of 1 - correlation beside the cross-entropy.
         flips: Whether each batch is shown in one of the sheet's four mirror images, drawn at random.
         lost_rows: Share of the samples that lose one to four rows.
         lost_electrode: Share of the samples that lose every row of one electrode.
@@ -61,6 +62,7 @@ class Recipe:
     average: float = 0.0
     noises: tuple[Noise, ...] = ("N1",)
     snr_db: float = PAPER_SNR_DB
+    correlation_weight: float = 0.0
     flips: bool = False
     lost_rows: float = 0.0
     lost_electrode: float = 0.0
@@ -107,7 +109,9 @@ _PAPER_NETWORK: Final = Architecture(
 _ROBUST: Final = Recipe(
     name="robust",
     labels="area",
-    architecture=Architecture(widths=(544, 544), hidden=544, log_predicted=True, activation="silu"),
+    architecture=Architecture(
+        widths=(544, 544), hidden=544, log_predicted=True, activation="silu", sharpening=(32, 32)
+    ),
     epochs=24,
     batch=512,
     learning_rate=4e-3,
@@ -115,6 +119,7 @@ _ROBUST: Final = Recipe(
     weight_decay=1e-2,
     average=0.999,
     noises=("N1", "N2", "N3"),
+    correlation_weight=0.3,
     flips=True,
     lost_rows=0.05,
     lost_electrode=0.1,
@@ -127,14 +132,14 @@ RECIPES: Final[dict[str, Recipe]] = {
         _ROBUST,
         name="units",
         labels="units",
-        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs=N_UNITS),
+        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs=N_UNITS, sharpening=()),
         lost_electrode=0.15,
     ),
     "free": replace(_ROBUST, name="free"),
     "tiny": replace(
         _ROBUST,
         name="tiny",
-        architecture=replace(_ROBUST.architecture, widths=(96, 96), cloud_channels=(4, 4), hidden=96),
+        architecture=replace(_ROBUST.architecture, widths=(96, 96), cloud_channels=(4, 4), hidden=96, sharpening=(8,)),
         epochs=4,
         batch=64,
     ),

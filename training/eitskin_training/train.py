@@ -1,4 +1,4 @@
-"""The training loop: Adam on binary cross-entropy, best validation epoch kept, resumable after every epoch.
+"""The training loop: Adam on the recipe's loss, best validation epoch kept, resumable after every epoch.
 
 A run is a folder ::
 
@@ -26,10 +26,10 @@ from torch import Tensor
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_training.data import TrainingData, batches
+from eitskin_training.data import TrainingData, batches, inputs
 from eitskin_training.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.score import loss_of, score
+from eitskin_training.score import score, training_loss
 
 FORMAT: Final = 1
 """Version of both .pt files."""
@@ -138,7 +138,7 @@ def train(
     if checkpoint.exists() and not resume:
         raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
     steps_per_epoch = max(1, len(data.train) // recipe.batch)
-    run = _start(recipe, seed, steps_per_epoch, data.digest)
+    run = _start(recipe, seed, steps_per_epoch, data)
     run.source = source
     if resume and checkpoint.exists():
         _restore(run, checkpoint)
@@ -160,9 +160,10 @@ def train(
     return run
 
 
-def _start(recipe: Recipe, seed: int, steps_per_epoch: int, digest: str) -> Run:
+def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) -> Run:
     torch.manual_seed(seed)
     model = VD2T(recipe.architecture).to(device())
+    model.standardise.fit(inputs(data, recipe).to(device()))
     matrices = [parameter for parameter in model.parameters() if parameter.ndim > 1]
     others = [
         parameter for parameter in model.parameters() if parameter.ndim <= 1
@@ -175,7 +176,7 @@ def _start(recipe: Recipe, seed: int, steps_per_epoch: int, digest: str) -> Run:
             optimiser, partial(one_cycle, steps=steps_per_epoch * recipe.epochs)
         )
     averaged = {name: value.clone() for name, value in model.state_dict().items()}
-    return Run(recipe, seed, model, averaged, optimiser, schedule, digest)
+    return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest)
 
 
 def one_cycle(step: int, *, steps: int) -> float:
@@ -188,7 +189,7 @@ def one_cycle(step: int, *, steps: int) -> float:
 
 def _step(run: Run, batch: Any) -> float:
     logits = run.model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
-    loss = loss_of(logits, batch.labels)
+    loss = training_loss(logits, batch.labels, run.recipe.correlation_weight)
     value = float(loss.detach())
     if value != value:  # noqa: PLR0124 - NaN is the one number that differs from itself
         raise SkinError("the loss is not a number; lower the learning rate, or look for NaN in the data set")
