@@ -16,7 +16,7 @@ off by 0.9 % (median); two touches that leave less than an element between them 
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.linalg import lapack
+from scipy.linalg import blas, lapack
 
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.free_mesh import ELEMENT_MM, FreeMesh, free_mesh
@@ -102,6 +102,6 @@ def _fall(inverse: Array, parts: list[Part], at_terminals: Array) -> Array:
         for row in range(column, len(parts) - 1):
             their = seen[where[row] - where[column] : where[row + 1] - where[column]]
             into[first[row] : first[row + 1]] = parts[row + 1].factor.T @ their
-    whole -= panel @ panel.T
-    triangle, _ = lapack.dpotrf(whole, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
+    left = blas.dsyrk(-1.0, panel, beta=1.0, c=whole, lower=1, overwrite_c=1)
+    triangle, _ = lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
     return np.concatenate([panel[size:], triangle[size:, :size]], axis=1)

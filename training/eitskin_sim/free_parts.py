@@ -93,22 +93,25 @@ def _condensed(sheet: FreeSheet, batch: Geometry) -> list[Part]:
     for number in range(len(batch)):
         own, width = slice(layout.begin[number], layout.begin[number + 1]), layout.width[number]
         dofs = layout.dofs[layout.first_outline[number] : layout.first_outline[number + 1]]
-        change = _outlined(touched[own].reshape(width, width), layout.inside[number])
-        change -= _outlined(untouched[own].reshape(width, width), layout.inside[number])
-        found.append(_part(sheet, dofs, change))
+        squares = (blocks[own].reshape(width, width) for blocks in (touched, untouched))
+        found.append(_part(sheet, dofs, _change(*squares, int(layout.inside[number]))))
     return found
 
 
-def _outlined(whole: Array, inside: int) -> Array:
-    """Return the (m - 1, m - 1) stiffness of a part on its outline, from (i + m - 1, i + m - 1), which is overwritten.
+def _change(touched: Array, untouched: Array, inside: int) -> Array:
+    """Return dS on the outline, its lower half alone, (m - 1, m - 1), from two (i + m - 1, i + m - 1), which are lost.
 
     A factor's last triangle is the factor of what is left once all before it is eliminated.
     """
     if not inside:
-        return whole
-    triangle, _ = lapack.dpotrf(whole.T, lower=1, clean=0, overwrite_a=1)
-    left = lower_half(triangle[inside:, inside:])
-    return np.asarray(left @ left.T)
+        return np.asarray((touched - untouched).T)
+    change: Array | None = None
+    for whole, sign in ((touched, 1.0), (untouched, -1.0)):
+        triangle, _ = lapack.dpotrf(whole.T, lower=1, clean=0, overwrite_a=1)
+        left = lower_half(triangle[inside:, inside:])
+        kept = {} if change is None else {"beta": 1.0, "c": change, "overwrite_c": 1}
+        change = blas.dsyrk(sign, left, lower=1, **kept)
+    return np.asarray(change)
 
 
 def lower_half(square: Array) -> Array:
@@ -125,7 +128,7 @@ _LOWER: Final[Array] = np.asfortranarray(np.tri(512))
 def _part(sheet: FreeSheet, dofs: Index, change: Array) -> Part:
     if len(dofs) < 2:
         return Part(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
-    triangle, pivot, rank, _ = lapack.dpstrf(change.T, lower=1)
+    triangle, pivot, rank, _ = lapack.dpstrf(change, lower=1, overwrite_a=1)
     bare = np.empty((len(dofs), rank), order="F")
     bare[pivot - 1] = lower_half(triangle[:, :rank])
     bare[-1] = -bare[:-1].sum(axis=0)  # a constant potential passes no current
