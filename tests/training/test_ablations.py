@@ -11,10 +11,23 @@ from eitskin_training.recipes import recipe
 def test_every_variant_changes_the_inputs_and_nothing_else() -> None:
     base = recipe("tiny")
     blocks = {name: variant_recipe(base, name).architecture.feature_blocks for name in VARIANTS}
-    assert blocks == {"none": 2, "cloud": 2, "paper-cloud": 2, "predicted": 3, "post": 3, "both": 3}
+    without = {"none": 2, "cloud": 2, "paper-cloud": 2}
+    assert blocks == without | {name: 3 for name in ("predicted", "post", "both", "unsharpened", "cross-entropy")}
     assert {variant_recipe(base, name).architecture.widths for name in VARIANTS} == {base.architecture.widths}
     with pytest.raises(ValueError, match="variant 'voltages' is unknown"):
         variant_recipe(base, "voltages")
+
+
+def test_parts_of_the_network_are_left_out_one_at_a_time() -> None:
+    base = recipe("free")
+    whole = variant_recipe(base, "both")
+    for name, changed in (
+        ("unsharpened", replace(whole, architecture=replace(whole.architecture, sharpening=()))),
+        ("cross-entropy", replace(whole, correlation_weight=0.0)),
+    ):
+        assert (
+            variant_recipe(base, name) == replace(changed, name=f"free-{name}") != replace(whole, name=f"free-{name}")
+        )
 
 
 def test_fewer_deformations_do_not_mean_fewer_samples(toy_data: Any) -> None:

@@ -7,7 +7,9 @@ Every variant sees the same touch sets, noises, seed, batch size, schedule and n
     paper-cloud   the scanned shape through a CNN of the paper's kind (paper section IV.B)
     predicted     log(V / V_pred), V_pred by the forward model on the scanned shape, without a CNN
     post          log(V / V_post), the true untouched voltages of the bent sheet: what no robot has, the bound
-    both          predicted and cloud together
+    both          predicted and cloud together, as in the recipe
+    unsharpened   both, and the map as the last linear layer gives it
+    cross-entropy both, and a loss without the correlation
 
 A network that takes a shape is also scored with another deformation's shape in its place ("wrong"): one that does not
 get worse does not use it. Training is on family A alone; the scores are of touch sets held out, at deformations of A
@@ -33,8 +35,11 @@ from eitskin_training.train import network, train
 PAPER_CLOUD_CHANNELS: Final = (16, 8)
 """Two 2-D convolutions, as the paper's cloud channel has; their widths are ours."""
 
-VARIANTS: Final = ("none", "cloud", "paper-cloud", "predicted", "post", "both")
-"""Inputs that can be compared."""
+VARIANTS: Final = ("none", "cloud", "paper-cloud", "predicted", "post", "both", "unsharpened", "cross-entropy")
+"""What can be compared."""
+
+WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy")
+"""Variants that take the prediction and the cloud."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,11 +88,19 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
     channels = PAPER_CLOUD_CHANNELS if variant == "paper-cloud" else base.architecture.cloud_channels
     architecture = replace(
         base.architecture,
-        log_predicted=variant in ("predicted", "post", "both"),
-        use_cloud=variant in ("cloud", "paper-cloud", "both"),
+        log_predicted=variant in ("predicted", "post", *WITH_BOTH),
+        use_cloud=variant in ("cloud", "paper-cloud", *WITH_BOTH),
         cloud_channels=channels,
+        sharpening=() if variant == "unsharpened" else base.architecture.sharpening,
     )
-    return replace(base, name=f"{base.name}-{variant}", architecture=architecture, predicted_dropout=0.0)
+    weight = 0.0 if variant == "cross-entropy" else base.correlation_weight
+    return replace(
+        base,
+        name=f"{base.name}-{variant}",
+        architecture=architecture,
+        predicted_dropout=0.0,
+        correlation_weight=weight,
+    )
 
 
 def variant_data(data: TrainingData, variant: str, deformations: int | None, samples: int, seed: int) -> TrainingData:

@@ -1,4 +1,4 @@
-"""``eitskin bench ablation``: what each input of the network is worth, and how many deformations it needs.
+"""``eitskin bench ablation``: what each part of the network is worth, and how many deformations it needs.
 
 Short trainings of equal length that differ in one thing (:mod:`eitskin_training.ablations`). The figures rank inputs;
 they are not those of the shipped bundles, which train for longer.
@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Train, score and report."""
+    import numpy as np
     import torch
 
     from eitskin_training.ablations import VARIANTS, ablate
@@ -49,7 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     data = load(arguments.data)
     pairs: list[tuple[str, int | None]] = [(name, None) for name in names]
-    pairs += [(name, count) for count in DEFORMATIONS for name in names if name in ("none", "cloud", "predicted")]
+    available = len(np.unique(data.deformation[data.train]))
+    counts = [count for count in DEFORMATIONS if count < available]
+    pairs += [(name, count) for count in counts for name in names if name in ("none", "cloud", "predicted")]
     rows: list[dict[str, Any]] = []
     for result in ablate(
         data,
@@ -65,7 +68,3 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"data": data.digest, "recipe": base.name, "epochs": base.epochs, "rows": rows}))
     return 0
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
