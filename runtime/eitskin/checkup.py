@@ -17,15 +17,16 @@ import numpy.typing as npt
 
 from eitskin.capture import whole_frames
 from eitskin.device import Device
-from eitskin.electrodes import WELL, WINDOW, ElectrodeWatch
+from eitskin.electrodes import NOT_RECIPROCAL, WELL, WINDOW, ElectrodeWatch
 from eitskin.errors import BadReference
 from eitskin.imputation import Array, Consistency
 from eitskin.lines import open_line
 from eitskin.normaliser import Normaliser
+from eitskin.reciprocity import electrode_gaps, row_gaps
 from eitskin.reference import Reference
 from eitskin.serial_port import DEFAULT_BAUD
 from eitskin_proto.normalise import relative_change
-from eitskin_proto.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
+from eitskin_proto.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 
 MODEL_SPREAD: Final = 0.02
 """How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
@@ -40,7 +41,7 @@ ADVICE: Final[dict[str, str]] = {
     "swapped": "exchange the two wires at the plug; until then their rows are rearranged",
     "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
     "excluded": "it was left out by hand",
-    "not reciprocal": "it reads differently than it drives: look at its wire, its contact and the front end's switch",
+    NOT_RECIPROCAL: "it reads differently than it drives: look at its wire, its contact and the front end's switch",
 }
 """What to do about each state."""
 
@@ -94,8 +95,8 @@ def _gap(counts: npt.NDArray[np.int32]) -> Array | None:
     """Return (104,) relative differences of rows and their reciprocals, of a frame of 208 rows."""
     if len(counts) != N_FULL_ROWS:
         return None
-    straight, back = counts[ROW_IN_FULL].astype(np.float64), counts[RECIPROCAL_IN_FULL].astype(np.float64)
-    return np.asarray(np.abs(straight - back) / np.maximum(np.abs(straight) + np.abs(back), 1.0))
+    apart, size = row_gaps(counts)
+    return np.asarray(np.abs(apart) / np.maximum(size, 1.0))
 
 
 def load_recording(path: str | Path) -> Recording:
@@ -134,11 +135,12 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         evidence = watch.evidence
         seen.append((evidence.surprise, evidence.pair_ratio, evidence.jumping))
     surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))
+    gaps = None if recording.gap is None else electrode_gaps(recording.gap)
     found = []
     for electrode, watched in enumerate(watch.states()):
-        gap = None if recording.gap is None else _gap_of(recording.gap, electrode)
+        gap = None if gaps is None else float(gaps[electrode])
         apart = watched == WELL and gap is not None and gap > LARGEST_GAP
-        state = "not reciprocal" if apart else watched
+        state = NOT_RECIPROCAL if apart else watched
         partner = next((f.partner for f in watch.findings if f.electrode == electrode), None)
         found.append(
             {"electrode": electrode, "state": state, "partner": partner,
@@ -153,12 +155,6 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         "unclear": watch.unclear,
         "electrodes": found,
     }
-
-
-def _gap_of(gap: Array, electrode: int) -> float:
-    """Return an electrode's reciprocity gap: that of the better of its two pairs, for a neighbour has only one."""
-    pairs = ((electrode - 1) % N_ELECTRODES, electrode)
-    return min(float(np.median(gap[np.equal(TABLE, pair).any(axis=1)])) for pair in pairs)
 
 
 def _against(recording: Recording, consistency: Consistency, reference: Reference | None) -> tuple[Array, Array]:

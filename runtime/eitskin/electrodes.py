@@ -44,6 +44,9 @@ SUSPECTS: Final = 6
 
 WELL: Final = "well"
 
+NOT_RECIPROCAL: Final = "not reciprocal"
+"""State of an electrode that :mod:`eitskin.reciprocity` found; it goes back into use by the same evidence."""
+
 
 @dataclass(frozen=True, slots=True)
 class Finding:
@@ -51,7 +54,7 @@ class Finding:
 
     electrode: int
     state: str
-    """``detached``, ``shorted``, ``swapped``, ``noisy``; ``excluded`` by hand."""
+    """``detached``, ``shorted``, ``swapped``, ``noisy``, ``not reciprocal``; ``excluded`` by hand."""
     partner: int | None = None
     """The other electrode of a short or an exchange."""
 
@@ -148,6 +151,20 @@ class ElectrodeWatch:
         """
         if len(set(electrodes)) > MOST_OUT or any(not 0 <= electrode < N_ELECTRODES for electrode in electrodes):
             raise ValueError(f"electrodes {electrodes} to exclude; expected at most {MOST_OUT}, from 0 to 15")
+
+    def give_up(self, electrode: int) -> bool:
+        """Leave an electrode out because it is not reciprocal, and return whether it is, now, for that reason.
+
+        What 104 rows say of an electrode goes before; and no more than ``MOST_OUT`` are left out.
+        """
+        if len(self.findings) >= MOST_OUT or any(finding.electrode == electrode for finding in self.findings):
+            return False
+        self._use((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
+        return True
+
+    def trust(self, electrode: int) -> None:
+        """Use an electrode again that was not reciprocal."""
+        self._use(tuple(f for f in self.findings if f.electrode != electrode or f.state != NOT_RECIPROCAL))
 
     def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
         """Rearrange and fill in (104,) dV, in place, for the failures that are known.
@@ -283,7 +300,7 @@ class ElectrodeWatch:
         """Count healthy frames of electrodes that are out, and use them again after ``HEALTHY`` of them."""
         back = []
         for finding in self.findings:
-            if finding.state == "excluded":
+            if finding.state in ("excluded", NOT_RECIPROCAL):
                 continue
             electrode = finding.electrode
             healthy = self._is_healthy(finding, raw, change)

@@ -15,10 +15,11 @@ import numpy.typing as npt
 
 from eitskin.bundle import Bundle
 from eitskin.drift import Drift
-from eitskin.electrodes import ElectrodeWatch
+from eitskin.electrodes import HEALTHY, NOT_RECIPROCAL, ElectrodeWatch
 from eitskin.errors import BundleError
 from eitskin.imputation import MISSING, UNPREDICTED, Consistency, without_rows
-from eitskin_proto.table import N_ROWS
+from eitskin.reciprocity import LARGEST_GAP, Reciprocity
+from eitskin_proto.table import N_FULL_ROWS, N_ROWS
 
 TOGETHER: Final = 5
 """Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
@@ -56,6 +57,9 @@ class Health:
         self._unclear = False
         self.drift = Drift(consistency, compensate=compensate_drift)
         self.watch = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
+        self.reciprocity = Reciprocity()
+        """Of a device that scans all 208 rows; idle for any other."""
+        self._reciprocal_again: dict[int, int] = {}
         self._rows_before = self.watch.missing
 
     def use(self, reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> None:
@@ -64,6 +68,8 @@ class Health:
         self.watch = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
         self._rows_before = self.watch.missing
         self.drift.restart()
+        self.reciprocity.restart()
+        self._reciprocal_again = {}
         self._waiting = self._following = 0
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
@@ -88,12 +94,16 @@ class Health:
             self.watch.correct(change, predicted)
         self.drift.correct(change)
 
-    def put_aside(self, *, touched: bool) -> bool:
+    def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
 
         Args:
+            counts: Of the frame: (208,) are held against each other at once.
             touched: What the gate said.
         """
+        if counts is not None and len(counts) == N_FULL_ROWS:
+            self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.watch.findings))
+            self._count_reciprocal()
         self._waiting += 1
         self._touched |= touched
         return self._waiting == MOST_TOGETHER
@@ -117,6 +127,7 @@ class Health:
             watch.exclude(wanted)
         if len(raw):
             self._weigh(raw, predicted)
+        self._hold_reciprocal()
         if watch.texts != before:
             self._tell(tuple(f"electrode:{text}" for text in watch.texts if text not in before))
             self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in watch.texts))
@@ -136,6 +147,24 @@ class Health:
                 self.watch.correct(row, predicted)
         self.watch.look(raw, change)
         self._follow(change, predicted)
+
+    def _count_reciprocal(self) -> None:
+        """Count the frames in a row in which each electrode that was given up reads both ways alike."""
+        for finding in self.watch.findings:
+            if finding.state == NOT_RECIPROCAL:
+                well = self.reciprocity.gaps[finding.electrode] < LARGEST_GAP / 2.0
+                before = self._reciprocal_again.get(finding.electrode, 0)
+                self._reciprocal_again[finding.electrode] = before + 1 if well else 0
+
+    def _hold_reciprocal(self) -> None:
+        """Give up the electrode that is not reciprocal, and use again one that is."""
+        for electrode, frames in tuple(self._reciprocal_again.items()):
+            if frames >= HEALTHY:
+                del self._reciprocal_again[electrode]
+                self.watch.trust(electrode)
+        suspect = self.reciprocity.suspect
+        if suspect is not None and self.watch.give_up(suspect):
+            self._reciprocal_again[suspect] = 0
 
     def _follow(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
         """Show (n, 104) frames, failed rows filled in, to drift once they are enough."""

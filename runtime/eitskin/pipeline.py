@@ -395,7 +395,7 @@ class Pipeline:
 
     def note_health(self) -> None:
         """Keep what electrodes and drift are judged by of the frame that was just published."""
-        if self.health is not None and not self.idle and self.health.put_aside(touched=self.touched):
+        if self.health is not None and not self.idle and self.health.put_aside(self._view.counts, touched=self.touched):
             self.look_at_health()
 
     def look_at_health(self) -> None:
