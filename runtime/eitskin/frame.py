@@ -156,7 +156,7 @@ class FramePacker:
 
     __slots__ = (
         "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
-        "_short_view", "_slots", "_tail_at", "_tails", "_view",
+        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view",
     )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
@@ -206,6 +206,7 @@ class FramePacker:
         self._short_view = memoryview(self._short)
         self._at, self._layout, self._arguments = self._whole()
         self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
+        self._texts: object = None
         self._end = self._tail_at
         self._short_end = self._map_at
 
@@ -253,6 +254,9 @@ class FramePacker:
     ) -> None:
         """Replace the texts; recurring combinations are kept ready."""
         wanted = (solver, skipped, events, regions, electrodes)
+        if wanted == self._texts:
+            return  # it is there already
+        self._texts = wanted
         tail = self._tails.get(wanted)
         if tail is None:
             content = {
