@@ -96,7 +96,7 @@ def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: P
 def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
     healthy = failing.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
     assert sum(row["named"] for row in healthy) == 0
-    assert sum(row["frames"] for row in healthy) == moving().frames
+    assert sum(row["frames"] for row in healthy) == 2 * moving().frames, "104 rows and 208"
     rows = failing.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
     assert {row["what"] for row in rows} == set(failing.FAILURES)
     for row in rows:
@@ -106,6 +106,7 @@ def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
 def test_what_counts_as_named_rightly() -> None:
     assert failing.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
     assert failing.expected(Noisy(3)) == {(3, "noisy")}
+    assert failing.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
 
 
 def test_sets_of_lost_electrodes_are_all_single_ones_and_the_same_draws() -> None:
