@@ -136,9 +136,15 @@ class Weigher:
         frames = np.concatenate([self._before, raw])  # (n + 2, 104), in float64
         self._before = frames[-2:]
         ratio = frames[2:] + 1.0
-        size = np.abs(ratio)
-        jumps = np.abs(frames[2:] - 2.0 * frames[1:-1] + frames[:-2]) > self._jump * np.maximum(size, 1.0)
-        found = _Batch(*self.surprise(change), size @ self._pair_weight, ratio @ self._pair_weight, jumps)
+        silent = sign = ratio @ self._pair_weight
+        if ratio.min() < 0.0:
+            silent = np.abs(ratio) @ self._pair_weight
+        steps = frames[1:] - frames[:-1]
+        second = np.abs(steps[1:] - steps[:-1])
+        jumps = second > self._jump
+        if jumps.any():
+            jumps &= second > self._jump * np.abs(ratio)  # a row that reads more moves more
+        found = _Batch(*self.surprise(change), silent, sign, jumps)
         if self._seen < 2:
             jumps[: 2 - self._seen] = False  # there is no second difference yet
         self._seen += len(raw)

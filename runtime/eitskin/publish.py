@@ -38,7 +38,7 @@ MOST_TOPICS: Final = 400
 """Subscriptions at once, of all subscribers; each has one or three."""
 
 MOST_AT_ONCE: Final = 512
-"""Subscription messages that may arrive between two frames."""
+"""Subscription messages that may arrive between two looks."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 

@@ -9,6 +9,9 @@ from eitskin.skin import Skin
 LOOK_NS: Final = 200_000_000
 """How often connections are counted."""
 
+JOIN_NS: Final = 10_000_000
+"""How often it is asked who subscribes: so long a newcomer waits, at most, for what nobody else wanted."""
+
 
 def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_ns: int | None = None) -> None:
     """Publish frames until ``skin.stop()``, a number of frames, or a time.
@@ -25,7 +28,7 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
         PortLost: The port vanished.
         HandshakeError: The device fell silent and does not answer, or came back as another one.
     """
-    next_look_ns = time.perf_counter_ns() + LOOK_NS
+    next_look_ns = next_join_ns = time.perf_counter_ns()
     regions = publisher.regions
     publisher.look()
     for _ in skin.readings(lambda: publisher.wanted, until_ns):
@@ -35,12 +38,15 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
         else:
             skin.pass_over()
         skin.finish()
-        publisher.look()  # behind the frame, not before it: who comes now is served from the next one on
-        if publisher.regions is not regions:
-            regions = publisher.regions
-            skin.set_regions(regions)
         if frames is not None and skin.statistics.frames >= frames:
             return
-        if skin.pipeline.stamps[0] > next_look_ns:
+        now_ns = skin.pipeline.stamps[0]
+        if now_ns >= next_join_ns:  # behind a frame, not before it
+            next_join_ns = now_ns + JOIN_NS
+            publisher.look()
+            if publisher.regions is not regions:
+                regions = publisher.regions
+                skin.set_regions(regions)
+        if now_ns >= next_look_ns:
+            next_look_ns = now_ns + LOOK_NS
             publisher.look_at_connections()
-            next_look_ns = skin.pipeline.stamps[0] + LOOK_NS
