@@ -4,6 +4,7 @@ One core: BLAS is held to one thread. On a machine that does other work too, ``c
 ratios use it. Each row says what its seconds hold: set-up of a deformation and its share of
 shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
 against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
+How far the free set's mesh is from finer ones is measured on fewer sets (:mod:`eitskin_tools.bench.free_error`).
 """
 
 import argparse
@@ -14,6 +15,7 @@ from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Any
 
+from eitskin_tools.bench.free_error import error_rows, gap_rows
 from eitskin_tools.cli import UsageError
 
 
@@ -27,6 +29,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--free", type=int, default=5_000, metavar="N", help="free touch sets at a deformation (default 5000)"
     )
     parser.add_argument("--checked", type=int, default=24, metavar="N", help="samples solved naively (default 24)")
+    parser.add_argument(
+        "--scenes",
+        type=int,
+        default=24,
+        metavar="N",
+        help="free sets solved on finer meshes too, 0 for none (default 24)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -35,11 +44,15 @@ def run(arguments: argparse.Namespace) -> int:
     for name in ("bends", "touch_sets", "free", "checked"):
         if getattr(arguments, name) < 1:
             raise UsageError(f"--{name.replace('_', '-')} must be at least 1")
+    if arguments.scenes < 0 or 0 < arguments.scenes < 3:
+        raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     if "numpy" not in sys.modules:
         os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
     rows = [*_paper(arguments), *_free(arguments), _pyeit()]
+    errors = [*error_rows(arguments.scenes), *gap_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
+    default = next((row for row in errors if row["what"] == "free, default"), {})
     summary = {
         "paper_samples": ours["paper"]["samples"],
         "paper_seconds": ours["paper"]["seconds"],
@@ -50,11 +63,12 @@ def run(arguments: argparse.Namespace) -> int:
         "free_samples_per_cpu_s": ours["free"]["samples_per_cpu_s"],
         "free_times_naive": round(ours["free"]["samples_per_cpu_s"] / naive["free"], 1),
         "free_largest_error": ours["free"]["largest_error"],
+        "free_dV_off_percent": default.get("median_percent"),
     }
     if arguments.json:
-        print(json.dumps({"rows": rows, "summary": summary}))
+        print(json.dumps({"rows": [*rows, *errors], "summary": summary}))
     else:
-        for row in rows:
+        for row in [*rows, *errors]:
             print("  ".join(f"{name} {value}" for name, value in row.items()))
         print("  ".join(f"{name} {value}" for name, value in summary.items()))
     return 0
