@@ -38,6 +38,7 @@ from eitskin.stats import Statistics
 from eitskin.transport import Transport
 from eitskin_proto.answers import Event
 from eitskin_proto.codes import MessageType, Mode
+from eitskin_proto.frames import FRAME_TYPE
 
 CAPTURE_S = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
@@ -397,7 +398,7 @@ class Skin:
             held.extend(payloads)
             while held:  # what is left when the caller stops asking comes again the next time
                 payload = held.popleft()
-                if payload[0] != MessageType.FRAME:
+                if payload[0] != FRAME_TYPE:
                     self._take_note(payload)
                 elif pipeline.accept(payload, read_ns):
                     if self._pending_events:
@@ -431,7 +432,7 @@ class Skin:
             if len(payloads) > 64:
                 break  # a device faster than this loop; the rest is stale next time
         for payload in payloads[:-1]:
-            if payload[0] == MessageType.FRAME:
+            if payload[0] == FRAME_TYPE:
                 self.pipeline.discard(payload)
             else:
                 self._take_note(payload)
