@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from eitskin.bundle import Bundle
 from eitskin.engine import GeometryGraph
+from eitskin.health import health_of
 from eitskin.pipeline import Pipeline
 from eitskin.reference import Reference
 from eitskin_proto.frames import Frame
@@ -54,6 +55,7 @@ class Frames:
     def pipeline(self, bundle: Bundle, *, skip_unchanged: bool = False) -> Pipeline:
         """Return a pipeline for the flat sheet's cloud, ready for frames."""
         pipeline = Pipeline(bundle, self.hello, skip_unchanged=skip_unchanged)
+        pipeline.health = health_of(bundle)
         pipeline.use_reference(self.reference)
         pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
         return pipeline
@@ -132,5 +134,10 @@ class Way:
         self._ready = self._make(self._voltages[index % len(self._voltages)], self._sequence)
 
     def __call__(self) -> bool:
-        """Take the prepared frame through the pipeline."""
-        return self.pipeline.accept(self._ready, time.perf_counter_ns()) and self.pipeline.compute(self._wanted)
+        """Take the prepared frame through the pipeline, and do what waits for leisure when it is due."""
+        pipeline = self.pipeline
+        fit = pipeline.accept(self._ready, time.perf_counter_ns()) and pipeline.compute(self._wanted)
+        pipeline.note_health()
+        if pipeline.has_leisure_work:
+            pipeline.look_at_health()
+        return fit
