@@ -23,14 +23,14 @@ from eitskin_proto.grid import GRID_SHAPE
 
 Array = npt.NDArray[np.float64]
 
-CELL_MM: Final = 5.5
-"""Side of the cells whose points are averaged: 500 of them, and a fit of a third of the cost of 4.5 mm cells'."""
+CELL_MM: Final = 6.0
+"""Side of the cells whose points are averaged: 425 of them, and a fit of a fifth of the cost of 4.5 mm cells'."""
 
 SMOOTHING_MM: Final = 2.5
 """h: a bump of sigma 12 mm loses 0.2 % of its height to it."""
 
-NODES: Final = (34, 23)
-"""Nodes along x and y at which the fitted spline is evaluated, about 4.5 mm apart; cubic splines go on from there."""
+NODES: Final = (31, 21)
+"""Nodes along x and y at which the fitted spline is evaluated, about 5 mm apart; cubic splines go on from there."""
 
 
 FINER: Final = 8
