@@ -104,13 +104,13 @@ def test_counts_of_touches_are_those_asked_for_but_for_full_sheets(pool: FreePoo
 # Each set of a family is the one before and a touch more: what makes a factor serve several sets.
 def test_sets_come_in_families_that_begin_with_touches_in_turn(pool: FreePool) -> None:
     sets = pool.sets[4]
-    own = [sets.of(number).tolist() for number in range(810)]
-    lengths = [[len(own[number]) for number in family] for family in families(PartSets(sets.member, sets.first))]
+    own = [sets.of(number).tolist() for number in range(900)]
+    lengths = [[len(own[number]) for number in family] for family in families(sets)]
     assert sum(len(family) for family in lengths) == 900
     assert all(row == sorted(row) for row in lengths)
     assert 900 / len(lengths) > 2.0
-    singles = [touches[0] for touches in own if len(touches) == 1]
-    assert max(np.bincount(singles)) <= 3  # 240 families begin with 162 touches in turn, a few are drawn again
+    singles = [touches[0] for touches in own[:810] if len(touches) == 1]
+    assert max(np.bincount(singles)) <= 4  # 235 families begin with 162 touches in turn, a few are drawn again
 
 
 def test_in_half_of_the_sets_all_touches_have_one_conductivity(pool: FreePool) -> None:
