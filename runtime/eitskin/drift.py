@@ -9,7 +9,9 @@ mean m and precision P, made at export from deformations ::
 
 D above its limit is no untouched sheet at any uniform drift, so such a frame says nothing of drift: a touch is a
 pattern, and c is the one pattern that it is not. Frames are averaged, and c is reported once it has been plausible for
-``HOLD`` frames. Compensation, if it is asked for, takes out c and nothing else, moves by ``SLOPE`` a frame at most, and
+``HOLD`` frames. A sheet that dries more at one end than at the other is beyond the limit as well: if nothing touches it
+for as long, by the gate, and there is a scan, its reference is called ``uneven``: no number, and nothing to take out.
+Compensation, if it is asked for, takes out c and nothing else, moves by ``SLOPE`` a frame at most, and
 only where there is a prediction.
 """
 
@@ -56,6 +58,9 @@ class Drift:
         self._plausible = 0
         self._seen = 0
         self._told = False
+        self._strange = 0
+        self.uneven = False
+        """The sheet is untouched, yet far from what reference and scan say, and not by a common factor."""
         self._steady = np.zeros(0)
         self.taken_out = 0.0
         """What compensation has taken out so far, in log."""
@@ -67,8 +72,8 @@ class Drift:
     def restart(self) -> None:
         """Forget everything: there is a new reference."""
         self._average[:] = 0.0
-        self._plausible = self._seen = 0
-        self._told = False
+        self._plausible = self._seen = self._strange = 0
+        self._told = self.uneven = False
         self.taken_out = 0.0
         self.percent = self.sigma_percent = float("nan")
 
@@ -100,7 +105,8 @@ class Drift:
         drift, distance = model.estimate(self._average - predicted)
         if distance > model.limit:
             self._plausible = 0
-            return False
+            return self._is_uneven(frames, touched=touched or not with_scan)
+        self._strange, self.uneven = 0, False
         self._plausible += frames
         if self._plausible < HOLD:
             return False
@@ -113,6 +119,14 @@ class Drift:
         fresh = told and not self._told
         self._told = told
         return fresh
+
+    def _is_uneven(self, frames: int, *, touched: bool) -> bool:
+        """Count frames that fit no untouched sheet though nothing touches it; return whether they are news."""
+        self._strange = 0 if touched else self._strange + frames
+        before, self.uneven = self.uneven, self._strange >= HOLD
+        if self.uneven:
+            self.percent = float("nan")
+        return self.uneven and not before
 
     def _weights(self, frames: int) -> Array:
         """Return (1 + n,) how much of the running mean and of each of n frames is in the mean after them."""

@@ -175,7 +175,7 @@ class Health:
             return
         touched, self._following, self._touched = self._touched, 0, False
         if self.drift.look(self._followed[:end], predicted, touched=touched):
-            self._tell((f"drift:{self.drift.percent:+.0f}%",))
+            self._tell(("drift:uneven" if self.drift.uneven else f"drift:{self.drift.percent:+.0f}%",))
 
     def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the bundle's projection without the rows that are missing."""

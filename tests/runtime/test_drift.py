@@ -94,3 +94,25 @@ def test_a_new_reference_begins_anew():
     drift.restart()
     assert drift.taken_out == 0.0
     assert np.isnan(drift.percent)
+
+
+GRADIENT = np.linspace(-0.05, 0.05, N_ROWS)
+
+
+def test_an_untouched_sheet_that_no_factor_explains_is_called_uneven_once():
+    drift = Drift(consistency())
+    assert show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 50), SCAN) == [HOLD - 1]
+    told = show(drift, frames(GRADIENT, HOLD + 100), SCAN)
+    assert len(told) == 1
+    assert HOLD - 1 <= told[0] < HOLD + 60  # the running mean first has to leave the uniform drift
+    assert drift.uneven
+    assert np.isnan(drift.percent), "no number stands for it"
+    show(drift, frames(np.zeros(N_ROWS), 300), SCAN)
+    assert not drift.uneven
+
+
+@pytest.mark.parametrize(("predicted", "touched"), [(SCAN, True), (NO_SCAN, False)])
+def test_what_may_be_a_touch_or_a_bend_is_not_called_uneven(predicted, touched):
+    drift = Drift(consistency())
+    assert show(drift, frames(GRADIENT, 2 * HOLD), predicted, touched=touched) == []
+    assert not drift.uneven

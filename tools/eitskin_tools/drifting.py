@@ -4,6 +4,7 @@ Deformations of families A and B that no bundle learned from, each with a common
 without the prediction that a scan gives; then a touch that lies still for minutes while compensation runs.
 """
 
+from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
@@ -17,7 +18,7 @@ from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.parts import Electrodes, Scene, Sheet, Touch
 from eitskin_sim.predict import flat_voltages, predict
 from eitskin_sim.scanned import scanned_cloud
-from eitskin_sim.shapes import Disc
+from eitskin_sim.shapes import Disc, Rect
 from eitskin_sim.solve import factorise_scene
 
 FACTORS: Final = (-0.2, -0.05, 0.0, 0.1, 0.3)
@@ -25,6 +26,12 @@ FACTORS: Final = (-0.2, -0.05, 0.0, 0.1, 0.3)
 
 ELEMENT_MM: Final = 4.5
 NOISE: Final = 10 ** (-50 / 20)
+GRADIENTS: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""Share of the conductivity of 1 S/m that is lost at one end, falling to nothing at the other."""
+
+STRIPS: Final = 6
+"""Across the sheet, each of one conductivity."""
+
 STILL_FRAMES: Final = 12_000
 """A touch that lies still for a minute at 200 frames/s."""
 
@@ -63,16 +70,40 @@ def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
              "error_rms_percent": round(float(np.sqrt(np.mean(off**2))), 2),
              "error_max_percent": round(float(np.abs(off).max()), 2)}
         )  # fmt: skip
-    return [*rows, *absorbed(consistency, flat, rng)]
+    return [*rows, *uneven(consistency, flat, rng), *absorbed(consistency, flat, rng)]
 
 
 def settle(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> float | None:
     """Return the drift, in log, that is reported of a sheet held still; None if none is."""
+    drift = still(consistency, logs, predicted, rng)
+    return None if np.isnan(drift.percent) else float(np.log1p(drift.percent / 100.0))
+
+
+def still(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> Drift:
+    """Return what is known of a sheet that is held still for a little longer than it takes."""
     drift = Drift(consistency)
     for _ in range(HOLD + 20):
         change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
         drift.look(change, predicted, touched=False)
-    return None if np.isnan(drift.percent) else float(np.log1p(drift.percent / 100.0))
+    return drift
+
+
+def uneven(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return what is said of a flat sheet, scanned and untouched, that dried more at one end than at the other."""
+    length, width = Sheet().size_mm
+    edges = np.linspace(0.0, length, STRIPS + 1)
+    rows = []
+    for lost in GRADIENTS:
+        strips = tuple(
+            Touch((Rect(float(a), 0.0, float(b), width),), 1.0 - lost * (a + b) / 2 / length)
+            for a, b in pairwise(edges)
+        )
+        scene = Scene(touches=strips if lost else (), element_size_mm=ELEMENT_MM)
+        logs = np.log(factorise_scene(scene).voltages() / flat)
+        found = still(consistency, logs, np.full(len(logs), 1e-9, dtype=np.float32), rng)
+        said = "uneven" if found.uneven else "nothing" if np.isnan(found.percent) else f"{found.percent:+.1f} %"
+        rows.append({"what": "drift", "lost_at_one_end_percent": round(100 * lost, 1), "said": said})
+    return rows
 
 
 def absorbed(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
