@@ -58,7 +58,7 @@ def test_a_filling_can_learn_what_no_linear_map_can() -> None:
         filled, _ = filling(shown, [(slice(0, 600), (6,))], predicted)
         loss = (filled - shown)[:, rows].square().mean()
         optimiser.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
+        loss.backward()
         optimiser.step()
         errors.append(float(loss.detach()))
     assert errors[-1] < 0.3 * errors[0]
