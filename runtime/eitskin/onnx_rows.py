@@ -8,8 +8,8 @@ intermediate shapes, which are dropped. ::
     x -- MatMulInteger(W8) -- Cast -- Mul(scale) -- Add(b) -- Sigmoid --> map            the same, by columns
     x -- Gemm -- Sigmoid -- Gather(index) --> map         index -> index[pixels]; the layer is as small as it gets
 
-A head that sharpens its map mixes a pixel with those around it. There the layer is cut down to the cells (nine pixels)
-that the region can see, the others are taken from one untouched cell, and the whole map comes out, right in the region::
+A head that sharpens its map mixes a pixel with those around it. There the layer is cut down to the cells of 3 x 3 that
+the region can see, the others are taken from one untouched cell, and the whole map comes out, right in the region::
 
     x -- Gemm(W, b) -- Pad -- Reshape (151, 9) -- Gather(cells) -- Conv ... --> map (1, 1350)
 """

@@ -93,8 +93,8 @@ def _condensed(sheet: FreeSheet, batch: Geometry) -> list[Part]:
     for number in range(len(batch)):
         own, width = slice(layout.begin[number], layout.begin[number + 1]), layout.width[number]
         dofs = layout.dofs[layout.first_outline[number] : layout.first_outline[number + 1]]
-        squares = (blocks[own].reshape(width, width) for blocks in (touched, untouched))
-        found.append(_part(sheet, dofs, _change(*squares, int(layout.inside[number]))))
+        square, without = touched[own].reshape(width, width), untouched[own].reshape(width, width)
+        found.append(_part(sheet, dofs, _change(square, without, int(layout.inside[number]))))
     return found
 
 

@@ -52,7 +52,9 @@ class Sharpen(nn.Module):
             assert last.bias is not None
             nn.init.zeros_(last.bias)
             self.blocks.append(nn.Sequential(nn.Conv2d(CELL**2, width, 3, padding=1), activation(), last))
-        self.blocks.to(memory_format=torch.channels_last)  # a third of the training time less
+        for parameter in self.blocks.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.to(memory_format=torch.channels_last)  # a third of the training time
 
     def cells(self, z: Tensor) -> Tensor:
         """Return (B, 9, 10, 15) of the same."""
