@@ -73,12 +73,21 @@ def _export(module: torch.nn.Module, example: tuple[torch.Tensor, ...], inputs: 
     assert program is not None
     model = program.model_proto
     check(model)
-    model.doc_string = ""
+    without_traces(model)
     onnx.helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID})
     onnx.checker.check_model(model)
     buffer = io.BytesIO()
     onnx.save_model(model, buffer)
     return buffer.getvalue()
+
+
+def without_traces(model: onnx.ModelProto) -> None:
+    """Take out what the exporter notes of where each node came from: stack traces, and with them this machine's paths."""
+    model.doc_string = ""
+    graph = model.graph
+    for item in (graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input, *graph.output):
+        item.doc_string = ""
+        del item.metadata_props[:]
 
 
 def check(model: onnx.ModelProto) -> None:
