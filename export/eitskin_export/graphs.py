@@ -82,7 +82,7 @@ def _export(module: torch.nn.Module, example: tuple[torch.Tensor, ...], inputs: 
 
 
 def without_traces(model: onnx.ModelProto) -> None:
-    """Take out what the exporter notes of where each node came from: stack traces, and with them this machine's paths."""
+    """Take out where the exporter says each node came from: stack traces, and with them a machine's paths."""
     model.doc_string = ""
     graph = model.graph
     for item in (graph, *graph.node, *graph.initializer, *graph.value_info, *graph.input, *graph.output):
