@@ -183,13 +183,16 @@ class SkinServer:
             self._held.append(packet)
             return
         before_ns = self._clock()
-        whole = self.port.write(packet)
-        if self._wire_ns is not None:
-            self._wire_ns[sequence % len(self._wire_ns)] = before_ns if whole else -before_ns
-        if whole:
+        self._note(sequence, before_ns)  # first: whoever has a frame finds its time, also if this process ends at once
+        if self.port.write(packet):
             self.sent += 1
         else:
+            self._note(sequence, -before_ns)
             device.drop()
+
+    def _note(self, sequence: int, wire_ns: int) -> None:
+        if self._wire_ns is not None:
+            self._wire_ns[sequence % len(self._wire_ns)] = wire_ns
 
     def _play(self, fault: Fault, packet: bytes, time_s: float) -> bytes:
         """Return what is left of a packet; starts faults that last."""
