@@ -1,8 +1,8 @@
 """A trained network as the two halves that are deployed, batch normalisation folded into the weights, dropout gone.
 
 In evaluation batch normalisation is an affine map, so it disappears into the linear layer before it; the
-standardisation of the inputs disappears into the layer after it. The one in the fusion
-scales both column blocks, so the bias comes out already scaled. Folding is done in float64 and rounded once.
+standardisation of the inputs disappears into the layer after it. The normalisation in the fusion scales both column
+blocks, so the bias comes out already scaled. Folding is done in float64 and rounded once.
 """
 
 import copy

@@ -12,7 +12,6 @@ and so do the statistics of its normalisation. The result is a ``best.pt`` like 
 """
 
 import math
-import os
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -32,6 +31,7 @@ from eitskin_training.mirror import MIRRORS
 from eitskin_training.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.score import correlation, training_loss
+from eitskin_training.train import write_file
 
 HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""
@@ -299,10 +299,5 @@ def write(out: Path, content: dict[str, Any], adapted: Adapted) -> Path:
         "adapted": adapted.facts,
     }
     path = out / "best.pt"
-    beside = path.with_suffix(".new")
-    with beside.open("wb") as file:
-        torch.save(found, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
+    write_file(path, found)
     return path

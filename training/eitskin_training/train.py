@@ -247,14 +247,15 @@ def _save(run: Run, out: Path) -> None:
         "step": run.step,
     }
     if run.best is run.history[-1]:
-        _write(out / "best.pt", {**common, "weights": run.averaged})
-    _write(out / "checkpoint.pt", state)
+        write_file(out / "best.pt", {**common, "weights": run.averaged})
+    write_file(out / "checkpoint.pt", state)
     beside = out / "history.json.new"
     beside.write_text(json.dumps(common["history"], indent=1) + "\n")
     os.replace(beside, out / "history.json")
 
 
-def _write(path: Path, content: dict[str, Any]) -> None:
+def write_file(path: Path, content: dict[str, Any]) -> None:
+    """Write a run's .pt file beside and rename it, so that an interruption leaves the one before whole."""
     beside = path.with_suffix(".new")
     with beside.open("wb") as file:
         torch.save(content, file)
