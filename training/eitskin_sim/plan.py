@@ -40,7 +40,7 @@ DEFAULTS: Final[dict[str, tuple[int, int, int]]] = {
 }
 """Deformations to train on, touch sets, and touch sets shown at each deformation; free sets are as many as samples."""
 
-RECIPES: Final[dict[str, int]] = {"paper": 1, "units": 1, "free": 3}
+RECIPES: Final[dict[str, int]] = {"paper": 1, "units": 1, "free": 4}
 """Counts up when the same plan would give other numbers: a folder is never made half by one and half by another."""
 
 KEPT: Final = 20
