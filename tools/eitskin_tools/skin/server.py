@@ -153,7 +153,8 @@ class SkinServer:
         streaming, rate, first = device.streaming, device.rate_mHz, device.script_start_ns is None
         packets, late_s = self.player.answers(device.receive(data, now), self._time_s(now))
         if late_s and packets:
-            self._late.append((now + int(late_s * 1e9), b"".join(packets)))
+            # From when it was read and not from when the turn began: the process may have rested in between
+            self._late.append((max(now, self._clock()) + int(late_s * 1e9), b"".join(packets)))
         elif packets:
             self.port.write_all(b"".join(packets), ANSWER_TIMEOUT_S)
         if device.streaming and (not streaming or device.rate_mHz != rate):
