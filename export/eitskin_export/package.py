@@ -203,6 +203,7 @@ def _facts(found: Trained, data: TrainingData, touch_gate: gate.Gate, metrics: d
             "epochs": len(history),
             "seconds": round(sum(epoch["seconds"] for epoch in history), 1),
             "best": history[-1],
+            "started_from": found.content.get("started_from"),
         },
         "metrics": metrics,
     }

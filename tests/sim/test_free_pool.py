@@ -4,7 +4,17 @@ import numpy as np
 import pytest
 
 from eitskin_sim import free_draws
-from eitskin_sim.free_draws import COUNTS, GAP_MM, RESEMBLES, Bar, SetDrawer, phantom_maps
+from eitskin_sim.free_draws import (
+    CLUSTERED,
+    COUNTS,
+    GAP_MM,
+    RESEMBLES,
+    Bar,
+    SetDrawer,
+    middles_mm,
+    near_table,
+    phantom_maps,
+)
 from eitskin_sim.free_gap import gap_mm, half_extents_mm
 from eitskin_sim.free_patterns import CLASSES, CONTRAST, LONGEST_MM, touch_pool
 from eitskin_sim.free_pool import FreePool, free_pool
@@ -118,6 +128,21 @@ def test_in_half_of_the_sets_all_touches_have_one_conductivity(pool: FreePool) -
     sets = [sigma[pool.sets[5].of(number)] for number in range(900)]
     one = [len(set(own.tolist())) == 1 for own in sets if len(own) >= 3]
     assert 0.35 < np.mean(one) < 0.65
+
+
+def test_a_third_of_the_pairs_lie_near_to_each_other(pool: FreePool) -> None:
+    """Near: nearer than all but a fifth of the pairs of touches that may stand together at all."""
+    middle = middles_mm(pool.parts)
+    near = near_table(pool.parts)[:-1, :-1]
+    one, other = np.triu_indices(len(middle), 1)
+    may = ~near[one, other]
+    bound_mm = np.quantile(np.hypot(*(middle[one] - middle[other]).T)[may], 0.2)
+    first = np.concatenate([sets.member[sets.first[:-1][np.diff(sets.first) > 1]] for sets in pool.sets.values()])
+    second = np.concatenate([sets.member[sets.first[:-1][np.diff(sets.first) > 1] + 1] for sets in pool.sets.values()])
+    share = float((np.hypot(*(middle[first] - middle[second]).T) < bound_mm).mean())
+    # Of 8 the nearest is among the nearest fifth with a chance of 1 - 0.8^8 = 0.83; bounds leave four deviations
+    expected = CLUSTERED * 0.83 + (1 - CLUSTERED) * 0.2
+    assert abs(share - expected) < 4 * np.sqrt(expected * (1 - expected) / len(first)) + 0.06
 
 
 def test_no_touch_of_a_set_held_out_is_ever_learned_from(pool: FreePool) -> None:

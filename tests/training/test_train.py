@@ -68,6 +68,26 @@ def test_a_run_is_not_overwritten_or_resumed_with_something_else(toy_data: Any, 
         train.train(replace(data, digest="other"), tiny(epochs=1), tmp_path, resume=True)
 
 
+def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: Path) -> None:
+    data, other = toy_data("area", samples=1500), replace(toy_data("area"), digest="other")
+    first = train.train(data, tiny(epochs=6, learning_rate=5e-3), tmp_path / "first", seed=3)
+    chosen = tiny(epochs=2, learning_rate=0.0, schedule="constant", weight_decay=0.0)
+    later = train.train(other, chosen, tmp_path / "later", seed=4, start=tmp_path / "first", stop_after=1)
+    kept = train.read(tmp_path / "first" / "best.pt")
+    for name, value in later.averaged.items():  # nothing was learned, so these are the first run's, inputs' scale too
+        if "running_" not in name and "num_batches" not in name:
+            assert torch.equal(value, kept["weights"][name]), name
+    told = train.read(tmp_path / "later" / "best.pt")["started_from"]
+    assert told == {"seed": 3, "data_digest": data.digest, "epochs": len(kept["history"]), "started_from": None}
+    assert first.started_from is None
+    with pytest.raises(MismatchError, match="run it started from"):
+        train.train(other, chosen, tmp_path / "later", seed=4, resume=True)
+    with pytest.raises(MismatchError, match="network"):
+        train.train(other, recipe("free"), tmp_path / "else", start=tmp_path / "first")
+    with pytest.raises(SkinError, match="no finished epoch"):
+        train.train(other, chosen, tmp_path / "none", start=tmp_path / "nothing")
+
+
 @pytest.mark.parametrize("field", ["protocol_id", "grid_id"])
 def test_data_of_another_protocol_or_grid_is_refused(field: str, toy_data: Any, tmp_path: Path) -> None:
     with pytest.raises(MismatchError, match=rf"{field}: found 0123, expected .*eitskin dataset"):

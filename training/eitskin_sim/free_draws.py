@@ -8,8 +8,8 @@ sets of every size as if each were drawn for itself, since every size is rarer t
     e   e f   e f g
     h
 
-Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told apart, is well inside what is drawn. Two
-touches that lie near to each other are the hardest to tell from one, and are rare where touches fall anywhere: in a
+Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told apart, is well inside what is drawn.
+Touches that lie near to each other are the hardest to tell from one, and are rare where touches fall anywhere: in a
 third of the families each touch is the nearest of several to the one before. In half of the sets all touches have one
 conductivity. A set whose map may resemble a published phantom's is left out and
 another drawn: its correlation is bounded from above by sums over its touches, whose maps are made once a pool.
@@ -92,9 +92,7 @@ class SetDrawer:
             if not len(rows):
                 break
             begin = generator.integers(len(self._near) - 1, size=len(rows))
-            found[rows] = _draw(
-                self._near, self._middle_mm, begin, length[rows], shared[rows], tries[rows], generator
-            )
+            found[rows] = _draw(self._near, self._middle_mm, begin, length[rows], shared[rows], tries[rows], generator)
         return found
 
 

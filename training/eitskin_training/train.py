@@ -88,6 +88,7 @@ class Run:
     schedule: torch.optim.lr_scheduler.LRScheduler | None
     data_digest: str
     source: str = ""
+    started_from: dict[str, Any] | None = None
     history: list[Epoch] = field(default_factory=list)
     step: int = 0
 
@@ -111,6 +112,7 @@ def train(
     resume: bool = False,
     stop_after: int | None = None,
     source: str = "",
+    start: Path | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Run:
     """Train a network and leave the run in a folder.
@@ -123,6 +125,7 @@ def train(
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
         source: Where the data set lies, for the export to find it again.
+        start: A run whose best weights to start from; None draws them. Its network must be of the same shape.
         progress: Called after every batch.
 
     Returns:
@@ -140,6 +143,8 @@ def train(
     steps_per_epoch = max(1, len(data.train) // recipe.batch)
     run = _start(recipe, seed, steps_per_epoch, data)
     run.source = source
+    if start is not None:
+        _start_from(run, start)
     if resume and checkpoint.exists():
         _restore(run, checkpoint)
     where = device()
@@ -177,6 +182,24 @@ def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) 
         )
     averaged = {name: value.clone() for name, value in model.state_dict().items()}
     return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest)
+
+
+def _start_from(run: Run, folder: Path) -> None:
+    """Begin with the best weights of another run, with its scale of the inputs."""
+    content = read(folder / "best.pt")
+    found, expected = Recipe.from_dict(content["recipe"]).architecture, run.recipe.architecture
+    if found != expected:
+        raise MismatchError(
+            f"run {folder} to start from: network", found=found, expected=expected, hint="start from one of this recipe"
+        )
+    run.model.load_state_dict(content["weights"])
+    run.averaged = {name: value.clone() for name, value in run.model.state_dict().items()}
+    run.started_from = {
+        "seed": content["seed"],
+        "data_digest": content["data_digest"],
+        "epochs": len(content["history"]),
+        "started_from": content.get("started_from"),
+    }
 
 
 def one_cycle(step: int, *, steps: int) -> float:
@@ -236,6 +259,7 @@ def _save(run: Run, out: Path) -> None:
         "seed": run.seed,
         "data_digest": run.data_digest,
         "data": run.source,
+        "started_from": run.started_from,
         "history": [asdict(epoch) for epoch in run.history],
     }
     state = {
@@ -294,6 +318,7 @@ def _restore(run: Run, path: Path) -> None:
         ("recipe", content["recipe"], run.recipe.as_dict()),
         ("seed", content["seed"], run.seed),
         ("data digest", content["data_digest"], run.data_digest),
+        ("run it started from", content.get("started_from"), run.started_from),
     ):
         if found != expected:
             raise MismatchError(

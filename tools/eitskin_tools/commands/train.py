@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
     parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
+    parser.add_argument("--start-from", metavar="RUN", help="begin with the best weights of another run of this recipe")
     parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
@@ -54,6 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             out,
             seed=arguments.seed,
             resume=arguments.resume,
+            start=Path(arguments.start_from) if arguments.start_from else None,
             source=str(Path(arguments.data).resolve()),
             progress=report,
         )
