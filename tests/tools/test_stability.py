@@ -1,6 +1,8 @@
 """The stability bench: its arithmetic, the rules that it must hold, and a thinned run of everything."""
 
+import argparse
 import json
+import time
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +12,17 @@ import pytest
 from eitskin.bundle import default_path, load_bundle
 from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
 from eitskin_export.projection import flat_projection
+from eitskin_sim.solve import solve_scene
 from eitskin_sim.solvers.operators import build_operators
 from eitskin_sim.solvers.tikhonov import FACTOR, tikhonov_matrix
 from eitskin_tools.bench.stability import FAMILIES, is_sound, table
+from eitskin_tools.choices import chosen, several
+from eitskin_tools.stress import jobs
 from eitskin_tools.stress.inputs import attacks, strike
 from eitskin_tools.stress.meshes import triangle_rows
 from eitskin_tools.stress.precision import apart, built
 from eitskin_tools.stress.rows import Curve, Point, crossing
-from eitskin_tools.stress.samples import samples
+from eitskin_tools.stress.samples import sample_of, samples, system_of, voltages_of
 from eitskin_tools.stress.shape import block
 from eitskin_tools.stress.stream import Stream
 from eitskin_tools.stress.sweep import Effort, thinned
@@ -165,6 +170,45 @@ def test_the_thinned_bench_explains_every_break_and_publishes_nothing_absurd():
     strongest = {one.solver: one for one in curves if one.sweep == "noise N3"}
     assert strongest["vd2t"].points[-1].accuracy < strongest["vd2t"].points[0].accuracy
     assert set(families) < set(FAMILIES)
+
+
+def test_a_run_that_is_stopped_gives_what_it_has_and_says_what_is_missing(monkeypatch):
+    def stopped():
+        raise KeyboardInterrupt
+
+    found = [{"sweep": "one", "solver": "vd2t", "why": "1"}]
+    plan = [jobs.Job("noise", "one", 30.0, lambda: [(found[0], None)]), jobs.Job("shape", "two", 10.0, stopped)]
+    monkeypatch.setattr(jobs, "jobs_of", lambda *given, **named: iter(plan))
+    said = []
+    rows, curves, summary = table([], LEAST, say=said.append)
+    assert rows == [{"family": "noise", **found[0]}]
+    assert curves == []
+    assert (summary["jobs"], summary["jobs_left_out"]) == (2, 1)
+    assert said[0] == "noise: one"
+    assert said[-1] == "stopped: 1 of 2 jobs are left out"
+    assert any(line.startswith("[1/2]") for line in said)
+
+
+def test_the_time_left_is_what_the_jobs_behind_take_beside_those_before():
+    plan = [jobs.Job("noise", str(n), work, list) for n, work in enumerate((30.0, 10.0, 5.0))]
+    progress = jobs.Progress(plan, start_s=time.perf_counter() - 60.0)
+    assert progress.step() == "[1/3] 60 s so far, about 30 s left"  # 15 of 45 are behind, 30 took a minute
+
+
+def test_several_names_may_be_asked_for_at_once_and_others_are_refused():
+    read = several(FAMILIES)
+    assert chosen([read("inputs,noise"), read("repeat")], FAMILIES) == ("noise", "inputs", "repeat")
+    assert chosen(None, FAMILIES) == FAMILIES
+    with pytest.raises(argparse.ArgumentTypeError, match="'noises' is none of them"):
+        read("noises")
+
+
+def test_scenes_that_differ_in_conductivities_share_their_assembly_and_are_solved_as_by_themselves(sample):
+    scene = sample.scene
+    drier = replace(scene, sheet=replace(scene.sheet, conductivity_S_per_m=0.7), current_A=2.0)
+    assert system_of(drier).stiffness is system_of(scene).stiffness
+    assert np.array_equal(voltages_of(drier), solve_scene(drier).voltages)
+    assert np.array_equal(sample_of(scene, "units").voltages, solve_scene(scene).voltages)
 
 
 def test_curves_are_drawn(tmp_path):

@@ -6,22 +6,20 @@ reference of the sheet as it was.
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from itertools import pairwise
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.bend import bend_metric
 from eitskin_sim.cut import touch
-from eitskin_sim.forward import Factor, assemble
-from eitskin_sim.meshing import scene_mesh
+from eitskin_sim.forward import Factor
 from eitskin_sim.parts import Scene, Touch
 from eitskin_sim.shapes import Rect
 from eitskin_sim.solvers.operators import SATURATED
 from eitskin_tools.stress.limits import explain_change
-from eitskin_tools.stress.samples import Disturb, Sample, voltages_of
+from eitskin_tools.stress.samples import Disturb, Sample, system_of, voltages_of
 from eitskin_tools.stress.sweep import Explain, Stress
 
 Array = npt.NDArray[np.float64]
@@ -42,19 +40,22 @@ TRAINED_CONTRAST: Final = 50.0
 """Paper section V.A: 1 S/m untouched, 50 S/m touched."""
 
 
+_stress = partial(Stress, solved=True)
+
+
 def stresses() -> list[Stress]:
     """Return drift, contact impedance and contrast."""
     all_contacts, one_contact = _explained(_all_contacts, ASIDE), _explained(_one_contact, ASIDE)
     return [
-        Stress("drying, everywhere", "conductivity lost", DRIFT, _dried, _explained(_dried)),
-        Stress("drying, in a gradient along x", "conductivity lost", DRIFT, _dried_at_one_end,
-               _explained(_dried_at_one_end)),
-        Stress("contact impedance of all, worse", "times", WORSE, _all_contacts, all_contacts, True),
-        Stress("contact impedance of all, better", "times", BETTER, _all_contacts, all_contacts, True),
-        Stress("contact impedance of one, worse", "times", WORSE, _one_contact, one_contact, True),
-        Stress("contact impedance of one, better", "times", BETTER, _one_contact, one_contact, True),
-        Stress("contrast, higher", "S/m over S/m", HIGHER, _contrast, _explain_contrast, True),
-        Stress("contrast, lower", "S/m over S/m", LOWER, _contrast, _explain_contrast, True),
+        _stress("drying, everywhere", "conductivity lost", DRIFT, _dried, _explained(_dried)),
+        _stress("drying, in a gradient along x", "conductivity lost", DRIFT, _dried_at_one_end,
+                _explained(_dried_at_one_end)),
+        _stress("contact impedance of all, worse", "times", WORSE, _all_contacts, all_contacts, True),
+        _stress("contact impedance of all, better", "times", BETTER, _all_contacts, all_contacts, True),
+        _stress("contact impedance of one, worse", "times", WORSE, _one_contact, one_contact, True),
+        _stress("contact impedance of one, better", "times", BETTER, _one_contact, one_contact, True),
+        _stress("contrast, higher", "S/m over S/m", HIGHER, _contrast, _explain_contrast, True),
+        _stress("contrast, lower", "S/m over S/m", LOWER, _contrast, _explain_contrast, True),
     ]  # fmt: skip
 
 
@@ -97,9 +98,8 @@ def _one_contact(sample: Sample, factor: float, rng: np.random.Generator) -> Sam
 @lru_cache(maxsize=2048)
 def _with_contacts(scene: Scene, factors: tuple[float, ...]) -> Array:
     """Return (104,) V with each electrode's contact impedance multiplied by its own factor."""
-    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, bend_metric(scene.bend, scene.sheet))
-    touched = touch(system, scene.touches)
-    more = scene.electrodes.contact_impedance_ohm_m2 * (np.array(factors)[system.contacts.electrode] - 1.0)
+    touched = touch(system_of(scene), scene.touches)
+    more = scene.electrodes.contact_impedance_ohm_m2 * (np.array(factors)[touched.system.contacts.electrode] - 1.0)
     density = 1.0 / (1.0 / touched.density + more)  # in series with what was there, fringe and all
     return scene.current_A * Factor(touched.system, touched.blocks, density).voltages()
 

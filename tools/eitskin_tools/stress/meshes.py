@@ -49,8 +49,10 @@ ENERGY: Final = 5.6
 def stresses() -> list[Stress]:
     """Return element size and aspect ratio of the forward model's mesh."""
     return [
-        Stress("element size", "mm", SIZES_MM, _resized, _explain_size, True),
-        Stress("aspect ratio, a slit in the mesh", "long over short side", ASPECTS, _slit, _explain_slit, True),
+        Stress("element size", "mm", SIZES_MM, _resized, _explain_size, True, solved=True),
+        Stress(
+            "aspect ratio, a slit in the mesh", "long over short side", ASPECTS, _slit, _explain_slit, True, solved=True
+        ),
     ]
 
 

@@ -14,15 +14,19 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units, unit_rect_mm
+from eitskin_proto.table import TABLE
 from eitskin_sim.area import area_map
+from eitskin_sim.bend import bend_metric
+from eitskin_sim.cut import factorise
 from eitskin_sim.evaluate import Case, Sheet
 from eitskin_sim.family import draw
+from eitskin_sim.forward import System, assemble
+from eitskin_sim.meshing import scene_mesh
 from eitskin_sim.metrics import touched_units
 from eitskin_sim.parts import Bend, Scene, Touch
 from eitskin_sim.patterns import rich_touch_sets
 from eitskin_sim.scanned import scanned_cloud
 from eitskin_sim.shapes import Disc, Rect
-from eitskin_sim.solve import solve_scene
 
 Array = npt.NDArray[np.float64]
 Labels = Literal["units", "area"]
@@ -80,7 +84,21 @@ Disturb = Callable[[Sample, float, np.random.Generator], Sample]
 @lru_cache(maxsize=4096)
 def voltages_of(scene: Scene) -> Array:
     """Return a scene's (104,) V, solved once a process."""
-    return solve_scene(scene).voltages
+    return scene.current_A * factorise(system_of(scene), scene.touches).voltages(TABLE)
+
+
+def system_of(scene: Scene) -> System:
+    """Return a scene's assembled system; scenes that differ in conductivities alone share their assembly."""
+    touches = tuple(Touch(touch.shapes) for touch in scene.touches)
+    sheet = replace(scene.sheet, conductivity_S_per_m=1.0)
+    system = _assembled(replace(scene, sheet=sheet, touches=touches, current_A=1.0))
+    return replace(system, background=scene.sheet.conductivity_S_per_m)
+
+
+@lru_cache(maxsize=48)
+def _assembled(scene: Scene) -> System:
+    """Kept for the touched and the bare sheets of one sweep: a quarter of a solve's time, some megabytes each."""
+    return assemble(scene_mesh(scene), scene.sheet, scene.electrodes, bend_metric(scene.bend, scene.sheet))
 
 
 @lru_cache(maxsize=1024)

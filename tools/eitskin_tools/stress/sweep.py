@@ -41,6 +41,8 @@ class Stress:
     """Draws random numbers; more than one draw a sample makes sense."""
     solvers: tuple[str, ...] | None = None
     """Only these; None for all."""
+    solved: bool = False
+    """Each level costs a solve a sample: a break is explained at the swept level next to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,7 @@ class Effort:
     element_size_mm: float
 
 
-FULL: Final = Effort(samples=8, draws=3, levels=99, element_size_mm=2.4)
+FULL: Final = Effort(samples=8, draws=3, levels=99, element_size_mm=3.0)
 QUICK: Final = Effort(samples=2, draws=1, levels=4, element_size_mm=4.5)
 """Under a minute of one core for all sweeps."""
 
@@ -96,12 +98,20 @@ def run_stress(
         label = name if subjects.labels == "units" else f"{name} (free)"
         curve = Curve(stress.name, label, stress.unit, unstressed, tuple(points), stress.logarithmic)
         ends = curve.breaks_at()
-        where = levels[-1] if ends is None else ends
+        where = levels[-1] if ends is None else _near(ends, levels, stress)
         why = ("breaks: " if ends is not None else "does not break in the sweep; at its end: ") + stress.explain(
             samples, where
         )
         found.append((curve.row(why, subjects.tally.published - before), curve))
     return found
+
+
+def _near(found: float, levels: Sequence[float], stress: Stress) -> float:
+    """Return the level at which a break is explained."""
+    if not stress.solved:
+        return found
+    along = np.log if stress.logarithmic else np.asarray
+    return min(levels, key=lambda level: float(np.abs(along(level) - along(found))))
 
 
 def _disturbed(stress: Stress, samples: Sequence[Sample], level: float, draws: int) -> list[Sample]:
