@@ -19,7 +19,7 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.table import N_ELECTRODES
-from eitskin_sim.free_layout import Layout, make_layout
+from eitskin_sim.free_layout import Fronts, Layout, make_layout
 from eitskin_sim.free_mesh import FreeMesh, with_contacts, without_middle
 from eitskin_sim.free_sheet import FreeSheet, touched_blocks
 from eitskin_sim.free_touches import Array, FreeTouches
@@ -39,7 +39,7 @@ class Geometry:
 
     def __len__(self) -> int:
         """Return how many parts there are."""
-        return len(self.layout.inside)
+        return len(self.layout.parts)
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,35 +83,86 @@ def _condensed(sheet: FreeSheet, batch: Geometry) -> list[Part]:
     cuts, layout = batch.cuts, batch.layout
     blocks, density = touched_blocks(sheet, cuts)
     after = without_middle(with_contacts(blocks, cuts.element, density, sheet.system.contacts))
-    size = int(layout.begin[-1]) + 1
-    before = sheet.before[cuts.element]
-    touched, untouched = (
-        np.bincount(layout.slot, blocks.ravel(), minlength=size).astype(np.float64, copy=False)
-        for blocks in (after, before)
-    )
+    touched, untouched = (_cells_left(layout, numbers) for numbers in (after, sheet.before[cuts.element]))
     found = []
-    for number in range(len(batch)):
-        own, width = slice(layout.begin[number], layout.begin[number + 1]), layout.width[number]
+    for number, (square, without) in enumerate(zip(touched, untouched, strict=True)):
         dofs = layout.dofs[layout.first_outline[number] : layout.first_outline[number + 1]]
-        square, without = touched[own].reshape(width, width), untouched[own].reshape(width, width)
-        found.append(_part(sheet, dofs, _change(square, without, int(layout.inside[number]))))
+        found.append(_part(sheet, dofs, _change(square, without, int(layout.parts.inside[number]))))
     return found
 
 
-def _change(touched: Array, untouched: Array, inside: int) -> Array:
-    """Return dS on the outline, its lower half alone, (m - 1, m - 1), from two (i + m - 1, i + m - 1), which are lost.
+def _cells_left(layout: Layout, blocks: Array) -> list[Array]:
+    """Return the squares of the parts, from the (e, 9, 9) blocks of their elements: insides of cells eliminated."""
+    cells = layout.cells
+    left = np.empty(len(layout.parts.slot))
+    start = 0
+    for square, inside in zip(_squares(cells, blocks.ravel()), cells.inside.tolist(), strict=True):
+        size = len(square) - inside
+        own = left[start : start + size * size].reshape(size, size)
+        start += size * size
+        own[...] = square[inside:, inside:]
+        if inside:
+            panel = _panel(square, inside, len(square))
+            own -= panel @ panel.T
+    return _squares(layout.parts, left)
 
-    A factor's last triangle is the factor of what is left once all before it is eliminated.
+
+def _squares(fronts: Fronts, numbers: Array) -> list[Array]:
+    """Return squares into which numbers are added up."""
+    buffer = np.bincount(fronts.slot, numbers, minlength=int(fronts.begin[-1]) + 1)
+    places = zip(fronts.begin[:-1].tolist(), fronts.begin[1:].tolist(), fronts.width.tolist(), strict=True)
+    return [buffer[start:stop].reshape(width, width) for start, stop, width in places]
+
+
+def _panel(square: Array, inside: int, stop: int) -> Array:
+    """Return (stop - inside, inside) P: eliminating what is inside takes P P^T from what is left."""
+    root, _ = lapack.dpotrf(square[:inside, :inside], lower=1, clean=0)
+    return np.asarray(blas.dtrsm(1.0, root, square[inside:stop, :inside], side=1, lower=1, trans_a=1))
+
+
+def _change(touched: Array, untouched: Array, inside: int) -> Array:
+    """Return dS on the outline but the one held, its lower half alone, (m - 1, m - 1), from two (i + m, i + m)."""
+    own = slice(inside, -1)
+    change = np.asarray((touched[own, own] - untouched[own, own]).T)
+    if inside:
+        for square, sign in ((touched, -1.0), (untouched, 1.0)):
+            panel = _panel(square, inside, len(square) - 1)
+            change = blas.dsyrk(sign, panel, beta=1.0, c=change, lower=1, overwrite_c=1)
+    return change
+
+
+LIFT: Final = 1e-14
+"""What is added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
+
+
+def _part(sheet: FreeSheet, dofs: Index, change: Array) -> Part:
+    if len(dofs) < 2:
+        return Part(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
+    bare = _root(change)
+    own = bare.T @ (between(sheet.inverse, dofs, dofs) @ bare)
+    own.reshape(-1)[:: len(own) + 1] += 1.0
+    root, _ = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
+    factor = blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1)  # from the right: thrice as fast
+    return Part(dofs, np.ascontiguousarray(factor), factor.T @ sheet.inverse[dofs, -N_ELECTRODES:])
+
+
+def _root(change: Array) -> Array:
+    """Return (m, r) F with F F^T = dS, the unknown held included, from the lower half of (m - 1, m - 1) dS.
+
+    Pivots find the rank of a dS that is nearly none, but take four times as long.
     """
-    if not inside:
-        return np.asarray((touched - untouched).T)
-    change: Array | None = None
-    for whole, sign in ((touched, 1.0), (untouched, -1.0)):
-        triangle, _ = lapack.dpotrf(whole.T, lower=1, clean=0, overwrite_a=1)
-        left = lower_half(triangle[inside:, inside:])
-        kept = {} if change is None else {"beta": 1.0, "c": change, "overwrite_c": 1}
-        change = blas.dsyrk(sign, left, lower=1, **kept)
-    return np.asarray(change)
+    rank = len(change)
+    lifted = change.copy(order="F")
+    lifted.T.reshape(-1)[:: rank + 1] += LIFT * change.diagonal().max()
+    triangle, failed = lapack.dpotrf(lifted, lower=1, overwrite_a=1, clean=0)
+    row: Index | slice = slice(rank)
+    if failed:
+        triangle, pivot, rank, _ = lapack.dpstrf(change, lower=1)
+        row = pivot - 1
+    bare = np.zeros((len(change) + 1, rank), order="F")
+    bare[row] = lower_half(triangle[:, :rank])
+    bare[-1] = -bare.sum(axis=0)  # a constant potential passes no current
+    return bare
 
 
 def lower_half(square: Array) -> Array:
@@ -123,20 +174,6 @@ def lower_half(square: Array) -> Array:
 
 
 _LOWER: Final[Array] = np.asfortranarray(np.tri(512))
-
-
-def _part(sheet: FreeSheet, dofs: Index, change: Array) -> Part:
-    if len(dofs) < 2:
-        return Part(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
-    triangle, pivot, rank, _ = lapack.dpstrf(change, lower=1, overwrite_a=1)
-    bare = np.empty((len(dofs), rank), order="F")
-    bare[pivot - 1] = lower_half(triangle[:, :rank])
-    bare[-1] = -bare[:-1].sum(axis=0)  # a constant potential passes no current
-    own = bare.T @ (between(sheet.inverse, dofs, dofs) @ bare)
-    own[np.diag_indices(rank)] += 1.0
-    root, _ = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
-    factor = blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1)  # from the right: thrice as fast
-    return Part(dofs, np.ascontiguousarray(factor), factor.T @ sheet.inverse[dofs, -N_ELECTRODES:])
 
 
 def between(inverse: Array, rows: Index, columns: Index) -> Array:
