@@ -19,6 +19,7 @@ import numpy.typing as npt
 from eitskin.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
 from eitskin.imputation import UNPREDICTED, Array, Consistency, Imputation, rows_of
 from eitskin.rewiring import Rewiring, rewiring
+from eitskin.row_noise import lost_rows, relative_spread, weighed_rows
 from eitskin_proto.table import N_ELECTRODES, TABLE
 
 WINDOW: Final = 14
@@ -82,18 +83,21 @@ class ElectrodeWatch:
     def __init__(
         self, consistency: Consistency, reference_V: Array, spread_V: Array, excluded: tuple[int, ...] = ()
     ) -> None:
-        sigma = np.maximum(spread_V / np.maximum(np.abs(reference_V), 1e-30), 5e-4)
-        usable = np.isfinite(sigma) & (sigma < 1.0)
-        self._sigma = np.where(usable, sigma, 1.0)
-        self.precision = consistency.precision(np.maximum(self._sigma**2 - USUAL_NOISE**2, 0.0))
+        self.sigma = relative_spread(reference_V, spread_V)
+        """(104,) relative standard deviation of the reference's single frames."""
+        extra = np.maximum(self.sigma**2 - USUAL_NOISE**2, 0.0)
+        self.precision = consistency.precision(extra)
         """(104, 104) P with this device's noise."""
+        self._lost = lost_rows(reference_V, spread_V)
+        self._noise = np.where(weighed_rows(reference_V, spread_V), extra, 0.0)
+        self._noisy = self._noise > 0.0
         self.threshold, self.threshold_total = (float(value) for value in consistency.thresholds)
         self._mean = consistency.mean
         self._range = consistency.ratio_range
         self._reference = reference_V
         thresholds = np.array([self.threshold, self.threshold_total])
         self._weigher = Weigher(
-            consistency.mean, self.precision, consistency.ratio_range, reference_V, self._sigma, thresholds
+            consistency.mean, self.precision, consistency.ratio_range, reference_V, self.sigma, thresholds
         )
         self._of = self._weigher.of
         self._pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)])
@@ -173,10 +177,19 @@ class ElectrodeWatch:
             change: (104,) dV.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
         """
+        self.rearrange(change)
+        self.imputation.fill(change, predicted)
+
+    def rearrange(self, change: npt.NDArray[np.float32]) -> None:
+        """Undo an exchange of wires in (104,) dV, in place, if there is one."""
         if self.rearranged is not None:
             volts = (change.astype(np.float64) + 1.0) * self._reference
             change[:] = self.rearranged.matrix @ volts / self._reference - 1.0
-        self.imputation.fill(change, predicted)
+
+    @property
+    def alters(self) -> bool:
+        """Whether :meth:`correct` changes anything."""
+        return self.rearranged is not None or not self.imputation.idle
 
     def look(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
@@ -188,6 +201,8 @@ class ElectrodeWatch:
             change: The same after :meth:`correct`.
         """
         raw, change = np.atleast_2d(raw), np.atleast_2d(change)
+        if self._noisy.any() and self.rearranged is None:
+            change = np.where(self._noisy, raw, change)  # P knows of their noise: evidence is what was measured
         votes = self._weigher.weigh(raw, change, self._pair_in_use)
         suspicious = bool(votes.any())
         if not (suspicious or self._suspected or self.findings or self._resting or self.unclear):
@@ -333,7 +348,7 @@ class ElectrodeWatch:
         self._healthy = {}
         self._history[:] = False
         out = tuple(f.electrode for f in self.findings if f.remedy == "imputed")
-        rows = rows_of(out)
+        rows = rows_of(out) | self._lost
         swapped = next((f for f in self.findings if f.state == "swapped" and f.partner is not None), None)
         self.rearranged = None
         if swapped is not None and swapped.partner is not None:
@@ -341,4 +356,4 @@ class ElectrodeWatch:
             rows = rows | self.rearranged.missing
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
-        self.imputation.leave_out(rows, self.precision, out)
+        self.imputation.leave_out(rows, self.precision, out, self._noise)

@@ -105,7 +105,7 @@ class Frame:
     cloud: int
     """Revision of the cloud in use; 0 is the flat sheet."""
     weak_rows: int
-    """Rows of the reference that carry no information; their dV is 0."""
+    """Rows of the reference that carry no information, and are filled in from the others."""
     map_sequence: int
     """``sequence`` of the frame that the map was computed for; an older one if nothing changed since, beyond noise."""
     regions: Regions

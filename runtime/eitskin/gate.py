@@ -47,7 +47,7 @@ class Gate:
 
     __slots__ = (
         "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
-        "_second_hidden", "_shift", "change", "features", "logit", "threshold",
+        "_second_hidden", "_shift", "_start", "change", "features", "logit", "threshold", "usual_threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -79,8 +79,11 @@ class Gate:
             self._second = np.ascontiguousarray(layers, dtype=np.float32)
         self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
         self._shift = float(values["b3" if deep else "b2"].reshape(-1)[0])
-        self.threshold = float(values["threshold"].reshape(-1)[0])
+        self.usual_threshold = float(values["threshold"].reshape(-1)[0])
+        """That of the bundle, set on frames of which no row was missing."""
+        self.threshold = self.usual_threshold
         """The logit above which a frame counts as touched."""
+        self._start = start
         self.features = np.ones(2 * rows + 1, dtype=np.float32)
         self.change = self.features[:rows]
         """(104,) or (rows,) dV, to be filled before ``touched``."""
@@ -105,6 +108,17 @@ class Gate:
             np.maximum(hidden, _ZERO, out=hidden)
         self.logit = float(np.dot(hidden, self._output)) + self._shift
         return self.logit > self.threshold
+
+    def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
+        """Return (n,) logits of (n, 104) dV, the last frame's untouched: for a look at many frames at once."""
+        small = np.asarray(changes, dtype=np.float32)
+        features = np.concatenate(
+            [small, np.log1p(np.maximum(small, self._drop)), np.ones((len(small), 1), dtype=np.float32)], axis=1
+        )
+        hidden = np.maximum(features[:, self._start :] @ self._first, _ZERO)
+        if self._second is not None:
+            hidden = np.maximum(hidden @ self._second[:-1] + self._second[-1], _ZERO)
+        return np.asarray(hidden @ self._output + np.float32(self._shift), dtype=np.float32)
 
 
 def _finite(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> npt.NDArray[np.float64]:

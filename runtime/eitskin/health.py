@@ -1,6 +1,7 @@
 """What the runtime knows of its own senses: which electrodes have failed, and how far the reference has drifted.
 
-Before a frame is judged, what is known is put right (``correct``), and a healthy frame pays one copy of 104 numbers.
+Before a frame is judged, what is known is put right, for the gate (``prepare``) and after it for the network
+(``complete``), and a healthy frame pays one copy of 104 numbers.
 After it was published it is put aside, and several are looked at in one go, when the line rests: a fifth of the cost of
 each by itself, since the arithmetic is small and its weights leave the caches in between, and in nobody's way, since a
 frame that was published just now is still being handed over by other threads. What changes is told by the next frame. A
@@ -17,8 +18,10 @@ from eitskin.bundle import Bundle
 from eitskin.drift import Drift
 from eitskin.electrodes import HEALTHY, NOT_RECIPROCAL, ElectrodeWatch
 from eitskin.errors import BundleError
+from eitskin.gate import Gate
 from eitskin.imputation import MISSING, UNPREDICTED, Consistency, without_rows
 from eitskin.reciprocity import LARGEST_GAP, Reciprocity
+from eitskin.resting import Resting
 from eitskin_proto.table import N_FULL_ROWS, N_ROWS
 
 TOGETHER: Final = 5
@@ -61,12 +64,30 @@ class Health:
         """Of a device that scans all 208 rows; idle for any other."""
         self._reciprocal_again: dict[int, int] = {}
         self._rows_before = self.watch.missing
+        self.resting: Resting | None = None
+        """Cares for a gate on frames that lack rows; None without one."""
 
-    def use(self, reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> None:
-        """Hold frames against another reference from now on: (104,) V and the spread of its single frames."""
+    def use(
+        self,
+        reference_V: npt.NDArray[np.float64],
+        spread_V: npt.NDArray[np.float64],
+        gate: Gate | None = None,
+    ) -> None:
+        """Hold frames against another reference from now on.
+
+        Args:
+            reference_V: (104,) V.
+            spread_V: (104,) V, standard deviation of its single frames.
+            gate: What judges the frames; its threshold is set by what they can show.
+        """
         by_hand = tuple(finding.electrode for finding in self.watch.findings if finding.state == "excluded")
         self.watch = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
         self._rows_before = self.watch.missing
+        self.resting = None
+        if gate is not None:
+            self.resting = Resting(self._consistency, gate, self.watch.sigma)
+            self.resting.leave_out(self.watch.missing)
+            self.resting.finish()
         self.drift.restart()
         self.reciprocity.restart()
         self._reciprocal_again = {}
@@ -82,17 +103,22 @@ class Health:
         with self._lock:
             self._wanted = electrodes
 
-    def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
-        """Put (104,) dV right, in place, by what is known of electrodes and drift.
+    def prepare(self, change: npt.NDArray[np.float32]) -> None:
+        """Keep (104,) dV as measured, and put it right, in place, as far as a gate needs it."""
+        np.copyto(self._raw[self._waiting], change)
+        self.watch.rearrange(change)
+        self.drift.correct(change)
+        if self.resting is not None:
+            self.resting.fill(change)
+
+    def complete(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
+        """Fill in, in place, what a solver needs, behind :meth:`prepare`.
 
         Args:
             change: (104,) dV.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
         """
-        np.copyto(self._raw[self._waiting], change)
-        if self.watch.findings:
-            self.watch.correct(change, predicted)
-        self.drift.correct(change)
+        self.watch.imputation.fill(change, predicted)
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
@@ -110,8 +136,9 @@ class Health:
 
     @property
     def due(self) -> bool:
-        """Whether enough frames wait to be looked at, or somebody wants electrodes left out."""
-        return self._waiting >= TOGETHER or self._wanted is not None
+        """Whether enough frames wait, or the gate's threshold is to be set, or somebody wants electrodes left out."""
+        calibrating = self.resting is not None and self.resting.due
+        return self._waiting >= TOGETHER or self._wanted is not None or calibrating
 
     def look(self, predicted: npt.NDArray[np.float32]) -> bool:
         """Look at the frames that wait, and return whether other rows are missing from now on.
@@ -135,13 +162,17 @@ class Health:
             self._tell(("electrodes:unclear",))
         self._unclear = watch.unclear
         if watch.missing is self._rows_before:
+            if self.resting is not None:
+                self.resting.step()
             return False
         self._rows_before = watch.missing
+        if self.resting is not None:
+            self.resting.leave_out(watch.missing)
         return True
 
     def _weigh(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
         change = raw
-        if self.watch.findings:
+        if self.watch.alters:
             change = raw.copy()
             for row in change:
                 self.watch.correct(row, predicted)

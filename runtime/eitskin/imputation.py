@@ -6,9 +6,13 @@ the network learned from). Let rows m be missing and y = P (l - mean), with anyt
     E[l_m | the others] = l_m - P_mm^-1 y_m                               what the network gets
     M' = M - M_:m K_mm^-1 K_m: with K = (J J^T + tau I)^-1, column m = 0     the projection without these rows
 
-The second is the same identity, and equals building the projection anew from the rows that are left. A change of the
-missing rows costs one small solve, a frame one product with a 104-column matrix, an unchanged healthy frame nothing.
-Where whole electrodes are gone, a bundle's small network corrects the first (:mod:`eitskin.correction`).
+The second is the same identity, and equals building the projection anew from the rows that are left. A row that was
+measured, but with noise of variance n that P knows of, is worth less than it says, and is weighed ::
+
+    E[l_q | all rows] = l_q - n_q y_q,      the first being its limit for n towards infinity
+
+A change of the missing rows costs one small solve, a frame one product with a 104-column matrix, an unchanged healthy
+frame nothing. Where whole electrodes are gone, a bundle's small network corrects the first (:mod:`eitskin.correction`).
 """
 
 from collections.abc import Mapping
@@ -122,11 +126,11 @@ class Imputation:
         "_corrected",
         "_correction",
         "_expected",
+        "_filled",
         "_layers",
         "_logs",
         "_low_high",
         "_mean",
-        "_missing",
         "_part",
         "_present",
         "_seen",
@@ -141,42 +145,58 @@ class Imputation:
         self._corrected = np.zeros(0, dtype=np.intp)
         self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
         self._logs = np.zeros(N_ROWS)
-        self._missing = self._present = np.zeros(0, dtype=np.intp)
+        self._filled = self._present = np.zeros(0, dtype=np.intp)
         self._seen = self._part = self._expected = np.zeros(0)
         self._weights: Array = np.zeros((0, 0))
         self.missing: Rows = np.zeros(N_ROWS, dtype=np.bool_)
         """(104,) rows that are filled in."""
         self.leave_out(self.missing, precision)
 
-    def leave_out(self, rows: Rows, precision: Array, electrodes: tuple[int, ...] = ()) -> None:
-        """Fill these rows in from the next frame on; under a millisecond.
+    def leave_out(
+        self, rows: Rows, precision: Array, electrodes: tuple[int, ...] = (), noise: Array | None = None
+    ) -> None:
+        """Fill these rows in from the next frame on, and weigh noisy ones; under a millisecond.
 
         Args:
             rows: (104,) the missing ones; none is allowed.
-            precision: (104, 104) P.
+            precision: (104, 104) P, all noise in it.
             electrodes: Those that are gone altogether: all of their rows must be among the missing ones.
+            noise: (104,) variance by which rows are weighed, 0 for those that are taken as they are; None weighs none.
         """
         self.missing = rows.copy()
-        self._missing, self._present = np.flatnonzero(rows), np.flatnonzero(~rows)
-        inner = precision[np.ix_(self._missing, self._missing)]
-        weights = np.linalg.solve(inner, precision[np.ix_(self._missing, self._present)])
-        self._weights = np.asarray(weights, dtype=np.float64)
-        self._seen, self._part = np.zeros(len(self._present)), np.zeros(len(self._missing))
-        self._expected = self._mean[rows]
+        weighed = np.zeros_like(rows) if noise is None else ~rows & (noise > 0.0)
+        gone, noisy = np.flatnonzero(rows), np.flatnonzero(weighed)
+        self._filled, self._present = np.flatnonzero(rows | weighed), np.flatnonzero(~rows)
+        weights = np.zeros((N_ROWS, len(self._present)))
+        inner = precision[np.ix_(gone, gone)]
+        weights[gone] = np.linalg.solve(inner, precision[np.ix_(gone, self._present)])
+        if noise is not None and len(noisy):
+            # What P says of the present rows once the missing ones are filled in by the line above.
+            left = precision[np.ix_(noisy, self._present)] - precision[np.ix_(noisy, gone)] @ weights[gone]
+            weights[noisy] = noise[noisy, None] * left
+            weights[noisy, np.searchsorted(self._present, noisy)] -= 1.0
+        self._weights = weights[self._filled]
+        self._seen, self._part = np.zeros(len(self._present)), np.zeros(len(self._filled))
+        self._expected = self._mean[self._filled]
         self._correction = None
         if self._layers is not None and electrodes:
             own = np.flatnonzero(rows_of(electrodes))
-            self._corrected = np.searchsorted(self._missing, own)
+            self._corrected = np.searchsorted(self._filled, own)
             self._correction = Correction(self._layers, own, electrodes)
 
+    @property
+    def idle(self) -> bool:
+        """Whether there is nothing to fill in."""
+        return not len(self._filled)
+
     def fill(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
-        """Overwrite the missing rows by what the others say of them.
+        """Overwrite the missing rows by what the others say of them, and the noisy ones by what they are worth.
 
         Args:
             change: (104,) dV.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
         """
-        if not len(self._missing):
+        if not len(self._filled):
             return
         np.clip(change, *self._low_high, out=self._logs)
         np.log1p(self._logs, out=self._logs)
@@ -185,13 +205,21 @@ class Imputation:
         np.matmul(self._weights, self._seen, out=self._part)
         np.negative(self._part, out=self._part)
         if self._correction is not None:
-            self._logs[self._missing] = self._part
+            self._logs[self._filled] = self._part
             self._part[self._corrected] += self._correction.of(self._logs, predicted)
         np.add(self._expected, self._part, out=self._part)
         np.minimum(self._part, HIGHEST_LOG, out=self._part)  # beyond it, expm1 would overflow before the clip
         np.expm1(self._part, out=self._part)
         np.clip(self._part, *self._low_high, out=self._part)
-        change[self._missing] = self._part
+        change[self._filled] = self._part
+
+    def filled(self, changes: Array) -> Array:
+        """Return (n, 104) dV with the rows filled in as :meth:`fill` does, without the small network's correction."""
+        logs = np.log1p(np.clip(changes, *self._low_high)) - self._mean
+        part = np.minimum(self._expected - logs[:, self._present] @ self._weights.T, HIGHEST_LOG)
+        found = np.array(changes, dtype=np.float64)
+        found[:, self._filled] = np.clip(np.expm1(part), *self._low_high)
+        return found
 
 
 def without_rows(matrix: npt.NDArray[np.float32], inverse: Array, rows: Rows) -> npt.NDArray[np.float32]:

@@ -49,16 +49,19 @@ class Normaliser:
         self._mean = np.zeros(N_ROWS)
         self._counts: npt.NDArray[np.number] = self._mean
 
-    def use(self, reference: npt.NDArray[np.float64]) -> None:
+    def use(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
         """Normalise against a reference from the next frame on.
 
         Args:
             reference: (104,) V.
+            lost: Rows that do not stand out of their noise, whose dV is 0 like that of weak ones.
 
         Raises:
             ValueError: It holds no voltage at all.
         """
         self._inverse[:] = inverse_reference(reference)
+        if lost is not None:
+            self._inverse[lost] = 0.0
         self._offset[:] = self._inverse != 0.0
         self.weak_count = N_ROWS - int(self._offset.sum())
         self.use_scale(self.volts_per_count)

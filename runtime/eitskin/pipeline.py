@@ -200,10 +200,10 @@ class Pipeline:
 
     def use_reference(self, reference: Reference) -> None:
         """Normalise against a reference from the next frame on."""
-        self.normaliser.use(reference.voltages_V)
+        self.normaliser.use(reference.voltages_V, reference.weak)
         self._computed = ""
         if self.health is not None:
-            self.health.use(reference.voltages_V, reference.spread_V)
+            self.health.use(reference.voltages_V, reference.spread_V, self._gate)
             self._leave_out()
         if self._stillness is not None:
             step_V = self.normaliser.volts_per_count
@@ -286,7 +286,7 @@ class Pipeline:
         if not self.normaliser.change_into(self._change):
             return self._withhold("no_signal" if self.normaliser.silent else "implausible")
         if self.health is not None:
-            self.health.correct(self._change, self.buffers.log_predicted[0])
+            self.health.prepare(self._change)
             self.events += self.health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
         gate = self._gate
@@ -295,6 +295,8 @@ class Pipeline:
             self.gate_logit = gate.logit
         else:
             self.touched = True  # without a gate every frame is computed
+        if self.health is not None:
+            self.health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()
         self.inferred = False
         if not self.touched and wanted and self.watch.looks() and self._look():

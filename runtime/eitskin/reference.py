@@ -7,8 +7,8 @@ old reference or the new one, never half of one. ::
     {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "serial_number", "configuration_digest",
      "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104], "sha256"}
 
-A row whose voltage is under a ten-thousandth of the largest (:mod:`eitskin_proto.normalise`) is *weak*: its dV is 0,
-and it is named wherever a reference is reported.
+A row whose voltage is under a ten-thousandth of the largest, or that does not stand out of its own noise, is *weak*: it
+carries nothing, is filled in from the others (:mod:`eitskin.row_noise`), and is named wherever a reference is reported.
 """
 
 import hashlib
@@ -24,6 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference, MismatchError
+from eitskin.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
 from eitskin_proto.answers import Hello
 from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.normalise import weak_rows
@@ -63,8 +64,8 @@ class Reference:
 
     @property
     def weak(self) -> npt.NDArray[np.intp]:
-        """Rows that carry no information; their dV is 0."""
-        return np.flatnonzero(weak_rows(self.voltages_V))
+        """Rows that carry no information."""
+        return np.flatnonzero(lost_rows(self.voltages_V, self.spread_V))
 
     def report(self) -> list[str]:
         """Return what people should know about this reference, a line each."""
@@ -76,7 +77,10 @@ class Reference:
         if self.weak.size:
             names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
             more = f" and {self.weak.size - 8} more" if self.weak.size > 8 else ""
-            lines.append(f"reference: {self.weak.size} weak rows, their dV is set to 0: {names}{more}")
+            lines.append(f"reference: {self.weak.size} weak rows, filled in from the others: {names}{more}")
+        weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
+        if weighed:
+            lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
         return lines
 
     def check(self, hello: Hello) -> None:

@@ -241,8 +241,8 @@ class Skin:
                     raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
                 against = self.reference.voltages_V
             ratio = log_ratio(predicted, against)
-            if self.reference is not None:
-                ratio[self.reference.weak] = 0.0
+            if self.reference is not None and (predicted_flat is None or self.pipeline.health is None):
+                ratio[self.reference.weak] = 0.0  # else those rows are filled in, and held against the prediction
         with self._lock:
             geometry = self._geometry.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1
@@ -316,7 +316,8 @@ class Skin:
         """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
         pipeline = self.pipeline
         if self._idle is not None:
-            touched = whole or pipeline.touched
+            lacking = pipeline.health is not None and pipeline.health.watch.missing.any()
+            touched = whole or pipeline.touched or bool(lacking)  # the idle gate knows no missing rows
             mode = self._idle.step(pipeline.stamps[READ], touched=touched, idle=pipeline.idle)
             if mode is not None:
                 self.device.ask_mode(mode)

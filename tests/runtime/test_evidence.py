@@ -71,7 +71,7 @@ def test_a_stream_has_its_failure_named_within_20_frames():
     health = Health(consistency())
     health.use(REFERENCE, NOISE * np.abs(REFERENCE))
     for number, frame in enumerate(np.concatenate([healthy(53), detached(healthy(20, seed=1), 6)])):
-        health.correct(frame.copy())
+        health.prepare(frame.copy())
         health.put_aside(touched=True)
         if health.due and health.look(NO_SCAN):
             assert 53 + 10 <= number + 1 <= 53 + 20
@@ -86,7 +86,7 @@ def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
     frame = healthy(1)[0]
     must = []
     for _ in range(MOST_TOGETHER):
-        health.correct(frame.copy())
+        health.prepare(frame.copy())
         must.append(health.put_aside(touched=False))
     assert must == [False] * TOGETHER + [True]
     assert not health.look(NO_SCAN)

@@ -113,7 +113,7 @@ def test_weak_rows_are_named_and_counted(frames, hello):
     found = builder.finish(hello)
     assert found.weak.tolist() == [5, 60]
     line = found.report()[1]
-    assert "2 weak rows, their dV is set to 0" in line
+    assert "2 weak rows, filled in from the others" in line
     assert "5 (drive 0, measure 7)" in line
 
 

@@ -177,7 +177,8 @@ class Looking:
         volts = self._noisy(measure(response, faults, table=self._table, rng=self._noise[2]))
         change = relative_change(self._rows(volts), self._reference).astype(np.float32)
         before = self.findings
-        self._health.correct(change)
+        self._health.prepare(change)
+        self._health.complete(change)
         counts = np.rint(volts / VOLTS_PER_COUNT).astype(np.int32)
         if self._health.put_aside(counts, touched=True):
             self._health.look(UNPREDICTED)
