@@ -25,6 +25,7 @@ COMMANDS: Final[dict[str, str]] = {
     "simulate": "solve a scene with the forward model",
     "dataset": "generate a data set",
     "train": "train VD2T",
+    "curves": "losses of training runs side by side",
     "adapt": "teach a trained network to go on without electrodes",
     "export": "export a trained network to a bundle",
     "evaluate": "score a solver on phantoms",

@@ -1,9 +1,11 @@
-"""The losses of a run as a picture, where matplotlib is installed."""
+"""The losses of a run as a picture, where matplotlib is installed; several runs side by side."""
 
 import importlib.util
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from eitskin_proto.errors import SkinError
 from eitskin_training.train import Epoch
 
 
@@ -34,3 +36,51 @@ def draw(history: Sequence[Epoch], path: Path, *, title: str = "") -> bool:
     axes.grid(alpha=0.3)
     figure.savefig(path, dpi=120)
     return True
+
+
+def history_of(run: Path) -> list[Epoch]:
+    """Return the epochs of a run's folder.
+
+    Raises:
+        SkinError: The folder holds no finished epoch, or its history cannot be read.
+    """
+    path = run / "history.json"
+    try:
+        return [Epoch(**epoch) for epoch in json.loads(path.read_text(encoding="utf-8"))]
+    except FileNotFoundError as error:
+        raise SkinError(f"{run} holds no run ({path.name} is missing); run 'eitskin train --out {run}'") from error
+    except (ValueError, TypeError) as error:
+        raise SkinError(f"{path} is no history of a training run: {error}; train again") from error
+
+
+def compare(histories: Mapping[str, Sequence[Epoch]], path: Path) -> None:
+    """Draw the losses and the validation correlation of several runs into a PNG, one colour a run.
+
+    Args:
+        histories: The epochs of each run, by its name.
+        path: The file to write.
+
+    Raises:
+        ValueError: There are no runs.
+        ModuleNotFoundError: There is no matplotlib.
+    """
+    if not histories:
+        raise ValueError("there are no runs to draw; name at least one")
+    from matplotlib.figure import Figure  # noqa: PLC0415 - an extra that training does not need
+
+    figure = Figure(figsize=(11, 4), layout="constrained")
+    loss, correlation = figure.subplots(1, 2)
+    for index, (name, history) in enumerate(histories.items()):
+        numbers, colour = [epoch.number for epoch in history], f"C{index}"
+        best = min(history, key=lambda epoch: epoch.validation_loss)
+        loss.semilogy(numbers, [epoch.training_loss for epoch in history], ":", color=colour)
+        loss.semilogy(numbers, [epoch.validation_loss for epoch in history], color=colour, label=name)
+        loss.plot(best.number, best.validation_loss, "o", color=colour)
+        correlation.plot(numbers, [epoch.validation_cc for epoch in history], color=colour, label=name)
+        correlation.plot(best.number, best.validation_cc, "o", color=colour)
+    loss.set(xlabel="epoch", ylabel="loss: validation solid, training dotted")
+    correlation.set(xlabel="epoch", ylabel="mean CC of the validation touch sets")
+    for axes in (loss, correlation):
+        axes.grid(alpha=0.3)
+    correlation.legend(loc="lower right")
+    figure.savefig(path, dpi=120)
