@@ -203,7 +203,8 @@ class Pipeline:
         self.normaliser.use(reference.voltages_V, reference.weak)
         self._computed = ""
         if self.health is not None:
-            self.health.use(reference.voltages_V, reference.spread_V, self._gate)
+            spread_V = np.hypot(reference.spread_V, self.normaliser.volts_per_count / math.sqrt(12.0))  # of rounding
+            self.health.use(reference.voltages_V, spread_V, self._gate)
             self._leave_out()
         if self._stillness is not None:
             step_V = self.normaliser.volts_per_count

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eitskin_proto.normalise import WEAK_FRACTION, relative_change
 from eitskin_sim.noise import add_noise
 from eitskin_tools.stress.limits import explain_noise
+from eitskin_tools.stress.noise import spread_of
 from eitskin_tools.stress.samples import Disturb, Sample
 from eitskin_tools.stress.sweep import Stress
 
@@ -35,16 +36,17 @@ HARDWARE_DB: Final = 60.0
 def stresses() -> list[Stress]:
     """Return the disturbances of the front end."""
     per_row = "relative, rms"
+    rules: tuple[tuple[str, Disturb], ...] = (
+        ("weighed by the reference's spread", _faded),
+        ("weak rows give 0", _faded_as(relative_change)),
+        ("no rule", _faded_as(_divided)),
+        ("floor under the divisor", _faded_as(_floored)),
+    )
     fading = [
-        Stress(
-            f"{FADED_ROWS} weakest rows fade, {rule}", "times", FADING, disturb, _explain_fading, True, 1.0, random=True
-        )
-        for rule, disturb in (
-            ("rule (weak rows give 0)", _faded),
-            ("no rule", _faded_as(_divided)),
-            ("floor under the divisor", _faded_as(_floored)),
-        )
-    ]
+        Stress(f"{FADED_ROWS} weakest rows fade, {rule}", "times", FADING, disturb, _explain_fading, True, 1.0,
+               random=True)
+        for rule, disturb in rules
+    ]  # fmt: skip
     return [
         Stress("gain error, reference too", per_row, GAINS, _gain_always, _explain_common, True, random=True),
         Stress("gain error since the reference", per_row, GAINS, _gain_since, _explain_gain, True, random=True),
@@ -125,12 +127,13 @@ def _weakest(sample: Sample) -> npt.NDArray[np.intp]:
 
 
 def _faded(sample: Sample, factor: float, rng: np.random.Generator) -> Sample:
-    """Let the weakest rows fade, reference included, under noise that does not fade with them."""
+    """Let the weakest rows fade, reference included, under noise that does not fade with them, and which it knows."""
     scale = np.ones(len(sample.flat))
     scale[_weakest(sample)] = factor
     sheet = replace(sample.sheet, untouched=sample.sheet.untouched * scale)
     noisy = add_noise(sample.voltages * scale, sample.flat, "N3", HARDWARE_DB, rng)
-    return replace(sample, voltages=noisy, flat=sample.flat * scale, sheet=sheet)
+    spread = spread_of(replace(sample, flat=sample.flat * scale), "N3", HARDWARE_DB)
+    return replace(sample, voltages=noisy, flat=sample.flat * scale, sheet=sheet, spread=spread)
 
 
 def _divided(volts: Array, reference: Array) -> Array:
@@ -150,7 +153,7 @@ def _faded_as(change: Callable[[Array, Array], Array]) -> Disturb:
         volts = sample.flat * (1.0 + change(faded.voltages, faded.flat))
         # Classical solvers divide by the bent sheet's untouched voltages: choose those that give them their own dV.
         post = volts / (1.0 + change(faded.voltages, faded.sheet.untouched))
-        return replace(sample, voltages=volts, sheet=replace(sample.sheet, untouched=post))
+        return replace(sample, voltages=volts, sheet=replace(sample.sheet, untouched=post), spread=None)
 
     return disturb
 
@@ -162,7 +165,7 @@ def _explain_fading(samples: Sequence[Sample], factor: float) -> str:
     weak = np.count_nonzero(factor * rows < WEAK_FRACTION * np.abs(sample.flat).max())
     return (
         f"noise of {HARDWARE_DB:g} dB (N3) is {noise / (factor * rows.mean()):.3g} times the faded rows' |V0|; "
-        f"{weak} of {FADED_ROWS} are under {WEAK_FRACTION:g} of the largest, where the rule sets dV to 0"
+        f"{weak} of {FADED_ROWS} are under {WEAK_FRACTION:g} of the largest"
     )
 
 

@@ -52,6 +52,8 @@ class Sample:
     """The scanned bend and its untouched voltages."""
     full_scale_V: float
     """What the front end cuts off at."""
+    spread: Array | None = None
+    """(104,) V by which a single frame of the reference varies; None where it does not."""
 
     @cached_property
     def truth(self) -> Array:
@@ -110,7 +112,9 @@ def sheet_of(scene: Scene) -> Sheet:
 @lru_cache(maxsize=1024)
 def _scanned(untouched: Scene) -> Sheet:
     cloud = scanned_cloud(untouched.bend, np.random.default_rng(SEED))
-    return Sheet(np.asarray(cloud, dtype=np.float64), voltages_of(untouched))
+    sheet = Sheet(np.asarray(cloud, dtype=np.float64), voltages_of(untouched))
+    sheet.predicted()  # now, since disturbed copies of the sheet would each do it again
+    return sheet
 
 
 def samples(labels: Labels, count: int, element_size_mm: float) -> tuple[Sample, ...]:

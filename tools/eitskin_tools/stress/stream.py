@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from eitskin.bundle import Bundle
 from eitskin.engine import Engine, GeometryGraph, engines
+from eitskin.health import health_of
 from eitskin.pipeline import Pipeline
 from eitskin.prediction import log_ratio
 from eitskin.reference import Reference
@@ -58,11 +59,12 @@ class Stream:
             bundle = replace(bundle, files=files)
         self.bundle, self.tally = bundle, tally
         self.pipeline = Pipeline(bundle, HELLO)
+        self.pipeline.health = health_of(bundle)
         self._engines = {engine.name: engine for engine in engines(bundle, self.pipeline.buffers)}
         self._graph = GeometryGraph(bundle)
         self._sequence = 0
         self._sheet: Sheet | None = None
-        self._flat: Array | None = None
+        self._reference: Array = np.zeros(0)
         self._volts_per_count = 0.0
 
     @property
@@ -108,10 +110,11 @@ class Stream:
         if volts_per_count != self._volts_per_count:
             self.pipeline.greet(replace(HELLO, volts_per_count=volts_per_count))
             self._volts_per_count = volts_per_count
-        if sample.flat is not self._flat:
-            spread = np.zeros_like(sample.flat)
-            self.pipeline.use_reference(Reference(sample.flat, spread, 2, HELLO.serial_number, 0, "stress", ""))
-            self._flat = sample.flat
+        spread = np.zeros_like(sample.flat) if sample.spread is None else sample.spread
+        reference = np.stack([sample.flat, spread])
+        if not np.array_equal(reference, self._reference):
+            self.pipeline.use_reference(Reference(sample.flat, spread, 100, HELLO.serial_number, 0, "stress", ""))
+            self._reference = reference
         if sample.sheet is not self._sheet:
             predicted = None
             if self.bundle.uses_prediction:
