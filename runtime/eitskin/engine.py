@@ -93,7 +93,7 @@ class HeadEngine:
         name: What frames call it.
         buffers: Bound as inputs and output.
         pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
-        graph: Instead of the file's; with pixels it gives those alone.
+        graph: Instead of the file's; it gives the pixels alone.
 
     Raises:
         BundleError: The graph cannot be loaded, or has another signature.
@@ -284,13 +284,12 @@ def engines(
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
     if pixels is None:
         return HeadEngine(bundle, file, name, buffers)
-    from eitskin.onnx_rows import cut, cut_cells  # noqa: PLC0415 -- only regions need it
+    from eitskin.onnx_rows import cut  # noqa: PLC0415 -- only regions need it
 
-    graph = bundle.files[file]
     try:
-        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, N_PIXELS))
+        return HeadEngine(bundle, file, name, buffers, pixels, cut(bundle.files[file], pixels, N_PIXELS))
     except UncutError:
-        return MaskedEngine(HeadEngine(bundle, file, name, buffers, graph=cut_cells(graph, pixels)), buffers, pixels)
+        return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)
 
 
 def _session(bundle: Bundle, file: str, graph: bytes) -> Any:

@@ -6,12 +6,12 @@ intermediate shapes, which are dropped. ::
 
     x -- Gemm(W, b) -- Sigmoid --> map (1, 1350)          W (1350, H) -> W[pixels], b -> b[pixels]
     x -- MatMulInteger(W8) -- Cast -- Mul(scale) -- Add(b) -- Sigmoid --> map            the same, by columns
-    x -- Gemm -- Sigmoid -- Gather(index) --> map         index -> index[pixels]; the layer is as small as it gets
+    x -- Gemm -- Sigmoid -- GatherElements(index) --> map         index -> index[pixels]; the layer is small already
 
-A head that sharpens its map mixes a pixel with those around it. There the layer is cut down to the cells of 3 x 3 that
-the region can see, the others are taken from one untouched cell, and the whole map comes out, right in the region::
+A head that sharpens its map mixes a pixel with those around it. There the output is cut down to the pixels, and the
+last layer to the cells of 3 x 3 that they can see; what else the convolutions read is any finite number::
 
-    x -- Gemm(W, b) -- Pad -- Reshape (151, 9) -- Gather(cells) -- Conv ... --> map (1, 1350)
+    x -- Gemm(W, b) -- GatherElements(cells) -- Reshape -- Conv ... -- GatherElements(index) -- Sigmoid --> map
 """
 
 from collections.abc import Iterator
@@ -34,6 +34,9 @@ DTYPES: Final = {1: "<f4", 2: "u1", 3: "i1", 6: "<i4", 7: "<i8"}
 
 CELL: Final = 3
 """Pixels along a side of a cell, in which a head sharpens."""
+
+GATHERS: Final = ("Gather", "GatherElements")
+"""Operators that pick outputs by an index of as many elements."""
 
 THROUGH: Final = frozenset({"Sigmoid", "Add", "Mul", "Cast"})
 """Operators that keep every output apart from the others."""
@@ -63,79 +66,61 @@ def cut(model: bytes, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
     return b"".join(_message(GRAPH, _cut_graph(graph, pixels, outputs)) if f.number == GRAPH else f.raw for f in fields)
 
 
-def cut_cells(model: bytes, pixels: npt.NDArray[np.intp]) -> bytes:
-    """Return the model with a last layer of only those cells that some pixels of a sharpened map depend on.
-
-    Args:
-        model: With one output (1, 1350); one that does not sharpen comes back as it is.
-        pixels: (n,) those that must be right, at least one.
-
-    Raises:
-        UncutError: The last layer is of a kind that cannot be cut.
-        BundleError: It is no ONNX model.
-    """
-    fields = list(_fields(memoryview(model)))
-    graph = list(_fields(_bytes(next(field for field in fields if field.number == GRAPH))))
-    nodes = [node for node in map(_node, graph) if node is not None]
-    producers = {name: node for node in nodes for name in node.outputs}
-    gather = next((node for node in nodes if node.kind == "Gather" and _padded(node, producers)), None)
-    if gather is None:
-        return model
-    tensors = {_text(field, NAME): _bytes(field) for field in graph if field.number == INITIALISER}
-    kernels = [_dims(tensors[node.inputs[1]]) for node in nodes if node.kind == "Conv"]
-    cells = _seen_cells(pixels, sum(kernel[-1] // 2 for kernel in kernels))
-    pad = producers[producers[gather.inputs[0]].inputs[0]]
-    affected: set[str] = set()
-    _trace(pad.inputs[0], producers, set(tensors), affected)
-    kept = (CELL**2 * cells[:, None] + np.arange(CELL**2)).ravel()
-    place = np.full(int(np.prod(_dims(tensors[gather.inputs[1]]))), len(cells), dtype="<i8")
-    place[cells] = np.arange(len(cells))
-    size = CELL**2 * len(place)
-    changed = {name: bytes(_cut_tensor(tensors[name], kept, size)) for name in affected}
-    changed[gather.inputs[1]] = _with_values(list(_fields(tensors[gather.inputs[1]])), place)
-    cut_graph = b"".join(
-        _message(INITIALISER, changed[_text(field, NAME)])
-        if field.number == INITIALISER and _text(field, NAME) in changed
-        else field.raw
-        for field in graph
-        if field.number != VALUE_INFO
-    )
-    return b"".join(_message(GRAPH, cut_graph) if field.number == GRAPH else field.raw for field in fields)
-
-
-def _padded(gather: "_Node", producers: "dict[str, _Node]") -> bool:
-    """Return whether what is gathered from is a padded row of cells."""
-    reshape = producers.get(gather.inputs[0])
-    before = producers.get(reshape.inputs[0]) if reshape is not None and reshape.kind == "Reshape" else None
-    return before is not None and before.kind == "Pad"
-
-
-def _seen_cells(pixels: npt.NDArray[np.intp], reach: int) -> npt.NDArray[np.intp]:
-    """Return (c,) the cells of some pixels and those at most ``reach`` cells from them, ascending."""
-    rows, columns = np.divmod(pixels, GRID_SHAPE[1])
-    seen = np.zeros((GRID_SHAPE[0] // CELL, GRID_SHAPE[1] // CELL), dtype=bool)
-    for row, column in set(zip((rows // CELL).tolist(), (columns // CELL).tolist(), strict=True)):
-        seen[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1] = True
-    return np.flatnonzero(seen)
-
-
 def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
     fields = list(_fields(graph))
-    producers = {name: node for node in map(_node, fields) if node is not None for name in node.outputs}
-    names = {_text(field, NAME): field for field in fields if field.number == INITIALISER}
+    nodes = [node for node in map(_node, fields) if node is not None]
+    producers = {name: node for node in nodes for name in node.outputs}
+    tensors = {_text(field, NAME): _bytes(field) for field in fields if field.number == INITIALISER}
     declared = next(field for field in fields if field.number == OUTPUT)
     name = _text(declared, 1)
     affected: set[str] = set()
-    _trace(name, producers, set(names), affected)
+    _trace(name, producers, set(tensors), affected)
+    changed = {other: _cut_tensor(tensors[other], pixels, outputs) for other in affected}
+    changed |= _cut_cells(nodes, producers, tensors, pixels)
     parts: list[bytes | memoryview] = []
     for field in fields:
-        if field.number == INITIALISER and _text(field, NAME) in affected:
-            parts.append(_message(INITIALISER, _cut_tensor(_bytes(field), pixels, outputs)))
+        if field.number == INITIALISER and (tensor := changed.get(_text(field, NAME))) is not None:
+            parts.append(_message(INITIALISER, tensor))
         elif field.number == OUTPUT:
             parts.append(_message(OUTPUT, _output(name, len(pixels))))
         elif field.number != VALUE_INFO:
             parts.append(field.raw)
     return b"".join(parts)
+
+
+def _cut_cells(
+    nodes: "list[_Node]",
+    producers: "dict[str, _Node]",
+    tensors: dict[str, memoryview],
+    pixels: npt.NDArray[np.intp],
+) -> dict[str, bytes | memoryview]:
+    """Return the initialisers of a last layer of those cells alone that some pixels of a sharpened map depend on."""
+    convolutions = [node for node in nodes if node.kind == "Conv"]
+    if not convolutions:
+        return {}
+    reshape = producers.get(convolutions[0].inputs[0])
+    gather = producers.get(reshape.inputs[0]) if reshape is not None and reshape.kind == "Reshape" else None
+    if gather is None or gather.kind != "GatherElements":
+        raise UncutError("the head's first convolution does not read gathered cells; no region can be cut out of it")
+    affected: set[str] = set()
+    _trace(gather.inputs[0], producers, set(tensors), affected)
+    kept = _seen(pixels, sum(_dims(tensors[node.inputs[1]])[-1] // 2 for node in convolutions))
+    places = np.zeros(GRID_SHAPE[0] * GRID_SHAPE[1], dtype="<i8")
+    places[kept] = np.arange(len(kept))
+    index = list(_fields(tensors[gather.inputs[1]]))
+    old = _values(index, np.dtype("<i8")).reshape(_dims(tensors[gather.inputs[1]]))
+    changed: dict[str, bytes | memoryview] = {name: _cut_tensor(tensors[name], kept, len(places)) for name in affected}
+    return changed | {gather.inputs[1]: _with_values(index, places[old])}
+
+
+def _seen(pixels: npt.NDArray[np.intp], reach: int) -> npt.NDArray[np.intp]:
+    """Return (n,) the pixels in the cells of some pixels and in those at most ``reach`` cells from them, ascending."""
+    rows, columns = np.divmod(pixels, GRID_SHAPE[1])
+    seen = np.zeros(GRID_SHAPE, dtype=bool)
+    for row, column in set(zip((rows // CELL).tolist(), (columns // CELL).tolist(), strict=True)):
+        top, left = max(0, row - reach), max(0, column - reach)
+        seen[CELL * top : CELL * (row + reach + 1), CELL * left : CELL * (column + reach + 1)] = True
+    return np.flatnonzero(seen)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +146,7 @@ def _trace(name: str, producers: dict[str, _Node], constants: set[str], affected
     node = producers.get(name)
     if node is None or node.kind == "DynamicQuantizeLinear":
         return  # what the activations bring with them is the same for every output
-    if node.kind in ("Gemm", "MatMul", "MatMulInteger", "Gather"):
+    if node.kind in ("Gemm", "MatMul", "MatMulInteger", *GATHERS):
         affected.update(other for other in node.inputs[1:] if other in constants)
     elif node.kind in THROUGH:
         for other in node.inputs:
