@@ -15,6 +15,7 @@ tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on (``eitskin bench dataset``).
 """
 
 from collections.abc import Sequence
+from itertools import accumulate, pairwise
 
 import numpy as np
 from scipy.linalg import blas, lapack
@@ -69,40 +70,63 @@ def pool_voltages(
 def put_together(sheet: FreeSheet, parts: Sequence[Part], sets: PartSets) -> Array:
     """Return the (s, 16, 16) potentials of electrodes, V for 1 A into each, under sets of parts at one deformation."""
     response = np.empty((len(sets), N_ELECTRODES, N_ELECTRODES))
-    at_terminals = sheet.inverse[-N_ELECTRODES:, -N_ELECTRODES:]
-    for family in families(sets):
-        own = [parts[part] for part in sets.of(family[-1])]
-        fall = _fall(sheet.inverse, own, at_terminals)
-        width = np.cumsum([0, *(part.factor.shape[1] for part in own)])
+    own = families(sets)
+    members = [[parts[part] for part in sets.of(family[-1])] for family in own]
+    room = np.empty(max((_room(some) for some in members), default=0))
+    for family, some in zip(own, members, strict=True):
+        falls = iter(_falls(sheet, some, room))
+        left, count = sheet.at_terminals, 0
         for number in family:
-            last = width[sets.first[number + 1] - sets.first[number]]
-            response[number] = at_terminals - fall[:, :last] @ fall[:, :last].T
+            while count < sets.first[number + 1] - sets.first[number]:
+                fall = next(falls)
+                left = left - fall.T @ fall
+                count += 1
+            response[number] = left
     return response
 
 
-def _fall(inverse: Array, parts: list[Part], at_terminals: Array) -> Array:
-    """Return E (16, n), by whose first columns' squares the first parts lower the electrodes' potentials.
+def _room(parts: list[Part]) -> int:
+    """Return how many numbers :func:`_falls` works on."""
+    side = sum(len(part.load) for part in parts[1:]) + N_ELECTRODES
+    return side * (side + len(parts[0].load)) if parts else 0
+
+
+def _falls(sheet: FreeSheet, parts: list[Part], room: Array) -> list[Array]:
+    """Return the (r, 16) E of each part, by whose square it lowers the electrodes' potentials after those before it.
 
     A part alone has 1 in the diagonal, so the first part is eliminated by one product.
+
+    Args:
+        sheet: The deformation.
+        parts: Of a family.
+        room: Numbers to work on, used again and again: new memory takes as long as the work.
     """
-    if not parts:
-        return np.empty((N_ELECTRODES, 0))
-    first = np.cumsum([0, *(part.factor.shape[1] for part in parts[1:])])
-    where = np.cumsum([0, *(len(part.dofs) for part in parts[1:])])
-    dofs = np.concatenate([np.empty(0, dtype=np.intp), *(part.dofs for part in parts[1:])])
-    size = int(first[-1])
-    panel = np.empty((size + N_ELECTRODES, parts[0].factor.shape[1]), order="F")
-    panel[size:] = parts[0].load.T
-    whole = np.zeros((size + N_ELECTRODES, size + N_ELECTRODES), order="F")
-    whole[np.arange(size), np.arange(size)] = 1.0
-    whole[size:, size:] = at_terminals
+    if len(parts) < 2:
+        return [part.load for part in parts]
+    rest = parts[1:]
+    first = list(accumulate((len(part.load) for part in rest), initial=0))
+    where = list(accumulate((len(part.dofs) for part in rest), initial=0))
+    dofs = np.concatenate([part.dofs for part in rest])
+    head, size = len(parts[0].load), first[-1]
+    side = size + N_ELECTRODES
+    panel = room[: head * side].reshape(head, side)
+    upper = room[head * side : (head + side) * side].reshape(side, side)
     for column, part in enumerate(parts):
-        into = whole[:, first[column - 1] : first[column]] if column else panel
-        into[size:] = part.load.T
-        seen = between(inverse, dofs[where[column] :], part.dofs) @ part.factor
-        for row in range(column, len(parts) - 1):
-            their = seen[where[row] - where[column] : where[row + 1] - where[column]]
-            into[first[row] : first[row + 1]] = parts[row + 1].factor.T @ their
-    left = blas.dsyrk(-1.0, panel, beta=1.0, c=whole, lower=1, overwrite_c=1)
-    triangle, _ = lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
-    return np.concatenate([panel[size:], triangle[size:, :size]], axis=1)
+        into = panel
+        if column:
+            own = slice(first[column - 1], first[column])
+            into = upper[own]
+            into[:, own] = 0.0
+        into[:, size:] = part.load
+        if column == len(rest):
+            break
+        seen = (between(sheet.inverse, dofs[where[column] :], part.dofs) @ part.factor).T
+        for row in range(column, len(rest)):
+            their = seen[:, where[row] - where[column] : where[row + 1] - where[column]]
+            np.matmul(their, rest[row].factor, out=into[:, first[row] : first[row + 1]])
+    upper.reshape(-1)[: size * side : side + 1] = 1.0
+    upper[size:, size:] = sheet.at_terminals
+    left = blas.dsyrk(-1.0, panel.T, beta=1.0, c=upper.T, lower=1, overwrite_c=1)
+    factor, _ = lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
+    falls = factor.T[:, size:]
+    return [parts[0].load, *(falls[start:stop] for start, stop in pairwise(first))]

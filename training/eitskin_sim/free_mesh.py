@@ -20,6 +20,7 @@ import numpy as np
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.bend import metric
 from eitskin_sim.forward import Contacts, System, assemble
+from eitskin_sim.free_inverse import Lines, make_lines
 from eitskin_sim.mesh import Array, Index, TensorMesh
 from eitskin_sim.meshing import electrode_lines
 from eitskin_sim.parts import Bend, Electrodes, Sheet
@@ -36,17 +37,17 @@ KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 
 @dataclass(frozen=True, slots=True)
 class FreeMesh:
-    """A mesh, and how its remaining unknowns are numbered: nodes, then the sixteen electrodes."""
+    """A mesh, and how its remaining unknowns are numbered: line by line, an electrode in the middle one of its lines."""
 
     mesh: TensorMesh
     dofs: Index
     """(n_elements, 9) of each element's eight outer nodes and its electrode; -1 where it lies under none."""
     sharing: Index
     """(n_dofs,) how many elements have each; electrodes one more, so that they never count as inside."""
-    n_nodes: int
-    """Outer nodes."""
-    lines: Index
-    """(nx + 2,) where each upright line of nodes begins, with the middles of sides to its right, and the end."""
+    terminals: Index
+    """(16,) the electrodes."""
+    lines: Lines
+    """Upright lines of nodes, with the middles of sides to their right and the electrodes over them."""
 
 
 def free_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array:
@@ -65,20 +66,33 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
         free_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
         free_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
     )
-    middles = mesh.element_nodes[:, MIDDLE]
-    outer = np.setdiff1d(np.arange(mesh.n_nodes), middles)
-    place = np.full(mesh.n_nodes, -1)
-    row, column = np.divmod(outer, 2 * mesh.shape[1] + 1)
-    place[outer[np.lexsort((row, column))]] = np.arange(len(outer))
-    column = np.sort(column)
     contacts = assemble(mesh, sheet, electrodes).contacts
+    outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
+    column = np.divmod(outer, 2 * mesh.shape[1] + 1)[1]
+    low, high = _spans(contacts, mesh.shape[1])
+    wide = int(-(-(high - low).max() // 2))  # an electrode's lines are then three neighbours at most
+    line = np.concatenate([column // 2 // wide, (low // wide + high // wide) // 2])
+    order = np.lexsort((np.append(column, np.full(N_ELECTRODES, 2 * mesh.shape[1] + 1)), line))
+    place = np.empty(len(order), dtype=np.intp)
+    place[order] = np.arange(len(order))
+    of_node = np.full(mesh.n_nodes, -1)
+    of_node[outer] = place[: len(outer)]
+    terminals = place[len(outer) :]
     terminal = np.full(mesh.n_elements, -1)
-    terminal[contacts.element] = len(outer) + contacts.electrode
-    dofs = np.column_stack([place[mesh.element_nodes[:, KEPT[:8]]], terminal])
-    sharing = np.bincount(dofs[dofs >= 0], minlength=len(outer) + N_ELECTRODES)
-    sharing[len(outer) :] += 1
-    lines = np.searchsorted(column, np.arange(0, 2 * mesh.shape[1] + 2, 2))
-    return FreeMesh(mesh, dofs, sharing, len(outer), np.append(lines, len(outer)))
+    terminal[contacts.element] = terminals[contacts.electrode]
+    dofs = np.column_stack([of_node[mesh.element_nodes[:, KEPT[:8]]], terminal])
+    sharing = np.bincount(dofs[dofs >= 0], minlength=len(order))
+    sharing[terminals] += 1
+    first = np.searchsorted(line[order], np.arange(line.max() + 2))
+    return FreeMesh(mesh, dofs, sharing, terminals, make_lines(first, dofs))
+
+
+def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
+    """Return the first and the last upright line of elements' sides that each electrode's contact meets."""
+    low, high = np.full(N_ELECTRODES, columns), np.zeros(N_ELECTRODES, dtype=np.intp)
+    np.minimum.at(low, contacts.electrode, contacts.element % columns)
+    np.maximum.at(high, contacts.electrode, contacts.element % columns + 1)
+    return low, high
 
 
 def free_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:

@@ -143,7 +143,7 @@ def _part(sheet: FreeSheet, dofs: Index, change: Array) -> Part:
     own.reshape(-1)[:: len(own) + 1] += 1.0
     root, _ = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
     factor = blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1)  # from the right: thrice as fast
-    return Part(dofs, np.ascontiguousarray(factor), factor.T @ sheet.inverse[dofs, -N_ELECTRODES:])
+    return Part(dofs, np.ascontiguousarray(factor), factor.T @ sheet.to_terminals[dofs])
 
 
 def _root(change: Array) -> Array:

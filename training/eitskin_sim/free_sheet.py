@@ -3,12 +3,11 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.sparse import coo_array
 
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.bend import metric
 from eitskin_sim.forward import MM, System
-from eitskin_sim.free_inverse import bordered_inverse
+from eitskin_sim.free_inverse import dense_inverse
 from eitskin_sim.free_mesh import ELEMENT_MM, free_mesh, free_system, with_contacts, without_middle
 from eitskin_sim.free_touches import Array, FreeTouches
 from eitskin_sim.kink_blocks import cut_blocks
@@ -27,27 +26,35 @@ class FreeSheet:
     before: Array
     """(n_elements, 9, 9) blocks without middles."""
     inverse: Array
-    """(n_dofs, n_dofs)"""
+    """(n_dofs, n_dofs) V for 1 A, up to a constant."""
+    to_terminals: Array
+    """(n_dofs, 16) its columns of the electrodes."""
+    at_terminals: Array
+    """(16, 16) of the electrodes alone."""
 
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
-        return np.asarray(to_voltages(self.inverse[None, -N_ELECTRODES:, -N_ELECTRODES:])[0])
+        return np.asarray(to_voltages(self.at_terminals[None])[0])
 
 
-def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM) -> FreeSheet:
-    """Return a deformation, ready for touch sets."""
+def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None) -> FreeSheet:
+    """Return a deformation, ready for touch sets.
+
+    Args:
+        bend: The sheet's shape.
+        size_mm: The largest element.
+        into: The inverse of a sheet that is needed no more: it is overwritten, which is faster than new memory.
+    """
     grid, system = free_mesh(size_mm), free_system(bend, size_mm)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
-    rows, columns = np.repeat(grid.dofs, 9, axis=1).ravel(), np.tile(grid.dofs, (1, 9)).ravel()
-    own = (rows >= 0) & (columns >= 0)  # an element under no contact has zeros in the electrode's place
-    n_dofs = grid.n_nodes + N_ELECTRODES
-    total = coo_array((before.ravel()[own], (rows[own], columns[own])), (n_dofs, n_dofs)).tocsr()
-    lift = float(total.diagonal()[-N_ELECTRODES:].mean()) / N_ELECTRODES
-    tensor = _tensors(bend, system)
-    return FreeSheet(system, tensor, before, bordered_inverse(total, grid.lines, lift))
+    tie = float(system.contacts.area_m2 @ density) / N_ELECTRODES
+    middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
+    inverse = dense_inverse(grid.lines, before, (middle, tie), into)
+    to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
+    return FreeSheet(system, _tensors(bend, system), before, inverse, to_terminals, to_terminals[grid.terminals])
 
 
 def _tensors(bend: Bend, system: System) -> Array:

@@ -128,6 +128,8 @@ def _pool(job: dict[str, Any]) -> FreePool:
 def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
     pool, grid = _pool(job), free_mesh()
     batches = geometry(pool.parts, grid)
+    used = None
     for number, bend in zip(job["deformations"], bends, strict=True):
-        sheet = free_sheet(bend)
+        sheet = free_sheet(bend, into=used)
         yield pool_voltages(sheet, grid, pool, batches, number), sheet.untouched_V
+        used = sheet.inverse

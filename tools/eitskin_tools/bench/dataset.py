@@ -140,7 +140,11 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
         count = (arguments.free, round(VALIDATION * arguments.free))
         pool = free_pool(dict.fromkeys(range(GROUP), count), 0)
         batches = geometry(pool.parts, grid)
-        made = [pool_voltages(free_sheet(bend), grid, pool, batches, number) for number, bend in enumerate(bends)]
+        made, used = [], None
+        for number, bend in enumerate(bends):
+            sheet = free_sheet(bend, into=used)
+            made.append(pool_voltages(sheet, grid, pool, batches, number))
+            used = sheet.inverse
         return pool.touches(pool.sets[GROUP - 1]), made
 
     (touches, made), seconds = _timed(ours)
