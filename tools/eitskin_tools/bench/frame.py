@@ -1,9 +1,10 @@
 """``eitskin bench frame``: from the wire to the subscriber, paced, and other ways to infer the same map.
 
 Two measurements in one run. The stream: virtual skin, runtime and subscriber as processes, at 200 and at 1000
-frames/s. The inference: every variant of :mod:`eitskin_tools.bench.variants`, interleaved, one call a 5 ms period
-(what a robot sees: caches and clocks have cooled) and back to back (warm). Percentiles, never means; nothing is
-repeated until it looks good.
+frames/s; before and behind each, the same line and socket with nothing done in between
+(:mod:`eitskin_tools.bench.line_floor`), which is what this machine takes for itself. The inference: every variant of
+:mod:`eitskin_tools.bench.variants`, interleaved, one call a 5 ms period (what a robot sees: caches and clocks have
+cooled) and back to back (warm). Percentiles, never means; nothing is repeated until it looks good.
 """
 
 import argparse
@@ -25,6 +26,9 @@ PERIOD_S: Final = 0.005
 WARM_CALLS: Final = 30
 """Calls of one variant back to back, before the next has its turn."""
 
+LINE_FRAMES: Final = 1000
+"""Most frames of the bare line, before a stream and behind it."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -32,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calls", type=int, default=500, metavar="N", help="paced calls of each variant (default 500)")
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
+    parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -39,8 +44,12 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.frames < 100 or arguments.calls < 10:
         raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
+    available = os.sched_getaffinity(0)
+    if arguments.core is not None and arguments.core not in available:
+        raise UsageError(f"--core {arguments.core} is not one of this process's CPUs: {sorted(available)}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    streams = {f"{rate:g}": stream(rate, arguments.frames, arguments.bundle) for rate in arguments.rate or RATES_HZ}
+    rates = arguments.rate or RATES_HZ
+    streams = {f"{rate:g}": stream(rate, arguments.frames, arguments.bundle, arguments.core) for rate in rates}
     first = next(iter(streams.values()))
     found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
     if arguments.json:
@@ -50,16 +59,31 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def stream(rate_hz: float, frames: int, bundle: Path | None) -> dict[str, Any]:
-    """Return the timing of a stream of so many frames at one rate."""
-    from eitskin_tools.demo.score import timing
+def stream(rate_hz: float, frames: int, bundle: Path | None, core: int | None = None) -> dict[str, Any]:
+    """Return the timing of a stream of so many frames at one rate, and of the bare line around it.
+
+    Args:
+        rate_hz: Frames a second.
+        frames: How many.
+        bundle: To run; None for the shipped one.
+        core: CPU that the runtime, or the bare line's relay, runs on; None for any.
+    """
+    import numpy as np
+
+    from eitskin_tools.bench.line_floor import floor_ns
+    from eitskin_tools.demo.score import percentiles_us, timing
     from eitskin_tools.demo.show import Options
     from eitskin_tools.demo.show import stream as streamed
 
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
-    result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False))
+    bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES), core)]
+    result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False, affinity=core))
+    bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES), core))
     runtime = {name: result.runtime.get(name) for name in ("cpu_us_per_frame", "skipped", "solvers", "withheld")}
-    return {**timing(result.record, result.wire_ns), "runtime": runtime}
+    found = timing(result.record, result.wire_ns)
+    line = percentiles_us(np.concatenate(bare))
+    over = {name: round(found["latency_us"][name] - line[name], 1) for name in ("p50", "p99")}
+    return {**found, "runtime": runtime, "core": core, "line_us": line, "over_line_us": over}
 
 
 def inference(path: Path | None, calls: int) -> dict[str, Any]:
@@ -148,6 +172,8 @@ def _print(found: dict[str, Any]) -> None:
         latency = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_us"].items())
         stages = ", ".join(f"{name} {us['p50']:.0f}/{us['p99']:.0f}" for name, us in result["stages_us"].items() if us)
         print(f"{rate} frames/s, {result['frames']} frames, {result['lost']} lost; wire to subscriber, us: {latency}")
+        line = "  ".join(f"{name} {value:.0f}" for name, value in result["line_us"].items())
+        print(f"  the bare line and socket, us: {line}; beyond it p50 {result['over_line_us']['p50']:.0f}")
         print(f"  stages, us p50/p99: {stages}")
         print(f"  CPU of the runtime, us a frame: {result['runtime']['cpu_us_per_frame']}")
     print(f"{'inference, us':24}{'paced p50':>10}{'p99':>9}{'warm p50':>10}{'times ours':>12}")

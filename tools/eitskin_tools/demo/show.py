@@ -60,6 +60,8 @@ class Options:
     """Send clouds while the sheet bends."""
     picture: Path | None = None
     """Draw a frame of the run there."""
+    affinity: int | None = None
+    """The runtime, all its threads, on this CPU only."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +158,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     port = json.loads(skin.line(skin.out, "{", START_S))["port"]
     chosen = ["--bundle", str(options.bundle)] if options.bundle else []
     chosen += ["--solver", options.solver] if options.solver else []
+    chosen += [] if options.affinity is None else [f"--affinity={options.affinity}"]
     runtime = Child(
         "run", "eitskin_tools.cli",
         ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *chosen], folder,
