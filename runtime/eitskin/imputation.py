@@ -215,6 +215,8 @@ class Imputation:
 
     def filled(self, changes: Array) -> Array:
         """Return (n, 104) dV with the rows filled in as :meth:`fill` does, without the small network's correction."""
+        if self.idle:
+            return changes
         logs = np.log1p(np.clip(changes, *self._low_high)) - self._mean
         part = np.minimum(self._expected - logs[:, self._present] @ self._weights.T, HIGHEST_LOG)
         found = np.array(changes, dtype=np.float64)

@@ -14,9 +14,13 @@ from eitskin.imputation import Consistency
 from eitskin_proto.table import TABLE
 from eitskin_sim.faults import Detached, Fault, Noisy, Shorted, Swapped, measure
 from eitskin_sim.noise import add_noise
-from eitskin_tools import failing
+from eitskin_sim.parts import Bend, Scene, Touch
+from eitskin_sim.shapes import Rect
+from eitskin_sim.solve import factorise_scene
+from eitskin_tools import drifting, failing, lost_gate
 from eitskin_tools.cli import main
 from eitskin_tools.lost import lost_sets
+from eitskin_tools.skips import scenes
 
 
 @cache
@@ -96,7 +100,11 @@ def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: P
 def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
     healthy = failing.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
     assert sum(row["named"] for row in healthy) == 0
-    assert sum(row["frames"] for row in healthy) == 2 * moving().frames, "104 rows and 208"
+    each = [row for row in healthy if row["what"] == "false alarms"]
+    assert sum(row["frames"] for row in each) == 2 * moving().frames, "104 rows and 208"
+    together = [row for row in healthy if row["what"] == "false alarms together"]
+    assert [row["frames"] for row in together] == [moving().frames] * 2
+    assert together[0]["interval_95"][1] == pytest.approx(3.0e6 / moving().frames, rel=0.01)
     rows = failing.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
     assert {row["what"] for row in rows} == set(failing.FAILURES)
     for row in rows:
@@ -107,6 +115,50 @@ def test_what_counts_as_named_rightly() -> None:
     assert failing.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
     assert failing.expected(Noisy(3)) == {(3, "noisy")}
     assert failing.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
+
+
+def test_intervals_of_events_and_of_shares_are_the_exact_ones() -> None:
+    # Poisson: P(0 | mean) = 0.05 at the upper end of none; P(>= n | low) = P(<= n | high) = 0.025 otherwise
+    assert failing.events_interval(0) == (0.0, pytest.approx(-np.log(0.05)))
+    low, high = failing.events_interval(2)
+    assert 1.0 - np.exp(-low) * (1.0 + low) == pytest.approx(0.025)
+    assert np.exp(-high) * (1.0 + high + high**2 / 2.0) == pytest.approx(0.025)
+    assert drifting.share_interval(0, 10)[1] == pytest.approx(1.0 - 0.05**0.1, abs=1e-4)
+    low, high = drifting.share_interval(1, 10)
+    assert 1.0 - (1.0 - low) ** 10 == pytest.approx(0.025, abs=2e-3)  # printed with four digits
+    assert (1.0 - high) ** 10 + 10 * high * (1.0 - high) ** 9 == pytest.approx(0.025, abs=2e-3)
+    assert drifting.share_interval(10, 10)[1] == 1.0
+
+
+def squares(bend: Bend) -> np.ndarray:
+    """Return (3, 104) log(V / V0) of 10 mm squares of the weakest contrast, in the middle of the sheet."""
+    found = []
+    for x in (60.0, 75.0, 90.0):
+        touch = Touch((Rect(x - 5.0, 45.0, x + 5.0, 55.0),), conductivity_S_per_m=20.0)
+        scene = Scene(bend=bend, touches=(touch,), element_size_mm=failing.ELEMENT_MM)
+        found.append(factorise_scene(scene).voltages())
+    return np.log(np.array(found) / measure(flat(), table=TABLE))
+
+
+def test_the_gate_keeps_its_rate_without_electrodes_and_would_not_with_the_networks_rows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bent = scenes.bends_of("A", 1)[0]
+    few = {lost_gate.UNTOUCHED: np.concatenate([scenes.still("A", 5), scenes.still("B", 5)])}
+    few |= dict.fromkeys(lost_gate.TOUCHES, np.concatenate([squares(Bend()), squares(bent)]))
+    monkeypatch.setattr(lost_gate, "_logs", lambda bends, probed: few)  # the bench's own touches take ten times as long
+    gate = load_bundle(default_path("units")).gate_arrays()
+    if gate is None:
+        pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
+    rows = lost_gate.honest(dict(gate), consistency(), ("N2",), 50.0, most_sets=1)
+    assert [row["lost"] for row in rows] == [0, 1, 1, 2, 2, 3, 3]
+    runtime = [row for row in rows if row["lost"] and "runtime" in row["rows"]]
+    shared = [row for row in rows if row["lost"] and "runtime" not in row["rows"]]
+    # 480 frames of one electrode gone: at a true 1 % five trip it; frames of a bend trip it together, hence the room
+    assert all(row["false_alarms"] < 0.06 for row in runtime)
+    assert all(row["false_alarms"] > 0.1 for row in shared)
+    assert rows[0]["missed 10 mm, middle"] == 0.0
+    assert runtime[0]["missed 10 mm, middle"] < 0.1
 
 
 def test_sets_of_lost_electrodes_are_all_single_ones_and_the_same_draws() -> None:

@@ -1,7 +1,8 @@
 """How well a drift of the sheet's conductivity is known, and whether its compensation eats a touch.
 
 Deformations of families A and B that no bundle learned from, each with a common factor on all voltages, with and
-without the prediction that a scan gives; then a touch that lies still for minutes while compensation runs.
+without the prediction that a scan gives; how often a drift is told of sheets that have none, touched or not; then
+a touch that lies still for minutes while compensation runs.
 """
 
 from itertools import pairwise
@@ -31,6 +32,12 @@ GRADIENTS: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
 
 STRIPS: Final = 6
 """Across the sheet, each of one conductivity."""
+
+STILL: Final = 1200
+"""Frames for which a sheet that has not drifted is held: three times what it takes to tell."""
+
+TOGETHER: Final = 24
+"""Frames that are looked at together, as the runtime does."""
 
 STILL_FRAMES: Final = 12_000
 """A touch that lies still for a minute at 200 frames/s."""
@@ -70,7 +77,60 @@ def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
              "error_rms_percent": round(float(np.sqrt(np.mean(off**2))), 2),
              "error_max_percent": round(float(np.abs(off).max()), 2)}
         )  # fmt: skip
-    return [*rows, *uneven(consistency, flat, rng), *absorbed(consistency, flat, rng)]
+    return [*rows, *told(consistency, 3 * bends), *uneven(consistency, flat, rng), *absorbed(consistency, flat, rng)]
+
+
+def told(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
+    """Return how often an event tells of drift, or of an uneven reference, where nothing has drifted.
+
+    Args:
+        consistency: Of a bundle.
+        bends: Deformations of each family, each once untouched and once with a touch that the gate sees.
+    """
+    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
+    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    rng = np.random.default_rng(1)
+    counts: dict[tuple[Family, bool, bool], list[int]] = {}
+    families: tuple[Family, ...] = ("A", "B")
+    for family in families:
+        for bend in draw(family, bends, 9901):
+            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            for touched in (False, True):
+                x, y, radius = rng.uniform((15.0, 15.0, 5.0), (135.0, 85.0, 12.0))
+                touches = (Touch((Disc(float(x), float(y), float(radius)),)),) if touched else ()
+                scene = Scene(bend=bend, touches=touches, element_size_mm=ELEMENT_MM)
+                logs = np.log(factorise_scene(scene).voltages() / flat)
+                for scan in (False, True):
+                    events = _events(consistency, logs, expected if scan else 0.0 * expected, rng, touched=touched)
+                    counts.setdefault((family, scan, touched), []).append(events)
+    rows = []
+    for (name, scan, touched), seen in counts.items():
+        wrong, tried = sum(bool(events) for events in seen), len(seen)
+        rows.append(
+            {"what": "drift told without any", "family": name, "scan": scan, "touched": touched, "tried": tried,
+             "frames": tried * STILL, "told": wrong, "interval_95": share_interval(wrong, tried)}
+        )  # fmt: skip
+    return rows
+
+
+def _events(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator, *, touched: bool) -> int:
+    """Return how many events a sheet that is held still for ``STILL`` frames gives."""
+    drift, events = Drift(consistency), 0
+    for _ in range(STILL // TOGETHER):
+        noisy = logs + NOISE * rng.standard_normal((TOGETHER, len(logs)))
+        events += drift.look(np.expm1(noisy).astype(np.float32), predicted, touched=touched)
+    return events
+
+
+def share_interval(count: int, tried: int) -> list[float]:
+    """Return the exact 95 % interval (Clopper and Pearson) of a share; of none, the upper end alone."""
+    from scipy.stats import beta
+
+    if not count:
+        return [0.0, round(float(1.0 - 0.05 ** (1.0 / tried)), 4)]
+    low = beta.ppf(0.025, count, tried - count + 1)
+    high = 1.0 if count == tried else beta.ppf(0.975, count + 1, tried - count)
+    return [round(float(low), 4), round(float(high), 4)]
 
 
 def settle(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> float | None:

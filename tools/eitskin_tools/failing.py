@@ -214,7 +214,31 @@ def false_alarms(
             {"what": "false alarms", "family": family, "touch_on_electrode": covering, "rows": 208 if full else 104,
              "noise": noise, "streams": len(chosen), "frames": frames, "named": int(alarms)}
         )  # fmt: skip
-    return rows
+    return [*rows, *_together(rows, noise)]
+
+
+def _together(rows: Sequence[dict[str, Any]], noise: Kind) -> list[dict[str, Any]]:
+    """Return the false alarms of each width of scan over all streams, with what they say of a million frames."""
+    found = []
+    for width in (104, 208):
+        own = [row for row in rows if row["rows"] == width]
+        named, frames = sum(row["named"] for row in own), sum(row["frames"] for row in own)
+        low, high = events_interval(named)
+        found.append(
+            {"what": "false alarms together", "rows": width, "noise": noise, "streams": sum(r["streams"] for r in own),
+             "frames": frames, "named": named, "per_million_frames": round(1e6 * named / frames, 1),
+             "interval_95": [round(1e6 * low / frames, 1), round(1e6 * high / frames, 1)]}
+        )  # fmt: skip
+    return found
+
+
+def events_interval(count: int) -> tuple[float, float]:
+    """Return the 95 % interval of the mean of which a Poisson count was seen; of none, the upper end alone (3.0)."""
+    from scipy.stats import chi2
+
+    if not count:
+        return 0.0, float(chi2.ppf(0.95, 2) / 2.0)
+    return float(chi2.ppf(0.025, 2 * count) / 2.0), float(chi2.ppf(0.975, 2 * count + 2) / 2.0)
 
 
 def detection(

@@ -39,7 +39,7 @@ Lost = tuple[int, ...]
 
 
 def lost_sets(count: int, most: int = SETS) -> list[Lost]:
-    """Return sets of so many electrodes: all 16 single ones, else ``most`` drawn ones."""
+    """Return sets of so many electrodes: none, all 16 single ones, else ``most`` drawn ones."""
     every = list(combinations(range(N_ELECTRODES), count))
     if count <= 1:
         return every

@@ -1,18 +1,34 @@
 """``eitskin bench electrodes``: failing electrodes, named from the frames, and what is left without them.
 
 Rows of ``false alarms`` and of each kind of failure run through moving deformations and touches
-(:mod:`eitskin_tools.failing`); rows of ``accuracy`` need ``--phantoms`` (:mod:`eitskin_tools.lost`); rows of ``drift``
-say how well a common factor is known, with and without a scan (:mod:`eitskin_tools.drifting`); ``cost`` is CPU time.
+(:mod:`eitskin_tools.failing`); rows of ``accuracy`` need ``--phantoms`` (:mod:`eitskin_tools.lost`); of ``gate`` say
+whether the gate is still right without electrodes (:mod:`eitskin_tools.lost_gate`); rows of ``drift`` how well a common
+factor is known, with and without a scan (:mod:`eitskin_tools.drifting`); ``cost`` is CPU time. Rows are shown on stderr
+as each part is done.
 """
 
 import argparse
 import json
 import os
 import sys
+import time
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, Final
 
+from eitskin_tools.choices import chosen, several
 from eitskin_tools.cli import UsageError
+
+if TYPE_CHECKING:
+    from eitskin.bundle import Bundle
+    from eitskin.imputation import Consistency
+
+PARTS: Final = ("detection", "gate", "accuracy", "drift", "cost")
+"""What ``--only`` takes."""
+
+NOISES: Final = ("N1", "N2", "N3")
+
+Rows = list[dict[str, Any]]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -21,9 +37,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--phantoms", type=Path, metavar="FILE", help="measure the accuracy left on these too")
     parser.add_argument("--streams", type=int, default=4, metavar="N", help="streams of each kind (default 4)")
     parser.add_argument("--moments", type=int, default=12, metavar="N", help="solved moments of a stream (default 12)")
-    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3"), help="kind of noise (default N2)")
+    parser.add_argument(
+        "--noise", action="append", type=several(NOISES), metavar="NAME[,NAME]", help="of N1, N2, N3 (default N2)"
+    )
     parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
-    parser.add_argument("--only", choices=("detection", "accuracy", "drift", "cost"), help="measure this part alone")
+    parser.add_argument(
+        "--only", action="append", type=several(PARTS), metavar="NAME[,NAME]", help=f"of {', '.join(PARTS)}"
+    )
     parser.add_argument("--no-classical", action="store_true", help="leave the classical solvers' accuracy out")
     parser.add_argument("--quick", action="store_true", help="a thinned form")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -33,22 +53,27 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.streams < 1 or arguments.moments < 2:
         raise UsageError("--streams must be at least 1 and --moments at least 2")
-    if arguments.only == "accuracy" and arguments.phantoms is None:
+    parts = chosen(arguments.only, PARTS)
+    if arguments.only and "accuracy" in parts and arguments.phantoms is None:
         raise UsageError("--only accuracy needs --phantoms FILE")
     if "numpy" not in sys.modules:
         os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
-    rows = measure(arguments)
+    rows = measure(arguments, parts)
     summary = _summary(rows)
     if arguments.json:
         print(json.dumps({"rows": rows, "summary": summary}))
     else:
         for row in [*rows, summary]:
-            print("  ".join(f"{name} {value}" for name, value in row.items()))
+            print(_line(row))
     return 0
 
 
-def measure(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+def measure(arguments: argparse.Namespace, parts: tuple[str, ...]) -> Rows:
     """Return every row that was asked for.
+
+    Args:
+        arguments: The options.
+        parts: Of ``PARTS``.
 
     Raises:
         BundleError: The bundle says nothing of healthy frames.
@@ -62,33 +87,30 @@ def measure(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     consistency = Consistency.of(arrays)
-    wanted = (arguments.only,) if arguments.only else ("detection", "accuracy", "drift", "cost")
-    rows: list[dict[str, Any]] = []
-    if "detection" in wanted:
-        rows += _detection(arguments, consistency)
-    if "accuracy" in wanted and arguments.phantoms is not None:
-        from eitskin_sim.evaluate import Conditions
-        from eitskin_sim.scene import load_phantoms
-        from eitskin_tools.lost import SETS, accuracy
-
-        conditions = Conditions(noise=arguments.noise, snr_db=arguments.snr_db)
-        phantoms = load_phantoms(arguments.phantoms)
-        sets = 2 if arguments.quick else SETS
-        classical = not (arguments.no_classical or arguments.quick)
-        rows += accuracy(phantoms, bundle, consistency, conditions, classical=classical, most_sets=sets)
-    if "drift" in wanted:
-        from eitskin_tools.drifting import drifting
-
-        rows += drifting(consistency, 4 if arguments.quick else 24)
-    if "cost" in wanted:
-        from eitskin_sim.solvers.operators import build_operators
-        from eitskin_tools.lost import costs
-
-        rows += costs(build_operators(), consistency)
+    noises = tuple(name for part in arguments.noise or [("N2",)] for name in part)
+    makers: dict[str, Callable[[], Rows]] = {
+        "detection": lambda: _detection(arguments, consistency, noises),
+        "gate": lambda: _gate(arguments, bundle, consistency, noises),
+        "accuracy": lambda: _accuracy(arguments, bundle, consistency, noises),
+        "drift": lambda: _drift(arguments, consistency),
+        "cost": lambda: _cost(consistency),
+    }
+    rows: Rows = []
+    for part in parts:
+        start_s = time.process_time()
+        found = makers[part]()
+        for row in found:
+            print(f"eitskin bench electrodes: {_line(row)}", file=sys.stderr, flush=True)
+        print(f"eitskin bench electrodes: {part}: {time.process_time() - start_s:.0f} CPU-s", file=sys.stderr)
+        rows += found
     return rows
 
 
-def _detection(arguments: argparse.Namespace, consistency: Any) -> list[dict[str, Any]]:
+def _line(row: dict[str, Any]) -> str:
+    return "  ".join(f"{name} {value}" for name, value in row.items())
+
+
+def _detection(arguments: argparse.Namespace, consistency: "Consistency", noises: tuple[Any, ...]) -> Rows:
     from eitskin_tools import failing
 
     flat = failing.flat_response()
@@ -99,20 +121,68 @@ def _detection(arguments: argparse.Namespace, consistency: Any) -> list[dict[str
         for covering in (False, True)
         for number in range(count)
     ]
-    rows = failing.false_alarms(consistency, flat, streams, arguments.noise, arguments.snr_db)
-    chosen, electrodes = (streams[:1], range(0, 16, 5)) if arguments.quick else (streams[:: max(count, 1)], range(16))
-    return rows + failing.detection(consistency, flat, chosen, arguments.noise, arguments.snr_db, electrodes)
+    few, electrodes = (streams[:1], range(0, 16, 5)) if arguments.quick else (streams[:: max(count, 1)], range(16))
+    rows: Rows = []
+    for noise in noises:
+        rows += failing.false_alarms(consistency, flat, streams, noise, arguments.snr_db)
+        rows += failing.detection(consistency, flat, few, noise, arguments.snr_db, electrodes)
+    return rows
 
 
-def _summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
+def _gate(arguments: argparse.Namespace, bundle: "Bundle", consistency: "Consistency", noises: tuple[Any, ...]) -> Rows:
+    from eitskin_tools.lost_gate import honest
+
+    arrays = bundle.gate_arrays()
+    if arrays is None:
+        return []
+    bends, sets = (6, 2) if arguments.quick else (60, 12)
+    return honest(arrays, consistency, noises, arguments.snr_db, bends=bends, most_sets=sets)
+
+
+def _accuracy(
+    arguments: argparse.Namespace, bundle: "Bundle", consistency: "Consistency", noises: tuple[Any, ...]
+) -> Rows:
+    if arguments.phantoms is None:
+        return []
+    from eitskin_sim.evaluate import Conditions
+    from eitskin_sim.scene import load_phantoms
+    from eitskin_tools.lost import SETS, accuracy
+
+    phantoms = load_phantoms(arguments.phantoms)
+    sets = 2 if arguments.quick else SETS
+    classical = not (arguments.no_classical or arguments.quick)
+    rows: Rows = []
+    for noise in noises:
+        conditions = Conditions(noise=noise, snr_db=arguments.snr_db)
+        found = accuracy(phantoms, bundle, consistency, conditions, classical=classical, most_sets=sets)
+        rows += [{"noise": noise, **row} for row in found]
+    return rows
+
+
+def _drift(arguments: argparse.Namespace, consistency: "Consistency") -> Rows:
+    from eitskin_tools.drifting import drifting
+
+    return drifting(consistency, 4 if arguments.quick else 24)
+
+
+def _cost(consistency: "Consistency") -> Rows:
+    from eitskin_sim.solvers.operators import build_operators
+    from eitskin_tools.lost import costs
+
+    return costs(build_operators(), consistency)
+
+
+def _summary(rows: Rows) -> dict[str, Any]:
     alarms = [row for row in rows if row["what"] == "false alarms"]
     named = [row for row in rows if "named_in_time" in row]
     left = [row for row in rows if row["what"] == "accuracy" and row["remedy"] == "imputed" and row["lost"] == 1]
+    gates = [row for row in rows if row["what"] == "gate" and row["lost"] == 1 and "runtime" in row["rows"]]
     return {
         "healthy_frames": sum(row["frames"] for row in alarms),
         "named_while_healthy": sum(row["named"] for row in alarms),
-        "named_in_time": {row["what"]: row["named_in_time"] for row in named},
+        "named_in_time": {f"{row['what']}, {row['noise']}": row["named_in_time"] for row in named},
         "frames_max": max((row["frames_max"] or 0 for row in named), default=None),
-        "cc_of_intact_one_electrode_lost": left[0]["of_intact"] if left else None,
-        "cc_of_intact_worst_electrode_lost": left[0]["worst_of_intact"] if left else None,
+        "cc_of_intact_one_electrode_lost": {row["noise"]: row["of_intact"] for row in left},
+        "cc_of_intact_worst_electrode_lost": {row["noise"]: row["worst_of_intact"] for row in left},
+        "gate_false_alarms_one_electrode_lost": {row["noise"]: row["false_alarms"] for row in gates},
     }

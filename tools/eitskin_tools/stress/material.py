@@ -25,7 +25,7 @@ from eitskin_tools.stress.sweep import Explain, Stress
 Array = npt.NDArray[np.float64]
 
 DRIFT: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, 0.5)
-WORSE: Final = (1.0, 2.0, 5.0, 10.0, 30.0, 100.0, 300.0, 1000.0)
+WORSE: Final = (1.0, 10.0, 100.0, 1000.0)
 BETTER: Final = (1.0, 0.5, 0.2, 0.1)
 HIGHER: Final = (50.0, 100.0, 1e3, 1e4, 1e5, 1e6)
 LOWER: Final = (50.0, 20.0, 10.0, 5.0, 3.0, 2.0, 1.5, 1.0, 0.1, 1e-2, 1e-4)
