@@ -77,10 +77,11 @@ def more_files() -> str:
 def settle() -> None:
     """Take what was made so far out of the garbage collector's rounds, shorten the interpreter's turns, free memory.
 
-    Loading took several MB for a moment, which glibc keeps unless it is asked for them.
+    Loading took several MB for a moment, which glibc keeps unless it is asked for them. Whoever turned the collector
+    off while modules and bundle were loaded has it on again: what they leave behind is not worth the 30 ms of a round.
     """
-    gc.collect()
     gc.freeze()
+    gc.enable()
     with suppress(OSError, AttributeError):  # glibc's alone
         ctypes.CDLL(None).malloc_trim(0)
     sys.setswitchinterval(SWITCH_INTERVAL_S)

@@ -32,6 +32,8 @@ print(json.dumps({{"load_ms": loaded * 1e3, "cpu_ms": cpu * 1e3, "rss_mb": kb("V
 """
 
 _RUNTIME: Final = """
+import gc
+gc.disable()
 from eitskin import realtime
 from eitskin.bundle import load_bundle
 from eitskin.engine import GeometryGraph

@@ -6,6 +6,7 @@ object of ``--json`` at the end.
 
 import argparse
 import contextlib
+import gc
 import json
 import os
 import signal
@@ -60,10 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.disable()  # while modules and weights are loaded, which leave nothing to collect; settle() turns it on again
     from eitskin import realtime
     from eitskin.skin import Skin
 
     with contextlib.ExitStack() as stack:
+        stack.callback(gc.enable)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
