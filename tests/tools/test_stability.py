@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from eitskin.bundle import default_path, load_bundle
+from eitskin.imputation import Consistency, Imputation, rows_of
 from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
 from eitskin_export.projection import flat_projection
 from eitskin_sim.noise import add_noise
@@ -22,7 +23,7 @@ from eitskin_tools.stress import jobs
 from eitskin_tools.stress.inputs import attacks, strike
 from eitskin_tools.stress.meshes import triangle_rows
 from eitskin_tools.stress.noise import spread_of
-from eitskin_tools.stress.precision import apart, built
+from eitskin_tools.stress.precision import LOST, apart, built, filling_weights, precision_rows
 from eitskin_tools.stress.rows import Curve, Point, crossing
 from eitskin_tools.stress.samples import sample_of, samples, system_of, voltages_of
 from eitskin_tools.stress.shape import block
@@ -94,6 +95,23 @@ def test_operators_are_built_in_float64_and_rounded_once_where_float32_would_spo
     in_double = built(pixels, PROJECTION_FACTOR, 0.0, np.float64)
     assert apart(shipped, np.asarray(in_double)) < 1e-7
     assert apart(built_small, np.asarray(in_double)) > 1e-6
+
+
+def test_what_fills_rows_in_is_built_in_float64_and_would_lose_three_digits_in_float32():
+    arrays = load_bundle(default_path("units")).consistency_arrays()
+    if arrays is None:
+        pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
+    known = Consistency.of(arrays)
+    assert known.precision().dtype == np.float64
+    row = next(row for row in precision_rows(samples("units", 1, 6.0)[0], 2, known) if row["solver"] == "filling")
+    assert "must be built in float64" in row["why"]
+    exact = filling_weights(known.covariance, 0.0, np.float64)
+    rows = rows_of((LOST,))
+    shipped = Imputation(known.mean, known.precision(), known.ratio_range)
+    shipped.leave_out(rows, known.precision())
+    change = np.expm1(known.mean + 0.01 * np.sin(np.arange(104.0)))
+    expected = np.expm1(known.mean[rows] - exact @ (0.01 * np.sin(np.arange(104.0)))[~rows])
+    assert np.abs(shipped.filled(change[None])[0, rows] - expected).max() < 1e-9  # the runtime's is the one in float64
 
 
 def test_the_smaller_the_regularisation_the_worse_is_a_matrix_built_in_float32():

@@ -128,6 +128,8 @@ def _points(curve: "Curve") -> dict[str, Any]:
         "sweep": curve.sweep,
         "solver": curve.solver,
         "unit": curve.unit,
+        "unstressed": rounded(curve.unstressed),
+        "logarithmic": curve.logarithmic,
         "levels": [point.level for point in curve.points],
         "accuracy": [rounded(point.accuracy) for point in curve.points],
         "map_rms": [rounded(point.map_rms) for point in curve.points],

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.bundle import load_bundle
+from eitskin.imputation import Consistency
 from eitskin_tools.stress.rows import Curve, Row
 from eitskin_tools.stress.samples import Labels, Sample, samples
 from eitskin_tools.stress.solvers import CLASSICAL, ENGINES, Subjects
@@ -146,7 +147,6 @@ def _other_jobs(setup: Setup, families: Sequence[str], *, quick: bool) -> Iterat
     from eitskin_tools.stress.constant import constant_rows
     from eitskin_tools.stress.inputs import input_rows
     from eitskin_tools.stress.meshes import triangle_rows
-    from eitskin_tools.stress.precision import precision_rows
     from eitskin_tools.stress.repeat import repeat_rows
     from eitskin_tools.stress.worst import worst_row
 
@@ -154,7 +154,7 @@ def _other_jobs(setup: Setup, families: Sequence[str], *, quick: bool) -> Iterat
     makers: dict[str, tuple[str, Callable[[], list[Row]]]] = {
         "shape": ("scenes without contrast", lambda: constant_rows(subjects, setup.samples)),
         "meshes": ("sliver triangles", triangle_rows),
-        "precision": ("float32 and float64", lambda: precision_rows(setup.samples[0], max(setup.effort.levels, 7))),
+        "precision": ("float32 and float64", lambda: _precision(setup)),
         "int8": ("worst input", lambda: [worst_row(subjects.plain, setup.samples, steps)]),
         "inputs": ("absurd inputs", lambda: input_rows(subjects.bundle, setup.samples[0], subjects.tally)),
         "repeat": ("the same twice", lambda: repeat_rows(subjects.bundle, setup.samples)),
@@ -165,6 +165,14 @@ def _other_jobs(setup: Setup, families: Sequence[str], *, quick: bool) -> Iterat
         if family in families:
             work_ms = OTHER_MS[family] * (steps * setup.effort.samples if family == "int8" else 1.0)
             yield Job(family, name, work_ms, partial(_without_curves, make))
+
+
+def _precision(setup: Setup) -> list[Row]:
+    from eitskin_tools.stress.precision import precision_rows
+
+    arrays = setup.subjects.bundle.consistency_arrays()
+    consistency = None if arrays is None else Consistency.of(arrays)
+    return precision_rows(setup.samples[0], max(setup.effort.levels, 7), consistency)
 
 
 def _without_curves(make: Callable[[], list[Row]]) -> Found:

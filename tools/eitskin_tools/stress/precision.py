@@ -6,6 +6,7 @@ float32. Building loses the digits that the regularisation lets through: the dam
 Rounding costs 6e-8 whatever the factor. ::
 
     tikhonov, projection     A^T (A A^T + lambda I)^-1       built
+    filling                  P_mm^-1 P_mo, P = (C + lambda I)^-1, of what fills lost rows in: built
     l1, sbl                  iterate on A                    A rounded: what a float32 Jacobian would do
 """
 
@@ -16,7 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
+from eitskin.imputation import Consistency, rows_of
 from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
+from eitskin_sim.consistency import FLOOR
 from eitskin_sim.solvers.l1 import FACTOR as L1_FACTOR
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import SATURATED, Cells, Operators, linear_data
@@ -30,6 +33,9 @@ Array = npt.NDArray[np.float64]
 AnyFloat = npt.NDArray[np.floating]
 
 FACTORS: Final = tuple(10.0**-power for power in range(1, 13))
+LOST: Final = 5
+"""The electrode whose rows are filled in."""
+
 LIMIT: Final = 1e-3
 """Relative error of an operator that counts as harm: a tenth of what 40 dB noise does to the data."""
 
@@ -63,12 +69,32 @@ def apart(found: AnyFloat, exact: Array) -> float:
     return difference if np.isfinite(difference) else float("inf")
 
 
-def precision_rows(sample: Sample, levels: int) -> list[Row]:
+def filling_weights(covariance: Array, factor: float, dtype: type[np.floating]) -> AnyFloat:
+    """Return what fills an electrode's rows in from the others, (26, 78), with every step taken in one precision.
+
+    Args:
+        covariance: (104, 104) of log(V / V0), without any floor.
+        factor: The floor, relative to the largest eigenvalue.
+        dtype: float32 or float64.
+
+    Raises:
+        LinAlgError: The covariance is singular in this precision.
+    """
+    floor = factor * np.linalg.eigvalsh(covariance)[-1]
+    whole = np.asarray(covariance + floor * np.eye(len(covariance)), dtype=dtype)
+    precision, gone = linalg.inv(whole), rows_of((LOST,))
+    found = np.asarray(linalg.solve(precision[np.ix_(gone, gone)], precision[np.ix_(gone, ~gone)]))
+    assert found.dtype == dtype
+    return found
+
+
+def precision_rows(sample: Sample, levels: int, consistency: Consistency | None = None) -> list[Row]:
     """Return a row for each operator.
 
     Args:
         sample: Whose bend the operators are of.
         levels: At most so many factors.
+        consistency: Of the bundle; without it nothing is filled in.
     """
     factors = thinned(FACTORS, levels)
     rows = []
@@ -82,6 +108,8 @@ def precision_rows(sample: Sample, levels: int) -> list[Row]:
         singular = np.linalg.svd(operators.relative_jacobian, compute_uv=False)
         rows.append(_tikhonov_row(f"{name}, {cells}, built in float32", operators, power, factors, shipped))
         rows[-1]["why"] += f"; undamped, A A^T has the condition {(singular[0] / singular[-1]) ** 2:.2g}"
+    if consistency is not None:
+        rows.append(_filling_row(consistency, factors))
     operators = sample.sheet.operators("units")
     data = linear_data(sample.read, sample.sheet.untouched)
     rows.append(
@@ -114,6 +142,31 @@ def _build_error(A: Array, factor: float, power: float) -> float:
         return apart(built(A, factor, power, np.float32), tikhonov_matrix(A, factor, power))
     except linalg.LinAlgError:
         return float("inf")  # indefinite in float32: there is no matrix at all
+
+
+def _filling_row(consistency: Consistency, factors: Sequence[float]) -> Row:
+    covariance = consistency.covariance - FLOOR * np.eye(len(consistency.covariance))
+    largest = float(np.linalg.eigvalsh(covariance)[-1])
+    shipped = FLOOR / largest
+
+    def error(factor: float) -> float:
+        try:
+            return apart(filling_weights(covariance, factor, np.float32), _exact_weights(covariance, factor))
+        except linalg.LinAlgError:
+            return float("inf")
+
+    once = apart(_exact_weights(covariance, shipped).astype(np.float32), _exact_weights(covariance, shipped))
+    at_shipped = error(shipped)
+    verdict = "must be built in float64" if at_shipped > 10.0 * once else "may be built in float32"
+    why = (
+        f"P has the condition {1.0 / shipped:.2g} at the shipped floor, {shipped:.2g} of the largest eigenvalue: error "
+        f"{at_shipped:.2g}, where rounding once costs {once:.2g}: {verdict}"
+    )
+    return _row("filling, an electrode's rows, built in float32", factors, [error(factor) for factor in factors], why)
+
+
+def _exact_weights(covariance: Array, factor: float) -> Array:
+    return np.asarray(filling_weights(covariance, factor, np.float64), dtype=np.float64)
 
 
 def _iterated_row(
