@@ -14,7 +14,7 @@ import numpy.typing as npt
 from eitskin_proto.normalise import WEAK_FRACTION, relative_change
 from eitskin_sim.noise import add_noise
 from eitskin_tools.stress.limits import explain_noise
-from eitskin_tools.stress.noise import spread_of
+from eitskin_tools.stress.noise import PUBLISHED, spread_of
 from eitskin_tools.stress.samples import Disturb, Sample
 from eitskin_tools.stress.sweep import Stress
 
@@ -25,6 +25,9 @@ OFFSETS: Final = (1e-7, 1e-6, 1e-5, 1e-4, 3e-4, 1e-3, 3e-3, 0.01, 0.03)
 CUT_OFF: Final = (2.0, 1.5, 1.2, 1.0, 0.8, 0.5, 0.3, 0.1, 0.03, 0.01)
 FADING: Final = (1.0, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-8)
 FLIPS: Final = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
+
+HELD: Final = 20
+"""Frames within which a failure is named."""
 
 FADED_ROWS: Final = 8
 """The weakest of the 104 rows that fade together."""
@@ -57,7 +60,9 @@ def stresses() -> list[Stress]:
         Stress("saturation", "full scale / largest |V0|", CUT_OFF, _cut_off, _explain_cut_off, True),
         *fading,
         Stress("sign flips since the reference", "rows", FLIPS, _flipped, _explain_flips, True, random=True),
-    ]
+        Stress(f"sign flips, {HELD} frames later", "rows", FLIPS, _flipped_for_a_while, _explain_flips, True,
+               random=True, solvers=PUBLISHED),
+    ]  # fmt: skip
 
 
 def _with_reference(sample: Sample, change: Callable[[Array], Array]) -> Sample:
@@ -174,6 +179,11 @@ def _flipped(sample: Sample, rows: float, rng: np.random.Generator) -> Sample:
     volts = sample.voltages.copy()
     volts[which] *= -1.0
     return replace(sample, voltages=volts)
+
+
+def _flipped_for_a_while(sample: Sample, rows: float, rng: np.random.Generator) -> Sample:
+    """The same, once the runtime has had time to leave out the electrode to which such rows belong."""
+    return replace(_flipped(sample, rows, rng), held=HELD)
 
 
 def _explain_flips(samples: Sequence[Sample], rows: float) -> str:

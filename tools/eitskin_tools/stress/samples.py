@@ -54,6 +54,8 @@ class Sample:
     """What the front end cuts off at."""
     spread: Array | None = None
     """(104,) V by which a single frame of the reference varies; None where it does not."""
+    held: int = 0
+    """For how many frames the stream has seen this already, and looked at its electrodes."""
 
     @cached_property
     def truth(self) -> Array:

@@ -83,17 +83,30 @@ class Stream:
         pipeline = self.pipeline
         pipeline.engines[0] = self._engines[engine]
         counts, saturation = quantise(sample.voltages, self._volts_per_count, SAMPLE_BYTES)
-        self._sequence += 1
-        frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
-        before = dict(pipeline.withheld)
-        if not (pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True)):
-            self.tally.withheld.update({k: n - before[k] for k, n in pipeline.withheld.items() if n > before[k]})
+        for _ in range(sample.held):
+            if self._passes(counts, saturation):
+                pipeline.note_health()
+                pipeline.look_at_health()
+        if sample.held:
+            self._reference = np.zeros(0)  # the next sample is of a stream that has seen nothing yet
+        if not self._passes(counts, saturation):
             return None
         shown = pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes
         image = np.frombuffer(shown, dtype=np.float32).reshape(GRID_SHAPE)
         self.tally.take(image)
         self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.events
         return image.astype(np.float64)
+
+    def _passes(self, counts: npt.NDArray[np.int32], saturation: int) -> bool:
+        """Return whether a frame is computed and fit to publish; if not, it is counted."""
+        pipeline = self.pipeline
+        self._sequence += 1
+        frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
+        before = dict(pipeline.withheld)
+        if pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True):
+            return True
+        self.tally.withheld.update({k: n - before[k] for k, n in pipeline.withheld.items() if n > before[k]})
+        return False
 
     def engine(self, name: str) -> Engine:
         """Return one of the pipeline's engines, for those who fill its buffers themselves."""
