@@ -73,10 +73,10 @@ class Evidence:
 class _Batch:
     """What n frames said."""
 
-    surprise: Array
-    """(n, 16)"""
+    scores: Array
+    """(n, 104) y"""
     total: Array
-    """(n,)"""
+    """(n,) D"""
     silent: Array
     """(n, 16)"""
     sign: Array
@@ -98,8 +98,8 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_inner", "_jump", "_last", "_low_high", "_mean", "_members", "_pair_weight", "_pairs", "_precision",
-        "_seen", "_thresholds", "of",
+        "_before", "_harmless", "_inner", "_jump", "_last", "_low_high", "_mean", "_members", "_pair_weight", "_pairs",
+        "_precision", "_seen", "_thresholds", "of",
     )  # fmt: skip
 
     def __init__(
@@ -108,6 +108,8 @@ class Weigher:
         self._mean, self._precision = mean, precision
         self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
         self._thresholds = (float(thresholds[0]), float(thresholds[1]))
+        # D_e is never more than D, so a frame with a D below this surprises nowhere; 1 % is for rounding
+        self._harmless = 0.99 * self._thresholds[0] * OWN_ROWS * FREEDOM / _SCALE
         self.of = np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
         """(16, 26) rows of each electrode."""
         self._inner = np.array([np.linalg.inv(precision[np.ix_(rows, rows)]) for rows in self.of])
@@ -123,7 +125,8 @@ class Weigher:
         self._before = np.zeros((2, N_ROWS))
         self._seen = 0
         nothing = np.zeros((1, N_ELECTRODES))
-        self._last = _Batch(nothing, np.zeros(1), nothing, nothing, np.zeros((1, N_ROWS), dtype=np.bool_))
+        rows = np.zeros((1, N_ROWS))
+        self._last = _Batch(rows, np.zeros(1), nothing, nothing, rows.astype(np.bool_))
 
     def weigh(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32], in_use: Votes) -> Votes:
         """Return (n, 49) votes of n frames in a row, the frames after those of the last call.
@@ -144,15 +147,18 @@ class Weigher:
         jumps = second > self._jump
         if jumps.any():
             jumps &= second > self._jump * np.abs(ratio)  # a row that reads more moves more
-        found = _Batch(*self.surprise(change), silent, sign, jumps)
+        scores, logs = self.scores(change)
+        found = _Batch(scores, np.einsum("nr,nr->n", logs, scores), silent, sign, jumps)
         if self._seen < 2:
             jumps[: 2 - self._seen] = False  # there is no second difference yet
         self._seen += len(raw)
         self._last = found
         votes = np.zeros((len(raw), N_VOTES), dtype=np.bool_)
-        if found.surprise.max() > self._thresholds[0]:
-            each, worst = np.arange(len(raw)), found.surprise.argmax(axis=1)
-            votes[each, worst] = found.surprise[each, worst] > self._thresholds[0]
+        largest = float(found.total.max())
+        if not largest <= self._harmless:
+            surprise = self._surprise(found.scores, found.total)
+            each, worst = np.arange(len(raw)), surprise.argmax(axis=1)
+            votes[each, worst] = surprise[each, worst] > self._thresholds[0]
         if found.silent.min() < SHORTED_RATIO or found.sign.min() < REVERSED_RATIO:
             beside = np.minimum(found.silent[:, _BEFORE], found.silent[:, _AFTER])
             shorted = (found.silent < SHORTED_RATIO) & (beside > OPEN_RATIO)
@@ -162,24 +168,28 @@ class Weigher:
             of_pair, own, every = sums[:, :16], sums[:, 16:32], sums[:, 32:]
             both = np.minimum(of_pair, of_pair[:, _BEFORE]) >= JUMPING_ROWS  # pairs e - 1 and e
             votes[:, JUMPING] = both & (every - own <= ELSEWHERE * (N_ROWS - OWN_ROWS))
-        votes[:, WHOLE] = found.total > self._thresholds[1]
+        if not largest <= self._thresholds[1] * N_ROWS:
+            votes[:, WHOLE] = found.total / N_ROWS > self._thresholds[1]
         return votes
 
     def evidence(self, row: int = -1) -> Evidence:
         """Return what one of the frames that were weighed last said."""
         last = self._last
         jumping = (last.jumps[row] @ self._members)[:16] / self._pairs
-        return Evidence(last.surprise[row], last.silent[row], last.sign[row], jumping, float(last.total[row]))
+        surprise = self._surprise(last.scores, last.total)[row]
+        return Evidence(surprise, last.silent[row], last.sign[row], jumping, float(last.total[row]) / N_ROWS)
 
     def surprise(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
         """Return the (n, 16) surprises of (n, 104) dV, and (n,) those of the whole frames per row."""
         scores, logs = self.scores(change)
+        total = np.einsum("nr,nr->n", logs, scores)
+        return self._surprise(scores, total), np.asarray(total / N_ROWS)
+
+    def _surprise(self, scores: Array, total: Array) -> Array:
         part = np.take(scores.T, self.of, axis=0)  # (16, 26, n)
         own = np.einsum("ern,ern->ne", np.matmul(self._inner, part), part)
-        total = np.einsum("nr,nr->n", logs, scores)
         rest = np.maximum(total[:, None] - own, 0.0)
-        found = own * (_SCALE / OWN_ROWS) / (rest + FREEDOM)
-        return np.asarray(found), np.asarray(total / N_ROWS)
+        return np.asarray(own * (_SCALE / OWN_ROWS) / (rest + FREEDOM))
 
     def scores(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
         """Return (n, 104) y and l - mean of (n, 104) dV."""

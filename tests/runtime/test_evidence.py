@@ -57,6 +57,23 @@ def test_the_surprise_is_the_distance_of_an_electrodes_rows_given_the_others():
     assert total[0] == pytest.approx(whole / N_ROWS, rel=1e-6)
 
 
+def test_a_frame_that_is_passed_over_quickly_would_have_surprised_nowhere():
+    broken = detached(healthy(1), 6)[0]
+    weighs = weigher()
+    threshold = float(consistency().thresholds[0])
+    seen, quick = set(), 0
+    for share in np.linspace(0.0, 1.0, 201):  # from a sheet that is the reference to one that lacks an electrode
+        frame = (share * broken).astype(np.float32)[None]
+        surprise, total = weighs.surprise(frame)
+        votes = weighs.weigh(frame, frame, ALL)[0, :16]
+        assert votes.any() == (surprise.max() > threshold)
+        quick += float(total[0]) * N_ROWS * 80 / 52 < threshold
+        seen.add(bool(votes.any()))
+    assert seen == {False, True}
+    assert 0 < quick < 201
+    assert np.array_equal(weighs.evidence().surprise, surprise[0])
+
+
 def test_drift_is_the_same_one_by_one_and_together():
     frames = np.expm1(0.1 + NOISE * np.random.default_rng(0).standard_normal((HOLD + 100, N_ROWS))).astype(np.float32)
     alone, grouped = Drift(consistency()), Drift(consistency())
