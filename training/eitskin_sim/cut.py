@@ -91,8 +91,8 @@ def half_plane_share(distance: Array, normal: Array, sizes: Array) -> Array:
         normal: (..., 2) outward unit normal.
         sizes: (..., 2) width and height of each rectangle.
     """
-    spans = np.abs(normal) * sizes
-    wide, narrow = spans.max(axis=-1), spans.min(axis=-1)
+    across, up = np.abs(normal[..., 0]) * sizes[..., 0], np.abs(normal[..., 1]) * sizes[..., 1]
+    wide, narrow = np.maximum(across, up), np.minimum(across, up)
     # Along the normal the rectangle's section is a trapezium: a plateau of wide - narrow between two ramps of narrow.
     inside = np.clip((wide + narrow) / 2 - distance, 0.0, wide + narrow)
     ramp = np.where(narrow > 1e-12 * wide, narrow, 1.0)

@@ -129,9 +129,13 @@ def _draw(
             of_class = drawn - drawn % CLASSES + own_class[missing, None]
             of_class = np.where(of_class < total, of_class, own_class[missing, None])
             drawn = np.where(shared[missing, None], of_class, drawn)
-            apart = np.hypot(*(middle_mm[drawn] - middle_mm[found[missing, place - 1], None]).transpose(2, 0, 1))
-            excluded = near[drawn, found[missing, place - 1, None]] | (np.arange(NEAREST_OF) >= tries[missing, None])
-            candidate = drawn[np.arange(len(missing)), np.where(excluded, np.inf, apart).argmin(axis=1)]
+            candidate = drawn[:, 0]
+            several = np.flatnonzero(tries[missing] > 1)
+            before = found[missing[several], place - 1]
+            apart = np.hypot(*(middle_mm[drawn[several]] - middle_mm[before, None]).transpose(2, 0, 1))
+            excluded = near[drawn[several], before[:, None]] | (np.arange(NEAREST_OF) >= tries[missing[several], None])
+            nearest = np.where(excluded, np.inf, apart).argmin(axis=1)
+            candidate[several] = drawn[several, nearest]
             free = ~near[candidate[:, None], found[missing, :place]].any(axis=1)
             found[missing[free], place] = candidate[free]
             missing = missing[~free]

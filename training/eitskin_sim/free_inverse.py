@@ -68,7 +68,7 @@ def dense_inverse(lines: Lines, blocks: Array, ground: tuple[int, float], into: 
         ValueError: The stiffness is not positive definite.
     """
     count = len(lines.first) - 1
-    numbers = np.bincount(lines.slot, blocks.ravel(), minlength=int(lines.begin[-1]) + 1)
+    numbers: Array = np.bincount(lines.slot, blocks.ravel(), int(lines.begin[-1]) + 1).astype(np.float64, copy=False)
     width = np.diff(lines.first)
     own = [_square(numbers, lines.begin[i], width[i], width[i]) for i in range(count)]
     after = [_square(numbers, lines.begin[count + i], width[i], width[i + 1]) for i in range(count - 1)]

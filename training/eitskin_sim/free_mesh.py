@@ -37,7 +37,7 @@ KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 
 @dataclass(frozen=True, slots=True)
 class FreeMesh:
-    """A mesh, and how its remaining unknowns are numbered: line by line, an electrode in the middle one of its lines."""
+    """A mesh, and how its remaining unknowns are numbered: by lines, electrodes in the middle one of theirs."""
 
     mesh: TensorMesh
     dofs: Index
@@ -68,7 +68,7 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
     )
     contacts = assemble(mesh, sheet, electrodes).contacts
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
-    column = np.divmod(outer, 2 * mesh.shape[1] + 1)[1]
+    column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])
     wide = int(-(-(high - low).max() // 2))  # an electrode's lines are then three neighbours at most
     line = np.concatenate([column // 2 // wide, (low // wide + high // wide) // 2])

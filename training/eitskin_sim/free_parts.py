@@ -103,21 +103,22 @@ def _cells_left(layout: Layout, blocks: Array) -> list[Array]:
         own[...] = square[inside:, inside:]
         if inside:
             panel = _panel(square, inside, len(square))
-            own -= panel @ panel.T
+            blas.dgemm(-1.0, panel, panel, beta=1.0, c=own.T, trans_b=1, overwrite_c=1)
     return _squares(layout.parts, left)
 
 
 def _squares(fronts: Fronts, numbers: Array) -> list[Array]:
     """Return squares into which numbers are added up."""
-    buffer = np.bincount(fronts.slot, numbers, minlength=int(fronts.begin[-1]) + 1)
+    buffer: Array = np.bincount(fronts.slot, numbers, int(fronts.begin[-1]) + 1).astype(np.float64, copy=False)
     places = zip(fronts.begin[:-1].tolist(), fronts.begin[1:].tolist(), fronts.width.tolist(), strict=True)
     return [buffer[start:stop].reshape(width, width) for start, stop, width in places]
 
 
 def _panel(square: Array, inside: int, stop: int) -> Array:
     """Return (stop - inside, inside) P: eliminating what is inside takes P P^T from what is left."""
-    root, _ = lapack.dpotrf(square[:inside, :inside], lower=1, clean=0)
-    return np.asarray(blas.dtrsm(1.0, root, square[inside:stop, :inside], side=1, lower=1, trans_a=1))
+    upright = square.T  # the same, but LAPACK need not turn it
+    root, _ = lapack.dpotrf(upright[:inside, :inside], lower=1, clean=0)
+    return np.asarray(blas.dtrsm(1.0, root, upright[inside:stop, :inside], side=1, lower=1, trans_a=1))
 
 
 def _change(touched: Array, untouched: Array, inside: int) -> Array:
