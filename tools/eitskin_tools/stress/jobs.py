@@ -30,7 +30,7 @@ WORST_STEPS: Final = {"quick": 200, "full": 3000}
 IMAGE_MS: Final = {"classical": 10.0, "published": 0.6}
 """About what a map costs: of l1, SBL and Tikhonov on average; of a network or the projection."""
 
-SOLVE_MS: Final = {3.0: 130.0, 4.5: 55.0}
+SOLVE_MS: Final = {3.0: 130.0, 6.0: 35.0}
 """About what a forward solve costs, by element size in mm."""
 
 OTHER_MS: Final = {"shape": 500.0, "meshes": 4000.0, "precision": 4000.0, "int8": 2.2, "inputs": 15_000.0,
@@ -138,7 +138,7 @@ def _sweep_ms(stress: Stress, effort: Effort, subjects: Subjects) -> float:
     a_map_ms = IMAGE_MS["classical"] * sum(name in CLASSICAL for name in names)
     a_map_ms += IMAGE_MS["published"] * (sum(name in ENGINES for name in names) + 2)
     draws = effort.draws if stress.random else 1
-    solves_ms = 2.0 * SOLVE_MS.get(effort.element_size_mm, SOLVE_MS[4.5]) if stress.solved else 0.0
+    solves_ms = 2.0 * SOLVE_MS.get(effort.element_size_mm, SOLVE_MS[6.0]) if stress.solved else 0.0
     return len(thinned(stress.levels, effort.levels)) * effort.samples * (draws * a_map_ms + solves_ms)
 
 

@@ -36,9 +36,6 @@ SIZES_MM: Final = (1.5, 2.0, 3.0, 4.5, 6.0, 9.0, 12.0)
 ASPECTS: Final = (10.0, 1e2, 1e3, 1e4, 1e6, 1e8, 1e10)
 FLATNESS: Final = (1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 64.0)
 
-FINEST_MM: Final = 1.2
-"""What element sizes are compared with."""
-
 CELLS: Final = 6
 """Triangles along the side of the closed-form problem."""
 
@@ -70,9 +67,12 @@ def _error(samples: Sequence[Sample], found: Sequence[Array], exact: Sequence[Ar
 
 def _explain_size(samples: Sequence[Sample], size_mm: float) -> str:
     few = samples[:2]
-    fine = [voltages_of(replace(s.scene, element_size_mm=FINEST_MM)) for s in few]
+    fine = [voltages_of(replace(s.scene, element_size_mm=SIZES_MM[0])) for s in few]
     error, share = _error(few, [_resized(s, size_mm, np.random.default_rng(0)).voltages for s in few], fine)
-    return f"at {size_mm:.3g} mm V is off by {error:.2g} rms, {share:.2g} of what the touches change"
+    return (
+        f"at {size_mm:.3g} mm V differs from that at {SIZES_MM[0]:g} mm by {error:.2g} rms, {share:.2g} of what the "
+        "touches change"
+    )
 
 
 def _slit(sample: Sample, aspect: float, rng: np.random.Generator) -> Sample:

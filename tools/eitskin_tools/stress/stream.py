@@ -86,7 +86,8 @@ class Stream:
         for _ in range(sample.held):
             if self._passes(counts, saturation):
                 pipeline.note_health()
-                pipeline.look_at_health()
+                if pipeline.has_leisure_work:
+                    pipeline.look_at_health()
         if sample.held:
             self._reference = np.zeros(0)  # the next sample is of a stream that has seen nothing yet
         if not self._passes(counts, saturation):

@@ -57,7 +57,7 @@ class Effort:
 
 
 FULL: Final = Effort(samples=8, draws=3, levels=99, element_size_mm=3.0)
-QUICK: Final = Effort(samples=2, draws=1, levels=4, element_size_mm=4.5)
+QUICK: Final = Effort(samples=2, draws=1, levels=4, element_size_mm=6.0)
 """Under a minute of one core for all sweeps."""
 
 
