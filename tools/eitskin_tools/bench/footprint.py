@@ -1,10 +1,11 @@
 """``eitskin bench footprint``: what the runtime costs before the first frame: time, memory and disk, beside torch's.
 
 Each row is a fresh interpreter that imports something, loads the model where it can, and reports its own clock and
-memory. The runtime's row imports exactly what ``eitskin run`` does. Modules are read as bytecode, which every installer
-makes; the interpreter that makes it here is not counted. CPU time is the least of all repeats: on a busy
-machine it says more than the clock, whose median is given beside it. Installed size counts the files of a distribution
-and, for the runtime, of the dependencies that its metadata names, each once.
+memory. The runtime's row imports exactly what ``eitskin run`` does; "runtime, int8" is ``eitskin run --solver
+vd2t-int8``, which never reads the float32 head. Modules are read as bytecode, which every installer makes; the
+interpreter that makes it here is not counted. CPU time is the least of all repeats: on a busy machine it says more than
+the clock, whose median is given beside it. Installed size counts the files of a distribution and, for the runtime, of
+the dependencies that its metadata names, each once.
 """
 
 import argparse
@@ -43,7 +44,7 @@ import eitskin.skin, eitskin.publish, eitskin.control, eitskin.serve
 bundle = load_bundle({path!r}, lazily=True)
 hello = Hello(firmware_version=(1, 0, 0), hardware_id=1, serial_number="", configuration_digest=0, generation=0,
               configuration_name="paper", rate_mHz=200_000, rows=104, sample_bytes=3, volts_per_count=1e-9)
-pipeline = Pipeline(bundle, hello)
+pipeline = Pipeline(bundle, hello, solver={solver!r})
 geometry = GeometryGraph(bundle)
 pipeline.buffers.take(geometry.geometry(None, None, 0))
 geometry.rest()
@@ -67,6 +68,7 @@ ROWS: Final = {
     "numpy": "import numpy",
     "subscriber": "import eitskin; eitskin.subscribe",
     "runtime": _RUNTIME,
+    "runtime, int8": _RUNTIME,
     "torch": _TORCH,
 }
 """What each row's interpreter runs."""
@@ -87,7 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory(prefix="eitskin-bytecode-") as bytecode:
         for name, body in ROWS.items():
             try:
-                rows.append({"what": name, **_probe(body, arguments.bundle, arguments.repeats, bytecode)})
+                rows.append({"what": name, **_probe(name, body, arguments.bundle, arguments.repeats, bytecode)})
             except SkinError as error:
                 missing[name] = str(error)
     for row in rows:
@@ -115,9 +117,10 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _probe(body: str, bundle: Path | None, repeats: int, bytecode: str) -> dict[str, Any]:
+def _probe(name: str, body: str, bundle: Path | None, repeats: int, bytecode: str) -> dict[str, Any]:
     """Return the median load time, the least CPU time and the largest memory of some fresh interpreters."""
-    code = _PROBE.format(body=body.format(path=None if bundle is None else str(bundle)))
+    where = None if bundle is None else str(bundle)
+    code = _PROBE.format(body=body.format(path=where, solver="vd2t-int8" if name == "runtime, int8" else None))
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": bytecode}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     found = []

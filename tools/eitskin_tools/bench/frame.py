@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--calls", type=int, default=500, metavar="N", help="paced calls of each variant (default 500)")
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
+    parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
     parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -49,7 +50,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--core {arguments.core} is not one of this process's CPUs: {sorted(available)}")
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rates = arguments.rate or RATES_HZ
-    streams = {f"{rate:g}": stream(rate, arguments.frames, arguments.bundle, arguments.core) for rate in rates}
+    streams = {
+        f"{rate:g}": stream(rate, arguments.frames, arguments.bundle, core=arguments.core, solver=arguments.solver)
+        for rate in rates
+    }
     first = next(iter(streams.values()))
     found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
     if arguments.json:
@@ -59,7 +63,9 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def stream(rate_hz: float, frames: int, bundle: Path | None, core: int | None = None) -> dict[str, Any]:
+def stream(
+    rate_hz: float, frames: int, bundle: Path | None, *, core: int | None = None, solver: str | None = None
+) -> dict[str, Any]:
     """Return the timing of a stream of so many frames at one rate, and of the bare line around it.
 
     Args:
@@ -67,6 +73,7 @@ def stream(rate_hz: float, frames: int, bundle: Path | None, core: int | None = 
         frames: How many.
         bundle: To run; None for the shipped one.
         core: CPU that the runtime, or the bare line's relay, runs on; None for any.
+        solver: The most accurate one to use; None for the bundle's best.
     """
     import numpy as np
 
@@ -77,7 +84,8 @@ def stream(rate_hz: float, frames: int, bundle: Path | None, core: int | None = 
 
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
     bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES), core)]
-    result = streamed(Options(seconds=frames / rate_hz, rate_hz=rate_hz, bundle=bundle, clouds=False, affinity=core))
+    seconds = frames / rate_hz
+    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, affinity=core))
     bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES), core))
     runtime = {name: result.runtime.get(name) for name in ("cpu_us_per_frame", "skipped", "solvers", "withheld")}
     found = timing(result.record, result.wire_ns)
