@@ -39,16 +39,16 @@ HARDWARE_DB: Final = 60.0
 def stresses() -> list[Stress]:
     """Return the disturbances of the front end."""
     per_row = "relative, rms"
-    rules: tuple[tuple[str, Disturb], ...] = (
-        ("weighed by the reference's spread", _faded),
-        ("weak rows give 0", _faded_as(relative_change)),
-        ("no rule", _faded_as(_divided)),
-        ("floor under the divisor", _faded_as(_floored)),
+    rules: tuple[tuple[str, Disturb, tuple[str, ...] | None], ...] = (
+        ("weighed by spread", _faded, PUBLISHED),
+        ("give 0", _faded_as(relative_change), None),
+        ("no rule", _faded_as(_divided), None),
+        ("floor under the divisor", _faded_as(_floored), None),
     )
     fading = [
         Stress(f"{FADED_ROWS} weakest rows fade, {rule}", "times", FADING, disturb, _explain_fading, True, 1.0,
-               random=True)
-        for rule, disturb in rules
+               random=True, solvers=solvers)
+        for rule, disturb, solvers in rules
     ]  # fmt: skip
     return [
         Stress("gain error, reference too", per_row, GAINS, _gain_always, _explain_common, True, random=True),

@@ -43,6 +43,7 @@ class Subjects:
         self.bundle, self.tally = bundle, tally
         self.plain = Stream(bundle, tally, gated=False)
         self.gated = Stream(bundle, tally, gated=True) if bundle.gate_arrays() is not None else None
+        self._calm: dict[tuple[str, int], tuple[Sample, Array | None]] = {}
 
     def names(self) -> list[str]:
         """Return every solver; classical ones for unit labels only, whose 126 cells they solve in milliseconds."""
@@ -61,6 +62,13 @@ class Subjects:
             return None
         self.tally.take(found)
         return found
+
+    def calm(self, name: str, sample: Sample) -> Array | None:
+        """Return a solver's map of an undisturbed sample, made once: every sweep begins with the same ones."""
+        key = name, id(sample)
+        if key not in self._calm:
+            self._calm[key] = sample, self.image(name, sample)  # the sample is kept, and so is its id
+        return self._calm[key][1]
 
     def verdicts(self, touched: Sequence[Sample], bare: Sequence[Sample]) -> tuple[list[bool], int]:
         """Return whether the gate was right on each of the shown frames, and how many were withheld."""

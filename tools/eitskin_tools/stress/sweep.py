@@ -125,7 +125,7 @@ def _disturbed(stress: Stress, samples: Sequence[Sample], level: float, draws: i
 def _map_points(
     subjects: Subjects, name: str, base: Sequence[Sample], at: dict[float, list[Sample]]
 ) -> tuple[float, list[Point]]:
-    calm = [subjects.image(name, sample) for sample in base]
+    calm = [subjects.calm(name, sample) for sample in base]
     unstressed = float(np.mean([accuracy(image, sample) for image, sample in zip(calm, base, strict=True)]))
     points = []
     for level, disturbed in at.items():
