@@ -6,8 +6,8 @@ Three ways for a gate to see rows that are gone, on the same noisy frames ::
     as untouched (runtime)      rows as an untouched sheet has them, threshold of drawn sheets (eitskin.resting)
     as the network sees them    rows as touched and untouched sheets have them on average, the bundle's threshold
 
-The last is what a gate gets that shares its rows with the network. Touches are squares of the weakest contrast that
-counts as one. A bend's frames trip a gate together, so an interval is over bends.
+The last is what a gate gets that shares its rows with the network. A bend's frames trip a gate together, so an interval
+is over bends.
 """
 
 from collections.abc import Callable, Sequence
@@ -29,8 +29,16 @@ REFERENCE_FRAMES: Final = 100
 DRAWS: Final = 3
 """Noise draws of each sheet."""
 
-TOUCHES: Final = ("10 mm, middle", "10 mm, anywhere", "7 mm, middle")
-"""Probes of the gate's export that are shown."""
+PAPER: Final = "10 mm of contrast 50, anywhere"
+"""A touch of one unit as the paper has them, off the grid."""
+
+TOUCHES: Final = ("10 mm, middle", "10 mm, anywhere", "7 mm, middle", PAPER)
+"""The first three are probes of the gate's export, of the weakest contrast that counts as a touch, 20."""
+
+PAPER_CONTRAST: Final = 50.0
+
+PLACES: Final = 20
+"""Of the paper's touch, at each bend."""
 
 UNTOUCHED: Final = "untouched"
 
@@ -82,12 +90,20 @@ def honest(
 
 def _logs(bends: int, probed: int) -> dict[str, Array]:
     """Return log(V / V0) of fresh untouched sheets, and of touches at fresh bends."""
-    from eitskin_export.untouched import probes
+    from eitskin_export.untouched import probes, squares, touch_logs, untouched_logs
+    from eitskin_sim.family import draw
+    from eitskin_sim.parts import Bend
     from eitskin_tools.skips.scenes import SEED, still
 
     found = {UNTOUCHED: np.concatenate([still("A", bends), still("B", bends)])}
     solved = probes(probed, SEED)
-    return found | {name: np.concatenate([one.logs for one in solved if one.name == name]) for name in TOUCHES}
+    found |= {name: np.concatenate([one.logs for one in solved if one.name == name]) for name in TOUCHES[:-1]}
+    rng = np.random.default_rng(SEED)
+    places = [(float(x), float(y)) for x, y in rng.uniform((5.0, 5.0), (145.0, 95.0), (PLACES, 2))]
+    touches = squares(places, 10.0, PAPER_CONTRAST)
+    members = (Bend(), *draw("A", probed, SEED), *draw("B", probed, SEED))
+    found[PAPER] = np.concatenate([touch_logs(bend, touches) + untouched_logs([bend]) for bend in members])
+    return found
 
 
 def _noisy(logs: Array, volts: Array, reference: Array, kind: Kind, snr_db: float, rng: np.random.Generator) -> Array:
