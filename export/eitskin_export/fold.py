@@ -38,7 +38,7 @@ class Head(nn.Module):
 
     Every permutation is a gather of single elements (``GatherElements``): ONNX Runtime does 1350 in under 2 us, where a
     Gather or a Transpose of them takes 10 to 35. The first one gives cells as the convolutions read them and is what
-    the runtime changes to cut a region out (:mod:`eitskin.onnx_rows`); the last one gives pixels.
+    the runtime changes to cut a region out (:mod:`eitskin.onnx_cells`); the last one gives pixels.
     """
 
     channel_of_cell: Tensor
