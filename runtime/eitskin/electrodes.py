@@ -117,6 +117,8 @@ class ElectrodeWatch:
         """What a frame says of electrodes that are not well."""
         self.unclear = False
         """The frames fit nothing: neither a sheet nor any single failure."""
+        self.alters = False
+        """Whether :meth:`correct` changes anything."""
         self._row = -1
         self.exclude(excluded)
 
@@ -185,11 +187,6 @@ class ElectrodeWatch:
         if self.rearranged is not None:
             volts = (change.astype(np.float64) + 1.0) * self._reference
             change[:] = self.rearranged.matrix @ volts / self._reference - 1.0
-
-    @property
-    def alters(self) -> bool:
-        """Whether :meth:`correct` changes anything."""
-        return self.rearranged is not None or not self.imputation.idle
 
     def look(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Take the evidence of one frame or of several in a row and return whether any electrode's state changed.
@@ -357,3 +354,4 @@ class ElectrodeWatch:
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
         self.imputation.leave_out(rows, self.precision, out, self._noise)
+        self.alters = self.rearranged is not None or not self.imputation.idle

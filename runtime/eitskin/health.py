@@ -106,9 +106,11 @@ class Health:
     def prepare(self, change: npt.NDArray[np.float32]) -> None:
         """Keep (104,) dV as measured, and put it right, in place, as far as a gate needs it."""
         np.copyto(self._raw[self._waiting], change)
-        self.watch.rearrange(change)
+        alters = self.watch.alters
+        if alters:
+            self.watch.rearrange(change)
         self.drift.correct(change)
-        if self.resting is not None:
+        if alters and self.resting is not None:
             self.resting.fill(change)
 
     def complete(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
@@ -118,7 +120,8 @@ class Health:
             change: (104,) dV.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
         """
-        self.watch.imputation.fill(change, predicted)
+        if self.watch.alters:
+            self.watch.imputation.fill(change, predicted)
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.

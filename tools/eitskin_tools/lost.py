@@ -1,8 +1,9 @@
 """What accuracy is left without one, two or three electrodes, for every solver, and what going on without them costs.
 
 Every solver sees the same noisy voltages. A network gets the missing rows as zeros, as a runtime without any care
-would give them, or filled in from the others (:mod:`eitskin.imputation`); a classical solver loses them from its
-operators (:mod:`eitskin_sim.solvers.downdate`).
+would give them, or filled in from the others (:mod:`eitskin.imputation`), those weighed by the noise of the reference
+as the runtime does it (:mod:`eitskin.row_noise`); a classical solver loses them from its operators
+(:mod:`eitskin_sim.solvers.downdate`).
 """
 
 from collections.abc import Callable, Sequence
@@ -15,12 +16,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.bundle import Bundle
+from eitskin.electrodes import ElectrodeWatch
 from eitskin.imputation import Consistency, Imputation, rows_of
 from eitskin.prediction import log_ratio
 from eitskin_proto.normalise import relative_change
 from eitskin_proto.table import N_ELECTRODES
 from eitskin_sim.evaluate import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.metrics import scaled
+from eitskin_sim.noise import Kind
 from eitskin_sim.parts import Phantom
 from eitskin_sim.predict import flat_voltages
 from eitskin_sim.solvers.downdate import Precomputed, precompute
@@ -67,15 +70,14 @@ def accuracy(
         most_sets: Sets of two and of three electrodes.
     """
     network = named(Request("vd2t", bundle=bundle.path), bundle.labels).run
-    filling = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range, consistency.layers)
-    linear = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range)
+    spread = spread_of(consistency.reference, conditions.noise, conditions.snr_db)
     plan: list[tuple[str, str, Lost, Run]] = [("vd2t", "intact", (), network)]
     for count in (1, 2, 3):
         for lost in lost_sets(count, most_sets):
             plan.append(("vd2t", "zeros", lost, Run(_zeroed(network.solver, lost), "pre")))
-            plan.append(("vd2t", "imputed", lost, Run(_imputed(network.solver, lost, filling, consistency), "pre")))
+            plan.append(("vd2t", "imputed", lost, Run(_imputed(network.solver, lost, consistency, spread), "pre")))
             if consistency.layers is not None:
-                solver = _imputed(network.solver, lost, linear, consistency)
+                solver = _imputed(network.solver, lost, replace(consistency, layers=None), spread)
                 plan.append(("vd2t", "imputed, Gaussian alone", lost, Run(solver, "pre")))
     if classical:
         kept: dict[int, Precomputed] = {}
@@ -109,13 +111,20 @@ def _zeroed(solver: Solver, lost: Lost) -> Solver:
     return lambda case: solver(replace(case, voltages=np.where(rows, case.flat_reference, case.voltages)))
 
 
-def _imputed(solver: Solver, lost: Lost, filling: Imputation, consistency: Consistency) -> Solver:
-    rows, precision = rows_of(lost), consistency.precision()
+def spread_of(reference: Array, noise: Kind, snr_db: float) -> Array:
+    """Return (104,) V by which frames of the flat, untouched sheet vary; N1 is noise of a touch, and makes none."""
+    level = 10.0 ** (-snr_db / 20.0)
+    if noise == "N3":
+        return np.full_like(reference, level * np.sqrt(np.mean(reference**2)))
+    return level * np.abs(reference) if noise == "N2" else np.zeros_like(reference)
+
+
+def _imputed(solver: Solver, lost: Lost, consistency: Consistency, spread: Array) -> Solver:
+    watch = ElectrodeWatch(consistency, consistency.reference, spread, lost)
 
     def solve(case: Case) -> Array:
-        filling.leave_out(rows, precision, lost)
         change = relative_change(case.voltages, case.flat_reference).astype(np.float32)
-        filling.fill(change, log_ratio(case.sheet.predicted(), flat_voltages()))
+        watch.correct(change, log_ratio(case.sheet.predicted(), flat_voltages()))
         return solver(replace(case, voltages=case.flat_reference * (1.0 + change.astype(np.float64))))
 
     return solve
