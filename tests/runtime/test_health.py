@@ -47,6 +47,34 @@ def test_what_a_dead_electrode_reads_does_not_reach_the_gate(watching, counts):
     assert watching.health.watch.texts == ("5:excluded:imputed",)
 
 
+def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
+    gate = watching.health.resting
+    assert gate is not None
+    assert not gate.due  # its threshold was set when the reference came
+    rng = np.random.default_rng(0)
+    for number in range(1, 21):
+        dead = np.rint(counts * (1.0 + 0.003 * rng.standard_normal(104))).astype(np.int32)
+        dead[rows_of((5,))] = rng.integers(-10_000, 10_000, 26)
+        assert go(watching, dead, number)
+        assert not watching.touched
+
+
+def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(watching, counts):
+    watching.health.exclude(())
+    watching.health.look(np.zeros(104, dtype=np.float32))
+    spread = np.abs(counts) * 3e-12
+    spread[[7, 60]] = np.abs(counts[[7, 60]]) * [0.5e-9, 0.1e-9]  # one is lost, one is weighed
+    watching.use_reference(Reference(counts * 1e-9, spread, 100, "TEST-1", 0xABCD, "paper", ""))
+    assert watching.normaliser.weak_count == 1
+    loud = counts.copy()
+    loud[[7, 60]] = counts[[7, 60]] * [3, 1.2]
+    assert go(watching, loud, 1)
+    change = watching.buffers.change[0]
+    assert abs(change[7]) < 0.02  # as measured it is 2
+    assert 0.0 < change[60] < 0.1  # as measured it is 0.2, twice its noise
+    assert not watching.touched
+
+
 def test_the_projection_has_no_column_of_a_missing_row(watching):
     engine = next(one for one in watching.engines if isinstance(one, ProjectionEngine))
     watching.buffers.map[:] = 0.0
