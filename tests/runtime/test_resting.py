@@ -7,7 +7,7 @@ from eitskin.bundle import default_path, load_bundle
 from eitskin.gate import Gate
 from eitskin.health import Health
 from eitskin.imputation import Consistency, rows_of
-from eitskin.resting import FALSE_ALARMS, Resting
+from eitskin.resting import BLOCKS, FALSE_ALARMS, Resting
 from eitskin_proto.table import N_ROWS
 
 QUIET = np.full(N_ROWS, 0.003)
@@ -105,6 +105,6 @@ def test_the_threshold_is_set_while_the_line_rests_a_block_at_a_time(shipped):
     while health.due:
         health.look(np.zeros(N_ROWS, dtype=np.float32))
         looks += 1
-        assert looks < 20
-    assert looks > 3
+        assert looks < 2 * BLOCKS
+    assert looks >= BLOCKS
     assert gate.threshold != gate.usual_threshold

@@ -4,6 +4,8 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tests.runtime.test_electrodes import NOISE, REFERENCE, consistency, healthy
 from tests.runtime.test_imputation import RANGE, gaussian
 
@@ -30,6 +32,22 @@ def test_rows_are_told_apart_by_their_own_spread_and_by_their_size():
     assert np.flatnonzero(weighed_rows(weak, noise)).tolist() == [8, 9]
     assert not lost_rows(REFERENCE, np.zeros(N_ROWS)).any()
     assert not weighed_rows(REFERENCE, np.zeros(N_ROWS)).any()
+
+
+@given(
+    st.floats(1e-9, 1e9), st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng(seed).permutation(N_ROWS))
+)
+@settings(deadline=None, max_examples=50)
+def test_neither_the_current_nor_the_order_of_the_rows_decides_what_a_row_is_worth(scale, order):
+    rng = np.random.default_rng(order[0])
+    volts, noise = (
+        REFERENCE * 10.0 ** rng.uniform(-5, 0, N_ROWS),
+        np.abs(REFERENCE) * 10.0 ** rng.uniform(-6, 0, N_ROWS),
+    )
+    for told in (lost_rows, weighed_rows):
+        assert np.array_equal(told(scale * volts[order], scale * noise[order]), told(volts, noise)[order])
+        assert np.array_equal(told(-volts, noise), told(volts, noise))
+    assert not (lost_rows(volts, noise) & weighed_rows(volts, noise)).any()
 
 
 def test_a_spread_that_is_no_number_or_beyond_the_row_counts_as_all_of_it():
