@@ -44,6 +44,8 @@ def test_inference_reports_every_variant_against_ours() -> None:
     assert found["head_bytes"] == streamed_bytes(load_bundle(BUNDLE))
     for times in found["inference_us"].values():
         assert 0 < times["paced"]["p50"] <= times["paced"]["max"]
+        assert 0 < times["warm_cpu"]["p50"] <= times["warm_cpu"]["max"]
+    assert found["torch_over_int8_cpu"] is None  # the tiny bundle names no architecture for torch
 
 
 def test_too_few_frames_for_a_percentile_are_bad_usage() -> None:
