@@ -11,6 +11,7 @@ weighed together because most of the cost is not arithmetic: four cost little mo
 """
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -110,9 +111,9 @@ class Weigher:
         self._thresholds = (float(thresholds[0]), float(thresholds[1]))
         # D_e is never more than D, so a frame with a D below this surprises nowhere; 1 % is for rounding
         self._harmless = 0.99 * self._thresholds[0] * OWN_ROWS * FREEDOM / _SCALE
-        self.of = np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
+        self.of = _rows_of_each()
         """(16, 26) rows of each electrode."""
-        self._inner = np.array([np.linalg.inv(precision[np.ix_(rows, rows)]) for rows in self.of])
+        self._inner = np.linalg.inv(precision[self.of[:, :, None], self.of[:, None, :]])
         pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
         weight = pairs * np.abs(reference_V)
         self._pair_weight = np.ascontiguousarray((weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)).T)
@@ -198,6 +199,11 @@ class Weigher:
         np.log1p(logs, out=logs)
         np.subtract(logs, self._mean, out=logs)
         return logs @ self._precision, logs
+
+
+@cache
+def _rows_of_each() -> npt.NDArray[np.intp]:
+    return np.array([np.flatnonzero(rows_of((electrode,))) for electrode in range(N_ELECTRODES)])
 
 
 _BEFORE: Final = np.roll(np.arange(N_ELECTRODES), 1)

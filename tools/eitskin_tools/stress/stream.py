@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.bundle import Bundle
-from eitskin.engine import Engine, GeometryGraph, engines
+from eitskin.engine import Engine, Geometry, GeometryGraph, engines
 from eitskin.health import health_of
 from eitskin.pipeline import Pipeline
 from eitskin.prediction import log_ratio
@@ -63,7 +63,9 @@ class Stream:
         self._engines = {engine.name: engine for engine in engines(bundle, self.pipeline.buffers)}
         self._graph = GeometryGraph(bundle)
         self._sequence = 0
-        self._sheet: Sheet | None = None
+        self._cloud: Array | None = None
+        self._geometries: dict[int, tuple[Array, Geometry]] = {}
+        """By the scan, which is kept beside it so that its id is not given away again."""
         self._reference: Array = np.zeros(0)
         self._volts_per_count = 0.0
 
@@ -129,9 +131,15 @@ class Stream:
         if not np.array_equal(reference, self._reference):
             self.pipeline.use_reference(Reference(sample.flat, spread, 100, HELLO.serial_number, 0, "stress", ""))
             self._reference = reference
-        if sample.sheet is not self._sheet:
-            predicted = None
-            if self.bundle.uses_prediction:
-                predicted = log_ratio(sample.sheet.predicted(), flat_voltages())
-            self.pipeline.buffers.take(self._graph.geometry(sample.sheet.cloud_mm, predicted, 0))
-            self._sheet = sample.sheet
+        cloud = sample.sheet.cloud_mm
+        if cloud is not self._cloud:
+            self.pipeline.buffers.take(self._geometry(sample.sheet))
+            self._cloud = cloud
+
+    def _geometry(self, sheet: Sheet) -> Geometry:
+        """Return what the network knows of a scan, computed once: every sweep bends the same sheets."""
+        key = id(sheet.cloud_mm)
+        if key not in self._geometries:
+            predicted = log_ratio(sheet.predicted(), flat_voltages()) if self.bundle.uses_prediction else None
+            self._geometries[key] = sheet.cloud_mm, self._graph.geometry(sheet.cloud_mm, predicted, 0)
+        return self._geometries[key][1]
