@@ -9,8 +9,9 @@ mean m and precision P, made at export from deformations ::
 
 D above its limit is no untouched sheet at any uniform drift, so such a frame says nothing of drift: a touch is a
 pattern, and c is the one pattern that it is not. Frames are averaged, and c is reported once it has been plausible for
-``HOLD`` frames. A sheet that dries more at one end than at the other is beyond the limit as well: if nothing touches it
-for as long, by the gate, and there is a scan, its reference is called ``uneven``: no number, and nothing to take out.
+``HOLD`` frames. A sheet that dries more at one end than at the other is beyond the limit as well: if it is so by
+``UNEVEN`` times, nothing touches it for as long, by the gate, and there is a scan, its reference is called ``uneven``:
+no number, and nothing to take out. Between the two nothing is said.
 Compensation, if it is asked for, takes out c and nothing else, moves by ``SLOPE`` a frame at most, and
 only where there is a prediction.
 """
@@ -31,6 +32,9 @@ AVERAGED: Final = 50.0
 
 SLOPE: Final = 1e-5
 """Most that the compensation moves a frame, in log: 0.2 % a second at 200 frames/s; a sheet dries in hours."""
+
+UNEVEN: Final = 2.0
+"""Times the limit: one in nine bends of family B, whose scans tell less than A's, lies between once and 1.7 times."""
 
 SIGMAS: Final = 3.0
 """Drift is an event above so many of its standard deviations, and above ``LEAST``."""
@@ -105,7 +109,7 @@ class Drift:
         drift, distance = model.estimate(self._average - predicted)
         if distance > model.limit:
             self._plausible = 0
-            return self._is_uneven(frames, touched=touched or not with_scan)
+            return self._is_uneven(frames, touched=touched or not with_scan or distance <= UNEVEN * model.limit)
         self._strange, self.uneven = 0, False
         self._plausible += frames
         if self._plausible < HOLD:
@@ -121,7 +125,12 @@ class Drift:
         return fresh
 
     def _is_uneven(self, frames: int, *, touched: bool) -> bool:
-        """Count frames that fit no untouched sheet though nothing touches it; return whether they are news."""
+        """Count frames that fit no untouched sheet though nothing touches it; return whether they are news.
+
+        Args:
+            frames: How many.
+            touched: They are touched, or may be a sheet that the scan does not say enough of.
+        """
         self._strange = 0 if touched else self._strange + frames
         before, self.uneven = self.uneven, self._strange >= HOLD
         if self.uneven:

@@ -199,7 +199,8 @@ class ElectrodeWatch:
         """
         raw, change = np.atleast_2d(raw), np.atleast_2d(change)
         if self._noisy.any() and self.rearranged is None:
-            change = np.where(self._noisy, raw, change)  # P knows of their noise: evidence is what was measured
+            measured = self._noisy & ~self.missing
+            change = np.where(measured, raw, change)  # P knows of their noise: evidence is what was measured
         votes = self._weigher.weigh(raw, change, self._pair_in_use)
         suspicious = bool(votes.any())
         if not (suspicious or self._suspected or self.findings or self._resting or self.unclear):

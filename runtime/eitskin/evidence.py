@@ -61,7 +61,7 @@ class Evidence:
     surprise: Array
     """(16,) against the threshold of :class:`eitskin.electrodes.ElectrodeWatch`."""
     pair_ratio: Array
-    """(16,) |V| of pair e, e + 1 against its reference."""
+    """(16,) |V| of pair e, e + 1 against its reference, less what noise alone reads."""
     pair_sign: Array
     """(16,) the same with sign."""
     jumping: Array
@@ -99,8 +99,8 @@ class Weigher:
     """
 
     __slots__ = (
-        "_before", "_harmless", "_inner", "_jump", "_last", "_low_high", "_mean", "_members", "_pair_weight", "_pairs",
-        "_precision", "_seen", "_thresholds", "of",
+        "_before", "_harmless", "_hum", "_inner", "_jump", "_last", "_low_high", "_mean", "_members", "_pair_weight",
+        "_pairs", "_precision", "_seen", "_thresholds", "of",
     )  # fmt: skip
 
     def __init__(
@@ -117,6 +117,7 @@ class Weigher:
         pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)], dtype=np.float64)
         weight = pairs * np.abs(reference_V)
         self._pair_weight = np.ascontiguousarray((weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-30)).T)
+        self._hum = np.sqrt(2.0 / np.pi) * sigma @ self._pair_weight  # (16,) what noise alone reads, in size
         members = np.zeros((N_ROWS, N_ELECTRODES))
         for electrode, rows in enumerate(self.of):
             members[rows, electrode] = 1.0
@@ -142,7 +143,8 @@ class Weigher:
         ratio = frames[2:] + 1.0
         silent = sign = ratio @ self._pair_weight
         if ratio.min() < 0.0:
-            silent = np.abs(ratio) @ self._pair_weight
+            # Of noise alone sizes add up where readings cancel; of exchanged wires readings cancel where sizes add up.
+            silent = np.maximum(np.abs(ratio) @ self._pair_weight - self._hum, np.abs(sign))
         steps = frames[1:] - frames[:-1]
         second = np.abs(steps[1:] - steps[:-1])
         jumps = second > self._jump

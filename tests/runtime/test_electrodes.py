@@ -108,6 +108,18 @@ def test_a_short_is_told_from_a_detached_electrode(pair):
     assert states[pair] == states[after] == "shorted"
 
 
+def test_a_row_that_is_missing_and_noisy_is_no_evidence():
+    # Rows of a failed electrode are filled in although the reference varied in them: what they read is no evidence
+    # against a neighbour.
+    rows = rows_of((9,))
+    spread = np.where(rows, 0.1, NOISE) * np.abs(REFERENCE)
+    looking = ElectrodeWatch(consistency(), REFERENCE, spread, (9,))
+    frames = healthy(40)
+    frames[:, rows] = np.random.default_rng(7).uniform(-3.0, 3.0, (40, rows.sum()))
+    assert show(looking, frames) == []
+    assert looking.states().count("well") == 15
+
+
 @pytest.mark.parametrize("electrode", [0, 9])
 def test_an_electrode_whose_contact_jumps_is_noisy(electrode):
     rng, frames = np.random.default_rng(2), healthy(60)

@@ -6,10 +6,10 @@ from tests.runtime.test_electrodes import NOISE, REFERENCE, consistency, detache
 
 from eitskin.drift import HOLD, Drift
 from eitskin.electrodes import WINDOW
-from eitskin.evidence import N_VOTES, Weigher
+from eitskin.evidence import N_VOTES, PAIR_WRONG, Weigher
 from eitskin.health import DRIFT_TOGETHER, MOST_TOGETHER, TOGETHER, Health
 from eitskin.imputation import rows_of
-from eitskin_proto.table import N_ROWS
+from eitskin_proto.table import N_ROWS, TABLE
 
 ALL = np.ones(16, dtype=np.bool_)
 NO_SCAN = np.zeros(N_ROWS, dtype=np.float32)
@@ -108,3 +108,19 @@ def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
     assert must == [False] * TOGETHER + [True]
     assert not health.look(NO_SCAN)
     assert not health.due
+
+
+def test_a_short_is_seen_beneath_noise_that_reads_more_than_a_short_may():
+    rng, frames = np.random.default_rng(6), healthy(40)
+    rows = (TABLE == 7).any(axis=1)
+    frames[:, rows] = -0.9995 + 0.02 * rng.standard_normal((40, rows.sum())).astype(np.float32)
+    known = consistency()
+    seen = []
+    for sigma in (np.full(N_ROWS, NOISE), np.where(rows, 0.02, NOISE)):
+        precision = known.precision(np.maximum(sigma**2 - NOISE**2, 0.0))
+        weighing = Weigher(known.mean, precision, known.ratio_range, REFERENCE, sigma, known.thresholds)
+        votes = weighing.weigh(frames, frames, ALL)[:, PAIR_WRONG]
+        assert not np.delete(votes, 7, axis=1).any()
+        seen.append(float(votes[:, 7].mean()))
+    assert seen[0] < 0.3  # a device that is said to be quiet: sizes add up to 0.016, above 0.01
+    assert seen[1] > 0.6  # readings of either sign cancel, and what noise reads is taken off their sizes
