@@ -13,24 +13,58 @@ from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from eitskin_proto.grid import N_PIXELS, UNIT_OF_PIXEL
+from eitskin_proto.table import N_ROWS
+from eitskin_training.images import IMAGES, QUARTER, SIGNS, ImageLinear, images_of_clouds, places
+from eitskin_training.mirror import MIRRORS
 from eitskin_training.model import VD2T, Architecture, Residual, Standardise, activation, features
 from eitskin_training.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
 
 
 class Geometry(nn.Module):
-    """(1, 3, 30, 45) cloud -> (1, H) bias."""
+    """(1, 3, 30, 45) cloud -> (1, H) bias, or (1, 4 H), that of every mirror image."""
 
-    def __init__(self, convolutions: nn.Module, linear: nn.Linear, use_cloud: bool) -> None:
+    def __init__(self, convolutions: nn.Module, linear: nn.Linear, use_cloud: bool, symmetric: bool) -> None:
         super().__init__()
         self.convolutions = convolutions
         self.linear = linear
         self.use_cloud = use_cloud
+        self.symmetric = symmetric
 
     def forward(self, cloud: Tensor) -> Tensor:
         """Return (D, H) for (D, 3, 30, 45)."""
         if not self.use_cloud:
             cloud = cloud * 0.0
+        if self.symmetric:
+            images = images_of_clouds(cloud).transpose(0, 1).flatten(0, 1)
+            return self.linear(self.convolutions(images)).view(len(cloud), -1)  # type: ignore[no-any-return]
         return self.linear(self.convolutions(cloud))  # type: ignore[no-any-return]
+
+
+class Mixed(nn.Module):
+    """An :class:`ImageLinear` as one matrix: (4 B, inputs) -> (4 B, outputs), the four images of a sample in a row.
+
+    Image g reads those g, g with x mirrored, g with y, g with both, in this order; then the weights are the same for
+    each g, and a frame reads them once.
+    """
+
+    order: Tensor
+
+    def __init__(self, layer: ImageLinear) -> None:
+        super().__init__()
+        signs = torch.tensor(SIGNS, dtype=torch.float64)
+        weight = 0.25 * torch.einsum("kg,kio->gio", signs, layer.weight.detach()).flatten(0, 1)
+        self.linear = _linear(weight.T.contiguous(), layer.bias).eval()
+        image = torch.arange(IMAGES)
+        self.register_buffer("order", (image[:, None] ^ image).reshape(-1), persistent=False)
+
+    def gathered(self, x: Tensor) -> Tensor:
+        """Return (4 B, 4 inputs)."""
+        first = IMAGES * torch.arange(len(x) // IMAGES)
+        return torch.index_select(x, 0, (first[:, None] + self.order).flatten()).view(len(x), -1)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (4 B, outputs)."""
+        return self.linear(self.gathered(x))  # type: ignore[no-any-return]
 
 
 class Head(nn.Module):
@@ -43,9 +77,10 @@ class Head(nn.Module):
 
     channel_of_cell: Tensor
     pixel: Tensor
+    images: Tensor
 
     def __init__(
-        self, architecture: Architecture, voltage: nn.Module, fusion: nn.Linear, out: nn.Linear, sharpen: Sharpen
+        self, architecture: Architecture, voltage: nn.Module, fusion: nn.Module, out: nn.Module, sharpen: Sharpen
     ) -> None:
         super().__init__()
         self.architecture = architecture
@@ -56,17 +91,38 @@ class Head(nn.Module):
         self.blocks = sharpen.blocks
         channel_of_cell = PIXEL_OF_CELL.reshape(-1, CELL**2).T.reshape(1, -1)
         pixel = np.argsort(channel_of_cell) if len(self.blocks) else UNIT_OF_PIXEL.reshape(1, -1)
+        if architecture.symmetric:
+            place = places()[0].reshape(1, -1)
+            channel_of_cell = place[:, channel_of_cell[0]]
+            pixel = pixel if len(self.blocks) else place
+            rows = np.stack([mirror.rows for mirror in MIRRORS])
+            blocks = N_ROWS * np.arange(architecture.feature_blocks)
+            self.register_buffer(
+                "images", torch.from_numpy((rows[:, None] + blocks[:, None]).reshape(1, -1)), persistent=False
+            )
         self.register_buffer("channel_of_cell", torch.from_numpy(channel_of_cell.copy()), persistent=False)
         self.register_buffer("pixel", torch.from_numpy(pixel.astype(np.int64)), persistent=False)
 
     def map(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None) -> Tensor:
         """Return (B, 1350)."""
-        x = self.voltage(features(dv, self.architecture, log_predicted))
-        logits = self.out(self.activation(torch.addmm(bias, x, self.fusion.weight.T)))
+        x = features(dv, self.architecture, log_predicted)
+        if self.architecture.symmetric:
+            x = _gather(x, self.images).view(IMAGES * len(dv), -1)
+            bias = bias.view(IMAGES * len(dv), -1)
+        logits = self.out(self.activation(self._fused(self.voltage(x), bias)))
+        if self.architecture.symmetric:
+            logits = logits.view(len(dv), -1)
         if len(self.blocks):
             return torch.sigmoid(_gather(self._sharpened(logits), self.pixel))
         touched = torch.sigmoid(logits)
-        return touched if self.architecture.outputs == N_PIXELS else _gather(touched, self.pixel)
+        plain = self.architecture.outputs == N_PIXELS and not self.architecture.symmetric
+        return touched if plain else _gather(touched, self.pixel)
+
+    def _fused(self, x: Tensor, bias: Tensor) -> Tensor:
+        if isinstance(self.fusion, Mixed):
+            return torch.addmm(bias, self.fusion.gathered(x), self.fusion.linear.weight.T)
+        assert isinstance(self.fusion, nn.Linear)
+        return torch.addmm(bias, x, self.fusion.weight.T)
 
     def _sharpened(self, logits: Tensor) -> Tensor:
         """Return (B, 1350) in the order of channels, then cells."""
@@ -109,14 +165,22 @@ def split(model: VD2T) -> tuple[Geometry, Head]:
     norm = exact.fusion[0]
     assert isinstance(norm, nn.BatchNorm1d)
     scale, shift = _affine(norm)
-    fusion = _linear(exact.fusion_voltage.weight * scale[:, None], None)
+    if isinstance(exact.fusion_voltage, ImageLinear):
+        mixed = Mixed(exact.fusion_voltage)
+        mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])
+        fusion: nn.Module = mixed
+        out: nn.Module = Mixed(_central(exact.out))
+    else:
+        assert isinstance(exact.fusion_voltage, nn.Linear)
+        fusion = _linear(exact.fusion_voltage.weight * scale[:, None], None)
+        out = exact.out
     linear = _linear(exact.fusion_cloud.weight * scale[:, None], exact.fusion_cloud.bias * scale + shift)
     kind = PredictedHead if architecture.log_predicted else PlainHead
     for block in exact.sharpen.blocks:
         assert isinstance(block, nn.Sequential)
         _divide(block[0], LOGITS)
-    head = kind(architecture, voltage, fusion, exact.out, exact.sharpen)
-    geometry = Geometry(_folded(exact.cloud), linear, architecture.use_cloud)
+    head = kind(architecture, voltage, fusion, out, exact.sharpen)
+    geometry = Geometry(_folded(exact.cloud), linear, architecture.use_cloud, architecture.symmetric)
     return geometry.float().eval(), head.float().eval()
 
 
@@ -125,17 +189,31 @@ def _folded(module: nn.Module) -> nn.Module:
     if isinstance(module, Residual):
         module.path = _folded(module.path)  # type: ignore[assignment]
         return module
+    if isinstance(module, ImageLinear):
+        return Mixed(module)
     if not isinstance(module, nn.Sequential):
         return module
     layers: list[nn.Module] = []
     for layer in (_folded(child) for child in module):
         if isinstance(layer, nn.BatchNorm1d | nn.BatchNorm2d) and layers:
             before = layers[-1]
+            if isinstance(before, Mixed):
+                before.linear = fuse_linear_bn_eval(before.linear, layer)
+                continue
             fuse = fuse_linear_bn_eval if isinstance(before, nn.Linear) else fuse_conv_bn_eval
             layers[-1] = fuse(before, layer)  # type: ignore[type-var]
         elif not isinstance(layer, nn.Dropout):
             layers.append(layer)
     return nn.Sequential(*layers)
+
+
+def _central(layer: nn.Module) -> ImageLinear:
+    """Return the last layer with pixels on the middle line even in x, as the mean over both halves makes them."""
+    assert isinstance(layer, ImageLinear)
+    middle = torch.arange(layer.weight.shape[2]) % QUARTER[1] == QUARTER[1] - 1
+    odd = torch.tensor([signs[1] < 0 for signs in SIGNS])
+    layer.weight = nn.Parameter(torch.where(odd[:, None, None] & middle, 0.0, layer.weight.detach()))
+    return layer
 
 
 def _affine(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:

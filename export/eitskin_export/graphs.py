@@ -35,7 +35,7 @@ def geometry_graph(geometry: Geometry) -> bytes:
 
 def head_graph(head: Head) -> bytes:
     """Return the graph from "dv" (1, 104) [, "log_predicted" (1, 104)] and "bias" (1, H) to "map" (1, 1350)."""
-    rows, bias = torch.zeros(1, N_ROWS), torch.zeros(1, head.architecture.hidden)
+    rows, bias = torch.zeros(1, N_ROWS), torch.zeros(1, head.architecture.bias_width)
     if head.architecture.log_predicted:
         return _export(head, (rows, rows.clone(), bias), ["dv", "log_predicted", "bias"], ["map"])
     return _export(head, (rows, bias), ["dv", "bias"], ["map"])

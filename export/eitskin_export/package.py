@@ -192,7 +192,7 @@ def _facts(found: Trained, data: TrainingData, touch_gate: gate.Gate, metrics: d
         "labels": found.recipe.labels,
         "head": {
             "inputs": ["dv", "log_predicted"] if architecture.log_predicted else ["dv"],
-            "bias": architecture.hidden,
+            "bias": architecture.bias_width,
             "precision": ["fp32", "int8"],
         },
         "gate": touch_gate.facts(),

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import onnxruntime
 import torch
+from torch import nn
 
 from eitskin.bundle import load_bundle
 from eitskin.engine import Buffers, GeometryGraph, engines
@@ -101,7 +102,10 @@ def run_network(model: VD2T, dv: Array, clouds: Array, predicted: Array) -> dict
     with torch.inference_mode():
         raw = exact.bias(points)
         maps = exact.maps(exact.logits(change, raw, log_predicted))
-        bias = exact.fusion[0](raw)
+        images = raw.view(len(raw), -1, exact.architecture.hidden).transpose(0, 1)
+        norm = exact.fusion[0]
+        assert isinstance(norm, nn.BatchNorm1d)
+        bias = torch.stack([nn.BatchNorm1d.forward(norm, image) for image in images], dim=1).flatten(1)
     return {"bias": bias.numpy(), "map": maps.numpy()}
 
 

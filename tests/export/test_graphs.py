@@ -6,6 +6,7 @@ import pytest
 import torch
 from torch import nn
 
+from eitskin.errors import UncutError
 from eitskin.onnx_rows import cut
 from eitskin.regions import Region, pixels
 from eitskin_export import graphs, parity, quantise
@@ -49,6 +50,16 @@ ARCHITECTURES = {
         widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True, activation="silu", sharpening=(8, 8)
     ),
     "no cloud": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, use_cloud=False),
+    "symmetric": Architecture(
+        widths=(40, 40),
+        cloud_channels=(4, 4),
+        hidden=32,
+        log_predicted=True,
+        activation="silu",
+        sharpening=(8, 8),
+        symmetric=True,
+    ),
+    "symmetric, not sharpened": Architecture(widths=(40, 40), cloud_channels=(4, 4), hidden=32, symmetric=True),
 }
 
 
@@ -87,7 +98,7 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
         item.name: [d.dim_value for d in item.type.tensor_type.shape.dim]
         for item in onnx.load_from_string(graph["head"]).graph.input
     }
-    bias = [1, model.architecture.hidden]
+    bias = [1, model.architecture.bias_width]
     expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
     assert shapes == (expected | {"log_predicted": [1, 104]} if model.architecture.log_predicted else expected)
 
@@ -175,6 +186,24 @@ def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
     assert np.array_equal(found[0], expected[0, wanted])
     seen = 9 * 7 * 5  # one pixel's cell and two around it; the largest region sees 6 x 10 cells
     assert len(part) < len(whole) - (1 if int8 else 4) * 48 * (1350 - 2 * seen)
+
+
+@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened"])
+def test_regions_of_a_symmetric_head_are_the_whole_heads_or_are_not_cut(name: str) -> None:
+    _, head = split(trained_looking(ARCHITECTURES[name]))
+    whole = graphs.head_graph(head)
+    wanted = pixels((Region(3, 11, 5, 30),))
+    try:
+        part = cut(whole, wanted, 1350)
+    except UncutError:
+        return  # the runtime then computes the whole map and hides the rest
+    feed = {
+        item.name: 0.3 * np.random.default_rng(3).standard_normal(item.shape).astype(np.float32)
+        for item in parity.session(whole).get_inputs()
+    }
+    (expected,), (found,) = (parity.session(graph).run(["map"], feed) for graph in (whole, part))
+    assert np.ptp(expected[0, wanted]) > 0
+    assert np.array_equal(found[0], expected[0, wanted])
 
 
 def test_a_head_that_spreads_units_is_cut_where_it_spreads_them() -> None:

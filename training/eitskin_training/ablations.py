@@ -10,6 +10,7 @@ Every variant sees the same touch sets, noises, seed, batch size, schedule and n
     both          predicted and cloud together, as in the recipe
     unsharpened   both, and the map as the last linear layer gives it
     cross-entropy both, and a loss without the correlation
+    symmetric     both, and layers that keep the sheet's mirror symmetries, of as many weights a frame
 
 A network that takes a shape is also scored with another deformation's shape in its place ("wrong"): one that does not
 get worse does not use it. Training is on family A alone; the scores are of touch sets held out, at deformations of A
@@ -35,11 +36,16 @@ from eitskin_training.train import network, train
 PAPER_CLOUD_CHANNELS: Final = (16, 8)
 """Two 2-D convolutions, as the paper's cloud channel has; their widths are ours."""
 
-VARIANTS: Final = ("none", "cloud", "paper-cloud", "predicted", "post", "both", "unsharpened", "cross-entropy")
+VARIANTS: Final = (
+    "none", "cloud", "paper-cloud", "predicted", "post", "both", "unsharpened", "cross-entropy", "symmetric",
+)  # fmt: skip
 """What can be compared."""
 
-WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy")
+WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy", "symmetric")
 """Variants that take the prediction and the cloud."""
+
+OF_AN_IMAGE: Final = 0.625
+"""Width of each of four images beside that of a network without symmetry, for as many weights a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,11 +92,18 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
     if variant not in VARIANTS:
         raise ValueError(f"variant {variant!r} is unknown; expected one of {', '.join(VARIANTS)}")
     channels = PAPER_CLOUD_CHANNELS if variant == "paper-cloud" else base.architecture.cloud_channels
+    symmetric = variant == "symmetric"
+    widths = base.architecture.widths, base.architecture.hidden
+    if symmetric:
+        widths = tuple(round(OF_AN_IMAGE * width) for width in widths[0]), round(OF_AN_IMAGE * widths[1])
     architecture = replace(
         base.architecture,
         log_predicted=variant in ("predicted", "post", *WITH_BOTH),
         use_cloud=variant in ("cloud", "paper-cloud", *WITH_BOTH),
         cloud_channels=channels,
+        widths=widths[0],
+        hidden=widths[1],
+        symmetric=symmetric,
         sharpening=() if variant == "unsharpened" else base.architecture.sharpening,
     )
     weight = 0.0 if variant == "cross-entropy" else base.correlation_weight

@@ -22,6 +22,7 @@ from torch import Tensor, nn
 
 from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, N_UNITS, UNIT_OF_PIXEL
 from eitskin_proto.table import N_ROWS
+from eitskin_training.images import IMAGES, QUARTER, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
 from eitskin_training.sharpen import Sharpen
 
 VoltageChannel = Literal["paper", "residual"]
@@ -55,6 +56,8 @@ class Architecture:
         dropout: Fraction of activations dropped in training.
         activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
         sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
+        symmetric: Whether every layer but the sharpening keeps the sheet's mirror symmetries; widths are then those of
+            one image of four. Residual voltage channels with pixels out only.
     """
 
     voltage_channel: VoltageChannel = "residual"
@@ -69,6 +72,7 @@ class Architecture:
     dropout: float = 0.0
     activation: Activation = "relu"
     sharpening: tuple[int, ...] = ()
+    symmetric: bool = False
 
     def __post_init__(self) -> None:
         if self.outputs not in (N_PIXELS, N_UNITS):
@@ -77,8 +81,15 @@ class Architecture:
             raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
         if self.sharpening and self.outputs != N_PIXELS:
             raise ValueError(f"sharpening needs {N_PIXELS} outputs, found {self.outputs}: units have no pixels around")
+        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != N_PIXELS):
+            raise ValueError(f"a symmetric network needs a residual voltage channel and {N_PIXELS} outputs")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
+
+    @property
+    def bias_width(self) -> int:
+        """Width of what a cloud adds: H, or that of each of four images."""
+        return IMAGES * self.hidden if self.symmetric else self.hidden
 
     @property
     def feature_blocks(self) -> int:
@@ -139,13 +150,19 @@ class VD2T(nn.Module):
         self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
         self.voltage, voltage_width = _voltage_channel(architecture)
         self.cloud, cloud_width = _cloud_channel(architecture)
-        self.fusion_voltage = nn.Linear(voltage_width, architecture.hidden, bias=False)
+        self.fusion_voltage = _linear(voltage_width, architecture.hidden, architecture)
         self.fusion_cloud = nn.Linear(cloud_width, architecture.hidden)
         self.fusion = nn.Sequential(
-            nn.BatchNorm1d(architecture.hidden), activation(architecture), nn.Dropout(architecture.dropout)
+            _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
         )
-        self.out = nn.Linear(architecture.hidden, architecture.outputs)
+        if architecture.symmetric:
+            self.out: nn.Linear | ImageLinear = ImageLinear(architecture.hidden, QUARTER[0] * QUARTER[1], bias=True)
+            self.pixels: nn.Module = Quarters()
+        else:
+            self.out = nn.Linear(architecture.hidden, architecture.outputs)
+            self.pixels = nn.Identity()
         self.sharpen = Sharpen(architecture.sharpening, _kind(architecture))
+        assert self.out.bias is not None
         nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
         self.register_buffer("unit_of_pixel", torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).copy()), persistent=False)
 
@@ -157,7 +174,10 @@ class VD2T(nn.Module):
         """
         if not self.architecture.use_cloud:
             clouds = torch.zeros_like(clouds)
-        return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
+        if not self.architecture.symmetric:
+            return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
+        found: Tensor = self.fusion_cloud(self.cloud(images_of_clouds(clouds).flatten(0, 1)))
+        return found.view(IMAGES, len(clouds), -1).transpose(0, 1).flatten(1)
 
     def logits(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None = None) -> Tensor:
         """Return (B, outputs) before the sigmoid.
@@ -167,9 +187,12 @@ class VD2T(nn.Module):
             bias: (B, H), one row a sample.
             log_predicted: (B, 104) log(V_pred / V0), where the architecture has that input; None stands for zeros.
         """
-        x = self.standardise(features(dv, self.architecture, log_predicted))
-        hidden = self.fusion(self.fusion_voltage(self.voltage(x)) + bias)
-        return self.sharpen(self.out(hidden))  # type: ignore[no-any-return]
+        x = features(dv, self.architecture, log_predicted)
+        if self.architecture.symmetric:
+            x = images_of_rows(x, self.architecture.feature_blocks)
+            bias = bias.view(len(bias), IMAGES, -1).transpose(0, 1)
+        hidden = self.fusion(self.fusion_voltage(self.voltage(self.standardise(x))) + bias)
+        return self.sharpen(self.pixels(self.out(hidden)))  # type: ignore[no-any-return]
 
     def forward(
         self, dv: Tensor, clouds: Tensor, which: Tensor | None = None, log_predicted: Tensor | None = None
@@ -224,10 +247,21 @@ def _kind(architecture: Architecture) -> type[nn.Module]:
     return nn.SiLU if architecture.activation == "silu" else nn.ReLU
 
 
-def _dense(inputs: int, outputs: int, architecture: Architecture) -> nn.Sequential:
+def _linear(inputs: int, outputs: int, architecture: Architecture) -> nn.Module:
+    if architecture.symmetric:
+        return ImageLinear(inputs, outputs)
+    return nn.Linear(inputs, outputs, bias=False)
+
+
+def _norm(width: int, architecture: Architecture) -> nn.Module:
+    return ImageNorm(width) if architecture.symmetric else nn.BatchNorm1d(width)
+
+
+def _dense(inputs: int, outputs: int, architecture: Architecture, *, first: bool = False) -> nn.Sequential:
+    """Return a layer; the first one is the same for every image, whose rows are its inputs."""
     return nn.Sequential(
-        nn.Linear(inputs, outputs, bias=False),
-        nn.BatchNorm1d(outputs),
+        nn.Linear(inputs, outputs, bias=False) if first else _linear(inputs, outputs, architecture),
+        _norm(outputs, architecture),
         activation(architecture),
         nn.Dropout(architecture.dropout),
     )
@@ -237,7 +271,7 @@ def _voltage_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
     """Return the channel and the width of what it gives."""
     widths = architecture.widths
     width_in = architecture.feature_blocks * N_ROWS
-    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture)]
+    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, first=True)]
     if architecture.voltage_channel == "residual":
         layers += [Residual(width, architecture) for width in widths[1:]]
         return nn.Sequential(*layers), widths[-1]
