@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import Phase, assume, given, settings
+from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
 from eitskin_proto.grid import UNIT_SHAPE
@@ -107,8 +107,13 @@ def mirror(shape, along_x: bool):
     return Rect(150.0 - x1, y0, 150.0 - x0, y1) if along_x else Rect(x0, 100.0 - y1, x1, 100.0 - y0)
 
 
+# This disc is 12 mm high, and mirrored 12 mm and a rounding: both are twelve elements of 1 mm.
+OF_WHOLE_ELEMENTS = (Touch(shapes=(Disc(x_mm=6.0107, y_mm=26.0314, radius_mm=6.0),), conductivity_S_per_m=1.5),)
+
+
 @FEW
 @given(touches(), contacts, st.floats(0.8, 1.5), st.floats(0.8, 1.3), st.booleans())
+@example(OF_WHOLE_ELEMENTS, "edge", 1.3, 0.9, False)
 def test_a_mirrored_sheet_gives_mirrored_voltages_in_both_planes(pressed, contact, along, across, along_x):
     bend = Bend(angle_deg=90.0, stretch_along=along, stretch_across=across)  # the same on either side of both planes
     here = Scene(electrodes=Electrodes(contact), bend=bend, touches=pressed, element_size_mm=COARSE_MM)

@@ -66,7 +66,7 @@ def touch_lines(touches: Sequence[Touch]) -> tuple[Fixed, Fixed]:
 def _span(shape: Shape, low: float, high: float) -> Fixed:
     if isinstance(shape, Rect):
         return [(low, TOUCH_EDGE_MM), (high, TOUCH_EDGE_MM)]
-    count = int(np.ceil((high - low) / CURVED_MM))
+    count = max(1, int(np.ceil((high - low) / CURVED_MM - 1e-9)))  # whole numbers of elements in spite of rounding
     return [(float(at), CURVED_MM) for at in np.linspace(low, high, count + 1)]
 
 
