@@ -12,9 +12,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from eitskin_proto.grid import N_PIXELS, UNIT_OF_PIXEL
+from eitskin_proto.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.table import N_ROWS
-from eitskin_training.images import IMAGES, QUARTER, SIGNS, ImageLinear, images_of_clouds, places
+from eitskin_training.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
 from eitskin_training.mirror import MIRRORS
 from eitskin_training.model import VD2T, Architecture, Residual, Standardise, activation, features
 from eitskin_training.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
@@ -210,7 +210,7 @@ def _folded(module: nn.Module) -> nn.Module:
 def _central(layer: nn.Module) -> ImageLinear:
     """Return the last layer with pixels on the middle line even in x, as the mean over both halves makes them."""
     assert isinstance(layer, ImageLinear)
-    middle = torch.arange(layer.weight.shape[2]) % QUARTER[1] == QUARTER[1] - 1
+    middle = torch.arange(layer.weight.shape[2]) % QUARTER_SHAPE[1] == QUARTER_SHAPE[1] - 1
     odd = torch.tensor([signs[1] < 0 for signs in SIGNS])
     layer.weight = nn.Parameter(torch.where(odd[:, None, None] & middle, 0.0, layer.weight.detach()))
     return layer

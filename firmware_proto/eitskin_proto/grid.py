@@ -23,6 +23,9 @@ GRID_SHAPE: Final = (30, 45)
 N_PIXELS: Final = GRID_SHAPE[0] * GRID_SHAPE[1]
 """1350 values in a map (paper section IV.C)."""
 
+QUARTER_SHAPE: Final = ((GRID_SHAPE[0] + 1) // 2, (GRID_SHAPE[1] + 1) // 2)
+"""(15, 23) pixels whose four mirror images are the map; the middle column is its own image in x."""
+
 PITCH_MM: Final = SHEET_MM[0] / GRID_SHAPE[1]
 """Side of a pixel."""
 

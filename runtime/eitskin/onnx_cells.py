@@ -6,6 +6,9 @@ convolutions to the rectangle around these; a rectangle's own border is wrong, b
 
     x -- Gemm(W, b) -- GatherElements(cells) -- Reshape (9, 10, 15) -- Conv ... Add -- Reshape (1, 1350)
                                                       map <-- Sigmoid -- GatherElements(pixels) --+
+
+The last layer of a network that knows the sheet's mirrors computes a quarter of the map in its four images, a row each,
+and a Reshape puts these behind each other; such a layer is cut to what any image is asked for.
 """
 
 from collections.abc import Mapping, Sequence
@@ -17,7 +20,7 @@ import numpy.typing as npt
 
 from eitskin.errors import UncutError
 from eitskin.onnx_wire import Node, dims_of, fields_of, values_of, with_values
-from eitskin_proto.grid import GRID_SHAPE
+from eitskin_proto.grid import GRID_SHAPE, QUARTER_SHAPE
 
 GATHER: Final = "GatherElements"
 
@@ -38,6 +41,8 @@ class Cells:
     """What the last layer gives."""
     kept: npt.NDArray[np.intp]
     """(n,) outputs of the last layer that are needed, ascending."""
+    outputs: int
+    """How many the last layer has."""
     changed: dict[str, bytes | memoryview]
     """Constants behind the last layer by name, rewritten."""
 
@@ -75,16 +80,24 @@ def sharpened(
     box = (slice(None), slice(rows[0], rows[-1] + 1), slice(columns[0], columns[-1] + 1))
     height, width = len(range(*box[1].indices(CELLS[0]))), len(range(*box[2].indices(CELLS[1])))
     read = _index(tensors[first.inputs[1]]).reshape(-1, *CELLS)[box].reshape(1, -1)
-    wanted = np.isin(read, _pixels(seen))
+    wanted = np.broadcast_to(seen[box[1:]].reshape(-1), (CELL**2, height * width)).reshape(1, -1)
+    images = producers.get(first.inputs[0])
+    quarters = images is not None and images.kind == "Reshape"
+    if images is not None and quarters and -1 not in _index(tensors[images.inputs[1]]):
+        raise UncutError("the head puts its images behind each other in a fixed number; no region can be cut out of it")
+    outputs = QUARTER_SHAPE[0] * QUARTER_SHAPE[1] if quarters else GRID_SHAPE[0] * GRID_SHAPE[1]
+    image, read = np.divmod(read, outputs)
     kept = np.unique(read[wanted])
+    read = image * len(kept) + np.searchsorted(kept, read)
     channel, cell = np.divmod(_index(tensors[last.inputs[1]])[:, pixels], CELLS[0] * CELLS[1])
     row, column = np.divmod(cell, CELLS[1])
     return Cells(
-        first.inputs[0],
+        images.inputs[0] if quarters and images is not None else first.inputs[0],
         kept,
+        outputs,
         {
             # cells in the rectangle that nobody sees take any number
-            first.inputs[1]: _rewritten(tensors[first.inputs[1]], np.where(wanted, np.searchsorted(kept, read), 0)),
+            first.inputs[1]: _rewritten(tensors[first.inputs[1]], np.where(wanted, read, 0)),
             shape.inputs[1]: _rewritten(tensors[shape.inputs[1]], np.array([1, CELL**2, height, width])),
             flat.inputs[1]: _rewritten(tensors[flat.inputs[1]], np.array([1, CELL**2 * height * width])),
             last.inputs[1]: _rewritten(
@@ -101,11 +114,6 @@ def _seen(pixels: npt.NDArray[np.intp], reach: int) -> npt.NDArray[np.bool_]:
     for row, column in set(zip((rows // CELL).tolist(), (columns // CELL).tolist(), strict=True)):
         seen[max(0, row - reach) : row + reach + 1, max(0, column - reach) : column + reach + 1] = True
     return seen
-
-
-def _pixels(cells: npt.NDArray[np.bool_]) -> npt.NDArray[np.intp]:
-    """Return (n,) the pixels of some cells, ascending."""
-    return np.flatnonzero(np.kron(cells, np.ones((CELL, CELL), dtype=np.bool_)))
 
 
 def _index(tensor: memoryview) -> Index:

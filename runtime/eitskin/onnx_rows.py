@@ -78,7 +78,7 @@ def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], outputs: int) ->
     if cells is not None:
         layer: set[str] = set()
         _trace(cells.source, producers, set(tensors), layer)
-        changed = {other: _cut_tensor(tensors[other], cells.kept, outputs) for other in layer} | cells.changed
+        changed = {other: _cut_tensor(tensors[other], cells.kept, cells.outputs) for other in layer} | cells.changed
     parts: list[bytes | memoryview] = []
     for field in fields:
         if field.number == INITIALISER and (tensor := changed.get(text(field, NAME))) is not None:

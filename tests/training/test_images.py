@@ -7,9 +7,10 @@ import pytest
 import torch
 from torch import nn
 
+from eitskin_proto.grid import QUARTER_SHAPE
 from eitskin_training import images
 from eitskin_training.ablations import VARIANTS, variant_recipe
-from eitskin_training.images import IMAGES, QUARTER, ImageLinear, ImageNorm, Quarters
+from eitskin_training.images import IMAGES, ImageLinear, ImageNorm, Quarters
 from eitskin_training.mirror import MIRRORS
 from eitskin_training.model import VD2T, Architecture
 from eitskin_training.recipes import recipe
@@ -53,7 +54,7 @@ def test_a_norm_has_one_mean_for_all_images() -> None:
 
 def test_a_quarter_and_its_images_fill_the_map() -> None:
     one, other = images.places()
-    size = QUARTER[0] * QUARTER[1]
+    size = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
     assert set(one) | set(other) == set(range(IMAGES * size))
     middle = np.flatnonzero(one != other)
     assert set(middle % 45) == {22}

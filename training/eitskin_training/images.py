@@ -18,7 +18,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from eitskin_proto.grid import GRID_SHAPE
+from eitskin_proto.grid import GRID_SHAPE, QUARTER_SHAPE
 from eitskin_training.mirror import MIRRORS
 
 IMAGES: Final = len(MIRRORS)
@@ -26,9 +26,6 @@ IMAGES: Final = len(MIRRORS)
 
 SIGNS: Final = ((1, 1, 1, 1), (1, -1, 1, -1), (1, 1, -1, -1), (1, -1, -1, 1))
 """Of image g in sum k, [k][g]; an image's number is its mirrors' as bits: 1 for x, 2 for y."""
-
-QUARTER: Final = ((GRID_SHAPE[0] + 1) // 2, (GRID_SHAPE[1] + 1) // 2)
-"""(15, 23) pixels whose four images are the map; the middle column is its own image in x."""
 
 
 def images_of_rows(values: Tensor, blocks: int) -> Tensor:
@@ -85,11 +82,13 @@ class ImageNorm(nn.BatchNorm1d):
 def places() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return two (1350,) places in 4 quarters where a pixel is; they differ in the middle column alone."""
     row, column = np.indices(GRID_SHAPE)
-    y, x = row >= QUARTER[0], column >= QUARTER[1]
-    quarter = np.where(y, GRID_SHAPE[0] - 1 - row, row) * QUARTER[1] + np.where(x, GRID_SHAPE[1] - 1 - column, column)
+    y, x = row >= QUARTER_SHAPE[0], column >= QUARTER_SHAPE[1]
+    quarter = np.where(y, GRID_SHAPE[0] - 1 - row, row) * QUARTER_SHAPE[1] + np.where(
+        x, GRID_SHAPE[1] - 1 - column, column
+    )
     image = x + 2 * y
-    other = np.where(column == QUARTER[1] - 1, image ^ 1, image)
-    size = QUARTER[0] * QUARTER[1]
+    other = np.where(column == QUARTER_SHAPE[1] - 1, image ^ 1, image)
+    size = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
     return (image * size + quarter).reshape(-1), (other * size + quarter).reshape(-1)
 
 

@@ -20,9 +20,9 @@ from typing import Final, Literal
 import torch
 from torch import Tensor, nn
 
-from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, N_UNITS, UNIT_OF_PIXEL
+from eitskin_proto.grid import GRID_SHAPE, N_PIXELS, N_UNITS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.table import N_ROWS
-from eitskin_training.images import IMAGES, QUARTER, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
+from eitskin_training.images import IMAGES, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
 from eitskin_training.sharpen import Sharpen
 
 VoltageChannel = Literal["paper", "residual"]
@@ -156,7 +156,8 @@ class VD2T(nn.Module):
             _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
         )
         if architecture.symmetric:
-            self.out: nn.Linear | ImageLinear = ImageLinear(architecture.hidden, QUARTER[0] * QUARTER[1], bias=True)
+            quarter = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
+            self.out: nn.Linear | ImageLinear = ImageLinear(architecture.hidden, quarter, bias=True)
             self.pixels: nn.Module = Quarters()
         else:
             self.out = nn.Linear(architecture.hidden, architecture.outputs)

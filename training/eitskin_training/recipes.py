@@ -135,7 +135,11 @@ RECIPES: Final[dict[str, Recipe]] = {
         architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs=N_UNITS, sharpening=()),
         lost_electrode=0.15,
     ),
-    "free": replace(_ROBUST, name="free"),
+    "free": replace(
+        _ROBUST,
+        name="free",
+        architecture=replace(_ROBUST.architecture, widths=(340, 340), hidden=340, symmetric=True),
+    ),
     "tiny": replace(
         _ROBUST,
         name="tiny",
