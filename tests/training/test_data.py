@@ -10,7 +10,7 @@ from eitskin_training.data import batches, lose_rows, noisy_change
 from eitskin_training.mirror import MIRRORS
 from eitskin_training.recipes import recipe
 
-CHOSEN = replace(recipe("tiny"), lost_rows=0.0, lost_electrode=0.0, noises=("N2",), snr_db=300.0)
+CHOSEN = replace(recipe("tiny"), flips=True, lost_rows=0.0, lost_electrode=0.0, noises=("N2",), snr_db=300.0)
 """Batches without noise to speak of, so that what they hold can be compared."""
 
 

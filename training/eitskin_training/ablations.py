@@ -10,7 +10,7 @@ Every variant sees the same touch sets, noises, seed, batch size, schedule and n
     both          predicted and cloud together, as in the recipe
     unsharpened   both, and the map as the last linear layer gives it
     cross-entropy both, and a loss without the correlation
-    symmetric     both, and layers that keep the sheet's mirror symmetries, of as many weights a frame
+    unmirrored    both, and layers that do not know the sheet's mirror symmetries, of as many weights a frame
 
 A network that takes a shape is also scored with another deformation's shape in its place ("wrong"): one that does not
 get worse does not use it. Training is on family A alone; the scores are of touch sets held out, at deformations of A
@@ -37,15 +37,15 @@ PAPER_CLOUD_CHANNELS: Final = (16, 8)
 """Two 2-D convolutions, as the paper's cloud channel has; their widths are ours."""
 
 VARIANTS: Final = (
-    "none", "cloud", "paper-cloud", "predicted", "post", "both", "unsharpened", "cross-entropy", "symmetric",
+    "none", "cloud", "paper-cloud", "predicted", "post", "both", "unsharpened", "cross-entropy", "unmirrored",
 )  # fmt: skip
 """What can be compared."""
 
-WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy", "symmetric")
+WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy", "unmirrored")
 """Variants that take the prediction and the cloud."""
 
-OF_AN_IMAGE: Final = 0.625
-"""Width of each of four images beside that of a network without symmetry, for as many weights a frame."""
+OF_AN_IMAGE: Final = 1.6
+"""Width of a network without symmetry beside that of each of four images, for as many weights a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,14 +87,16 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
     """Return a recipe whose network takes a variant's inputs.
 
     Raises:
-        ValueError: The variant is unknown.
+        ValueError: The variant is unknown, or leaves out what the recipe does not have.
     """
     if variant not in VARIANTS:
         raise ValueError(f"variant {variant!r} is unknown; expected one of {', '.join(VARIANTS)}")
     channels = PAPER_CLOUD_CHANNELS if variant == "paper-cloud" else base.architecture.cloud_channels
-    symmetric = variant == "symmetric"
+    unmirrored = variant == "unmirrored"
+    if unmirrored and not base.architecture.symmetric:
+        raise ValueError(f"recipe {base.name!r} knows no symmetry that variant 'unmirrored' could leave out")
     widths = base.architecture.widths, base.architecture.hidden
-    if symmetric:
+    if unmirrored:
         widths = tuple(round(OF_AN_IMAGE * width) for width in widths[0]), round(OF_AN_IMAGE * widths[1])
     architecture = replace(
         base.architecture,
@@ -103,7 +105,7 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
         cloud_channels=channels,
         widths=widths[0],
         hidden=widths[1],
-        symmetric=symmetric,
+        symmetric=base.architecture.symmetric and not unmirrored,
         sharpening=() if variant == "unsharpened" else base.architecture.sharpening,
     )
     weight = 0.0 if variant == "cross-entropy" else base.correlation_weight
@@ -113,6 +115,7 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
         architecture=architecture,
         predicted_dropout=0.0,
         correlation_weight=weight,
+        flips=base.flips or unmirrored,
     )
 
 

@@ -139,11 +139,15 @@ RECIPES: Final[dict[str, Recipe]] = {
         _ROBUST,
         name="free",
         architecture=replace(_ROBUST.architecture, widths=(340, 340), hidden=340, symmetric=True),
+        flips=False,  # a mirrored batch is the same to it
     ),
     "tiny": replace(
         _ROBUST,
         name="tiny",
-        architecture=replace(_ROBUST.architecture, widths=(96, 96), cloud_channels=(4, 4), hidden=96, sharpening=(8,)),
+        architecture=replace(
+            _ROBUST.architecture, widths=(60, 60), cloud_channels=(4, 4), hidden=60, sharpening=(8,), symmetric=True
+        ),
+        flips=False,
         epochs=4,
         batch=64,
     ),

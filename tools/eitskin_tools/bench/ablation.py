@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     import numpy as np
     import torch
 
-    from eitskin_training.ablations import VARIANTS, ablate
+    from eitskin_training.ablations import VARIANTS, ablate, variant_recipe
     from eitskin_training.data import load
     from eitskin_training.recipes import recipe
 
@@ -46,6 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"variants {', '.join(sorted(unknown))} are unknown; expected some of {', '.join(VARIANTS)}")
     try:
         base = replace(recipe(arguments.recipe), epochs=arguments.epochs)
+        if not arguments.variants and not base.architecture.symmetric:
+            names.remove("unmirrored")
+        for name in names:
+            variant_recipe(base, name)
     except ValueError as error:
         raise UsageError(str(error)) from error
     data = load(arguments.data)
