@@ -81,18 +81,14 @@ def sharpened(
     height, width = len(range(*box[1].indices(CELLS[0]))), len(range(*box[2].indices(CELLS[1])))
     read = _index(tensors[first.inputs[1]]).reshape(-1, *CELLS)[box].reshape(1, -1)
     wanted = np.broadcast_to(seen[box[1:]].reshape(-1), (CELL**2, height * width)).reshape(1, -1)
-    images = producers.get(first.inputs[0])
-    quarters = images is not None and images.kind == "Reshape"
-    if images is not None and quarters and -1 not in _index(tensors[images.inputs[1]]):
-        raise UncutError("the head puts its images behind each other in a fixed number; no region can be cut out of it")
-    outputs = QUARTER_SHAPE[0] * QUARTER_SHAPE[1] if quarters else GRID_SHAPE[0] * GRID_SHAPE[1]
+    source, outputs = _layer(first.inputs[0], producers, tensors)
     image, read = np.divmod(read, outputs)
     kept = np.unique(read[wanted])
     read = image * len(kept) + np.searchsorted(kept, read)
     channel, cell = np.divmod(_index(tensors[last.inputs[1]])[:, pixels], CELLS[0] * CELLS[1])
     row, column = np.divmod(cell, CELLS[1])
     return Cells(
-        images.inputs[0] if quarters and images is not None else first.inputs[0],
+        source,
         kept,
         outputs,
         {
@@ -105,6 +101,16 @@ def sharpened(
             ),
         },
     )
+
+
+def _layer(name: str, producers: Mapping[str, Node], tensors: Mapping[str, memoryview]) -> tuple[str, int]:
+    """Return what the last layer gives, and how many outputs it has: all pixels, or a quarter's in each image."""
+    images = producers.get(name)
+    if images is None or images.kind != "Reshape":
+        return name, GRID_SHAPE[0] * GRID_SHAPE[1]
+    if -1 not in _index(tensors[images.inputs[1]]):
+        raise UncutError("the head puts its images behind each other in a fixed number; no region can be cut out of it")
+    return images.inputs[0], QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
 
 
 def _seen(pixels: npt.NDArray[np.intp], reach: int) -> npt.NDArray[np.bool_]:
