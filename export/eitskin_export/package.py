@@ -1,6 +1,6 @@
 """From a training run to a bundle: fold, export, compare, quantise, fit the gate, score, write."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -17,7 +17,8 @@ from eitskin_export.gate_audit import audit_pixels
 from eitskin_export.untouched import Bends, solved_bends
 from eitskin_proto.errors import MismatchError
 from eitskin_training.card import card
-from eitskin_training.data import TrainingData, load, noisy_change
+from eitskin_training.data import TrainingData, noisy_change
+from eitskin_training.joined import load_all
 from eitskin_training.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.train import network, read
@@ -49,14 +50,15 @@ def trained(run: Path) -> Trained:
     return Trained(network(recipe, content["weights"]), recipe, content)
 
 
-def data_of(found: Trained, directory: str | None = None) -> TrainingData:
-    """Return the data set of a run, from where it was or from ``directory``.
+def data_of(found: Trained, directories: Sequence[str] | None = None) -> TrainingData:
+    """Return the data set of a run, from where it was or from ``directories``.
 
     Raises:
         MismatchError: It is another data set.
         OSError: It is gone.
     """
-    data = load(directory or found.content["data"])
+    known: str | list[str] = found.content["data"]  # a run of one data set used to keep its folder alone
+    data = load_all(directories or ([known] if isinstance(known, str) else known))
     if data.digest != found.content["data_digest"]:
         raise MismatchError(
             "data set of the run: digest",

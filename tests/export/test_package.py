@@ -82,7 +82,7 @@ def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
 def test_another_data_set_than_the_run_was_trained_on_is_refused(
     run: Path, data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(package, "load", lambda _: replace(data, digest="other"))
+    monkeypatch.setattr(package, "load_all", lambda _: replace(data, digest="other"))
     with pytest.raises(MismatchError, match=r"found other, expected toy; .*--data"):
         package.data_of(package.trained(run), "somewhere")
 

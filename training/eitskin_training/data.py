@@ -56,7 +56,7 @@ class TrainingData:
         validation: Rows that choose the best epoch: other touch sets at the same bends.
         held_out: Rows of other touch sets at bends never trained on, by family; for the metrics card.
         digest: Digest of the data set.
-        seed: Seed of the data set.
+        seed: Seed of the data set, of the first of several.
     """
 
     voltages: npt.NDArray[np.float32]

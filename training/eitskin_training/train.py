@@ -87,7 +87,7 @@ class Run:
     optimiser: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler | None
     data_digest: str
-    source: str = ""
+    sources: tuple[str, ...] = ()
     started_from: dict[str, Any] | None = None
     history: list[Epoch] = field(default_factory=list)
     step: int = 0
@@ -111,7 +111,7 @@ def train(
     seed: int = 0,
     resume: bool = False,
     stop_after: int | None = None,
-    source: str = "",
+    sources: tuple[str, ...] = (),
     start: Path | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Run:
@@ -124,7 +124,7 @@ def train(
         seed: Of the first weights, the order, the noise and the dropout.
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
-        source: Where the data set lies, for the export to find it again.
+        sources: Where the data sets lie, for the export to find them again.
         start: A run whose best weights to start from; None draws them. Its network must be of the same shape.
         progress: Called after every batch.
 
@@ -142,7 +142,7 @@ def train(
         raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
     steps_per_epoch = max(1, len(data.train) // recipe.batch)
     run = _start(recipe, seed, steps_per_epoch, data)
-    run.source = source
+    run.sources = sources
     if start is not None:
         _start_from(run, start)
     if resume and checkpoint.exists():
@@ -258,7 +258,7 @@ def _save(run: Run, out: Path) -> None:
         "recipe": run.recipe.as_dict(),
         "seed": run.seed,
         "data_digest": run.data_digest,
-        "data": run.source,
+        "data": list(run.sources),
         "started_from": run.started_from,
         "history": [asdict(epoch) for epoch in run.history],
     }

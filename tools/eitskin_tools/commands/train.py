@@ -12,7 +12,9 @@ from typing import Any
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
     parser.add_argument("--recipe", required=True, metavar="NAME", help="paper, units, free or tiny")
-    parser.add_argument("--data", required=True, metavar="DIR", help="a data set of 'eitskin dataset'")
+    parser.add_argument(
+        "--data", required=True, nargs="+", metavar="DIR", help="data set of 'eitskin dataset'; several count as one"
+    )
     parser.add_argument("--out", required=True, metavar="RUN", help="folder of the run")
     parser.add_argument("--epochs", type=int, help="instead of the recipe's; the schedule spans them")
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
@@ -30,7 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from eitskin_tools.cli import UsageError
     from eitskin_training import curves, train
-    from eitskin_training.data import load
+    from eitskin_training.joined import load_all
     from eitskin_training.recipes import recipe
 
     changes = {
@@ -47,7 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     out = Path(arguments.out)
-    data = load(arguments.data)
+    data = load_all(arguments.data)
     with _Reporter() as report:
         done = train.train(
             data,
@@ -56,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
             seed=arguments.seed,
             resume=arguments.resume,
             start=Path(arguments.start_from) if arguments.start_from else None,
-            source=str(Path(arguments.data).resolve()),
+            sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
             progress=report,
         )
     drawn = curves.draw(done.history, out / "curves.png", title=f"recipe {chosen.name}, seed {arguments.seed}")
