@@ -25,6 +25,7 @@ from eitskin_tools.stress.inputs import attacks, strike
 from eitskin_tools.stress.meshes import triangle_rows
 from eitskin_tools.stress.noise import spread_of
 from eitskin_tools.stress.precision import LOST, apart, built, filling_weights, precision_rows
+from eitskin_tools.stress.repeat import repeat_rows
 from eitskin_tools.stress.rows import Curve, Point, crossing
 from eitskin_tools.stress.samples import sample_of, samples, system_of, voltages_of
 from eitskin_tools.stress.shape import block
@@ -190,6 +191,20 @@ def test_rows_that_noise_drowns_cost_less_when_the_reference_says_how_much_they_
         off.append(float(np.mean([np.mean((image - calm) ** 2) for image in shown])))
     assert stream.pipeline.normaliser.weak_count > 3
     assert off[1] < 0.9 * off[0]
+
+
+@pytest.mark.parametrize("labels", ["units", "area"])
+def test_a_frame_gives_the_same_map_again_and_a_head_of_single_frames_says_so(sample, labels):
+    bundle = load_bundle(default_path(labels))
+    rows = {(row["sweep"], row["solver"]): row for row in repeat_rows(bundle, [sample])}
+    again = [row for (sweep, _), row in rows.items() if "run to run" in sweep]
+    assert len(again) == 3
+    assert all(row["bit_equal"] for row in again)
+    batch = rows["repeat: batch of 1, batch of 16", "vd2t"]
+    if bundle.manifest["recipe"]["architecture"].get("symmetric"):
+        assert "four images" in batch["why"]
+    else:
+        assert 0.0 <= batch["worst"] < 1e-5
 
 
 def test_the_quick_form_explains_every_break_and_publishes_nothing_absurd(capsys):

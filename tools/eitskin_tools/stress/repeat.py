@@ -73,10 +73,11 @@ def repeat_rows(bundle: Bundle, samples: Sequence[Sample]) -> list[Row]:
         single = maps_of(bundle, changes, index)
         label = "vd2t" if index == 0 else "vd2t-int8"
         rows.append(_row("one thread, two threads", label, single, _session_maps(bundle, name, changes, threads=2)))
+        sweep = f"batch of 1, batch of {BATCH}"
         try:
-            rows.append(_row(f"batch of 1, batch of {BATCH}", label, single, _batch_maps(bundle, name, changes)))
-        except ImportError as error:
-            rows.append(_row(f"batch of 1, batch of {BATCH}", label, single, None, left_out=f"left out: {error}"))
+            rows.append(_row(sweep, label, single, _batch_maps(bundle, name, changes)))
+        except (ImportError, UnbatchedError) as error:
+            rows.append(_row(sweep, label, single, None, left_out=f"left out: {error}"))
     matrix = tikhonov_matrix(samples[0].sheet.operators("units").relative_jacobian)
     data = changes.astype(np.float64)
     one = np.stack([matrix @ row for row in data])
@@ -132,8 +133,18 @@ def _session_maps(bundle: Bundle, name: str, changes: Array, *, threads: int) ->
     return np.concatenate([session.run(["map"], _feed(bundle, change[None]))[0] for change in changes])
 
 
+class UnbatchedError(ValueError):
+    """A head that takes one frame at a time."""
+
+
 def _batch_maps(bundle: Bundle, name: str, changes: Array) -> Array:
-    """Return the maps of a head whose batch of one was made a free dimension."""
+    """Return the maps of a head whose batch of one was made a free dimension.
+
+    Raises:
+        UnbatchedError: A symmetric head puts four images where others have a batch.
+    """
+    if bundle.manifest.get("recipe", {}).get("architecture", {}).get("symmetric"):
+        raise UnbatchedError("four images of one frame stand where a batch would")
     import onnx
 
     model = onnx.load_model_from_string(bundle.files[name])
