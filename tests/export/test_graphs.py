@@ -174,12 +174,15 @@ def both(whole: bytes, part: bytes, seed: int) -> tuple[np.ndarray, np.ndarray]:
     return expected, found
 
 
-@pytest.mark.parametrize("bounds", [(0, 10, 5, 20), (29, 30, 44, 45), (12, 13, 12, 13)])
+@pytest.mark.parametrize(
+    "bounds", [(0, 10, 5, 20), (29, 30, 44, 45), (12, 13, 12, 13), (12, 13, 22, 23), (3, 11, 5, 30)]
+)
 @pytest.mark.parametrize("int8", [False, True])
+@pytest.mark.parametrize(("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32)])
 def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
-    bounds: tuple[int, int, int, int], int8: bool
+    name: str, outputs: int, inputs: int, bounds: tuple[int, int, int, int], int8: bool
 ) -> None:
-    _, head = split(trained_looking(ARCHITECTURES["sharpened"]))
+    _, head = split(trained_looking(ARCHITECTURES[name]))
     whole = graphs.head_graph(head)
     if int8:
         whole = quantise.int8_head(whole)
@@ -189,24 +192,9 @@ def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
     assert np.ptp(expected[0, wanted]) > 0 or len(wanted) == 1
     assert found.shape == (1, len(wanted))
     assert np.array_equal(found[0], expected[0, wanted])
-    seen = 9 * 7 * 5  # one pixel's cell and two around it; the largest region sees 6 x 10 cells
-    assert len(part) < len(whole) - (1 if int8 else 4) * 48 * (1350 - 2 * seen)
-
-
-@pytest.mark.parametrize("bounds", [(0, 10, 5, 20), (12, 13, 22, 23), (29, 30, 44, 45), (3, 11, 5, 30)])
-@pytest.mark.parametrize("int8", [False, True])
-def test_a_symmetric_head_is_cut_to_what_any_image_is_asked_for(bounds: tuple[int, int, int, int], int8: bool) -> None:
-    _, head = split(trained_looking(ARCHITECTURES["symmetric"]))
-    whole = graphs.head_graph(head)
-    if int8:
-        whole = quantise.int8_head(whole)
-    wanted = pixels((Region(*bounds),))
-    part = cut(whole, wanted, 1350)
-    expected, found = both(whole, part, seed=3)
-    assert np.ptp(expected[0, wanted]) > 0 or len(wanted) == 1
-    assert np.array_equal(found[0], expected[0, wanted])
-    left_out = 345 - 9 * (-(-bounds[1] // 3) - bounds[0] // 3 + 4) * (-(-bounds[3] // 3) - bounds[2] // 3 + 4)
-    assert len(part) < len(whole) - (1 if int8 else 4) * 4 * 32 * max(left_out, 0)
+    rows, columns = (-(-bounds[k + 1] // 3) - bounds[k] // 3 + 4 for k in (0, 2))  # cells of the region, and two around
+    left_out = max(0, outputs - 9 * rows * columns)
+    assert len(part) < len(whole) - (1 if int8 else 4) * inputs * left_out
 
 
 def test_a_symmetric_head_that_does_not_sharpen_is_cut_behind_its_last_layer() -> None:
@@ -222,11 +210,6 @@ def test_a_head_that_spreads_units_is_cut_where_it_spreads_them() -> None:
     _, head = split(trained_looking(ARCHITECTURES["units"]))
     whole = graphs.head_graph(head)
     wanted = pixels((Region(3, 11, 5, 20),))
-    part = cut(whole, wanted, 1350)
-    feed = {
-        item.name: 0.3 * np.random.default_rng(3).standard_normal(item.shape).astype(np.float32)
-        for item in parity.session(whole).get_inputs()
-    }
-    (expected,), (found,) = (parity.session(graph).run(["map"], feed) for graph in (whole, part))
+    expected, found = both(whole, cut(whole, wanted, 1350), seed=3)
     assert np.ptp(expected[0, wanted]) > 0
     assert np.array_equal(found[0], expected[0, wanted])

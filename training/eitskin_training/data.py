@@ -216,11 +216,11 @@ def consistency_of(data: TrainingData, recipe: Recipe) -> Consistency:
 
 
 def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
-    """Return (n, 104 * blocks) features of training samples in every mirror image shown; the same at every call."""
+    """Return (n, 104 * blocks) features of training samples in every mirror image that the network sees."""
     rng = np.random.default_rng(0)
     rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
     found = []
-    for mirror in MIRRORS if recipe.flips else MIRRORS[:1]:
+    for mirror in MIRRORS if recipe.flips or recipe.architecture.symmetric else MIRRORS[:1]:
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]], mirror)
         found.append(features(batch.dv, recipe.architecture, batch.log_predicted))

@@ -5,6 +5,7 @@ Each set keeps its own splits, so what one holds out stays held out; deformation
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -49,23 +50,20 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
     samples, bends, touches = (
         np.cumsum([0, *(len(getattr(one, name)) for one in sets[:-1])]) for name in ("voltages", "clouds", "labels")
     )
-    families = dict.fromkeys(family for one in sets for family in one.held_out)
-    return replace(
-        first,
-        voltages=np.concatenate([one.voltages for one in sets]),
-        deformation=np.concatenate([one.deformation + start for one, start in zip(sets, bends, strict=True)]),
-        touch_set=np.concatenate([one.touch_set + start for one, start in zip(sets, touches, strict=True)]),
-        untouched=np.concatenate([one.untouched for one in sets]),
-        clouds=np.concatenate([one.clouds for one in sets]),
-        log_predicted=np.concatenate([one.log_predicted for one in sets]),
-        labels=np.concatenate([one.labels for one in sets]),
-        train=np.concatenate([one.train + start for one, start in zip(sets, samples, strict=True)]),
-        validation=np.concatenate([one.validation + start for one, start in zip(sets, samples, strict=True)]),
-        held_out={
-            family: np.concatenate(
-                [one.held_out[family] + at for one, at in zip(sets, samples, strict=True) if family in one.held_out]
-            )
-            for family in families
-        },
-        digest="+".join(digests),
-    )
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in sets])
+        for name in ("voltages", "untouched", "clouds", "log_predicted", "labels")
+    }
+    numbered_on: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) + start for one, start in zip(sets, starts, strict=True)])
+        for name, starts in (
+            ("deformation", bends), ("touch_set", touches), ("train", samples), ("validation", samples),
+        )
+    }  # fmt: skip
+    held_out = {
+        family: np.concatenate(
+            [one.held_out[family] + at for one, at in zip(sets, samples, strict=True) if family in one.held_out]
+        )
+        for family in dict.fromkeys(family for one in sets for family in one.held_out)
+    }
+    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests))

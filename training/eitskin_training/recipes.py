@@ -139,7 +139,7 @@ RECIPES: Final[dict[str, Recipe]] = {
         _ROBUST,
         name="free",
         architecture=replace(_ROBUST.architecture, widths=(340, 340), hidden=340, symmetric=True),
-        flips=False,  # a mirrored batch is the same to it
+        flips=False,  # all but the sharpening treats a mirrored batch as the batch
     ),
     "tiny": replace(
         _ROBUST,
