@@ -89,6 +89,10 @@ def test_sizes_that_cannot_be_are_refused_with_their_bounds() -> None:
         make_plan("mm")
     with pytest.raises(ValueError, match="touch sets: found 90, expected none for the free set"):
         make_plan("free", touch_sets=90)
+    with pytest.raises(ValueError, match=r"share of near touches: found 1\.2, expected 0 to 1"):
+        make_plan("free", near=1.2)
+    with pytest.raises(ValueError, match="only the free set"):
+        make_plan("units", near=0.5)
     with pytest.raises(ValueError, match="seed is -1"):
         make_plan("paper", -1)
 

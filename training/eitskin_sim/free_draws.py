@@ -10,7 +10,7 @@ sets of every size as if each were drawn for itself, since every size is rarer t
 
 Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told apart, is well inside what is drawn.
 Touches that lie near to each other are the hardest to tell from one, and are rare where touches fall anywhere: in a
-third of the families each touch is the nearest of several to the one before. In half of the sets all touches have one
+share of the families each touch is the nearest of several to the one before. In half of the sets all touches have one
 conductivity. A set whose map may resemble a published phantom's is left out and
 another drawn: its correlation is bounded from above by sums over its touches, whose maps are made once a pool.
 """
@@ -37,7 +37,7 @@ GAP_MM: Final = 1.0
 """The least distance between two touches."""
 
 CLUSTERED: Final = 1 / 3
-"""Share of the families whose touches lie near to each other."""
+"""Share of the families whose touches lie near to each other, unless another is asked for."""
 
 NEAREST_OF: Final = 8
 """Touches of which the nearest to the one before is tried there: then half of the pairs are about 25 mm apart or less,
@@ -54,9 +54,15 @@ REDRAWN: Final = 4
 
 
 class SetDrawer:
-    """Draws sets of a pool's touches; what it must know of pairs of touches and of their maps is found once."""
+    """Draws sets of a pool's touches; what it must know of pairs of touches and of their maps is found once.
 
-    def __init__(self, pool: FreeTouches) -> None:
+    Args:
+        pool: The touches.
+        near: Share of the families whose touches lie near to each other.
+    """
+
+    def __init__(self, pool: FreeTouches, near: float = CLUSTERED) -> None:
+        self._clustered = near
         self._near = near_table(pool)
         self._middle_mm = middles_mm(pool)
         self._bar = Bar(pool)
@@ -82,7 +88,7 @@ class SetDrawer:
     def _families(self, begin: Index, length: Index, generator: np.random.Generator) -> Index:
         """Return (f, 8) touches of families, -1 after the last, from their first ones and lengths."""
         shared = generator.random(len(length)) < 0.5
-        tries = np.where(generator.random(len(length)) < CLUSTERED, NEAREST_OF, 1)
+        tries = np.where(generator.random(len(length)) < self._clustered, NEAREST_OF, 1)
         found = _draw(self._near, self._middle_mm, begin, length, shared, tries, generator)
         for attempt in count_up():
             again = self._bar.may_resemble(found)

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.free_draws import SetDrawer
+from eitskin_sim.free_draws import CLUSTERED, SetDrawer
 from eitskin_sim.free_patterns import CLASSES, touch_pool
 from eitskin_sim.free_sets import PartSets
 from eitskin_sim.free_touches import FreeTouches
@@ -39,12 +39,13 @@ class FreePool:
         return FreeTouches(drawn.pieces, drawn.first[sets.first])
 
 
-def free_pool(counts: dict[int, tuple[int, int]], seed: int) -> FreePool:
+def free_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED) -> FreePool:
     """Return the pool of some deformations and their touch sets.
 
     Args:
         counts: By number of the deformation, how many sets it shows and how many of them are held out.
         seed: Of the data set.
+        near: Share of the families of sets whose touches lie near to each other.
     """
     first = min(counts)
     learned = max(total - held for total, held in counts.values())
@@ -53,7 +54,7 @@ def free_pool(counts: dict[int, tuple[int, int]], seed: int) -> FreePool:
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
         pools.append(touch_pool(max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0, generator))
-    drawers = [SetDrawer(pool) for pool in pools]
+    drawers = [SetDrawer(pool, near) for pool in pools]
     sets = {}
     for number, (total, apart) in counts.items():
         generator = np.random.default_rng([seed, 5, number])

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.family import draw, paper_bends
+from eitskin_sim.free_draws import CLUSTERED
 from eitskin_sim.parts import Bend
 from eitskin_sim.patterns import N_PAPER_SETS
 
@@ -64,6 +65,7 @@ class Plan:
         per_deformation: How many of them are shown at each deformation to train on.
         bends: Every deformation.
         splits: "train", "kept" or "other" for each.
+        near: Share of the free sets that are drawn with touches near to each other; others have none.
     """
 
     set_name: SetName
@@ -72,6 +74,7 @@ class Plan:
     per_deformation: int
     bends: tuple[Bend, ...]
     splits: tuple[str, ...]
+    near: float | None = None
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
@@ -143,6 +146,7 @@ def make_plan(
     touch_sets: int | None = None,
     per_deformation: int | None = None,
     kept: int | None = None,
+    near: float | None = None,
 ) -> Plan:
     """Return a plan; what is left out takes the recipe's own size.
 
@@ -153,6 +157,7 @@ def make_plan(
         touch_sets: Touch sets in all; for "paper", the first so many of its 10,259.
         per_deformation: Touch sets shown at each deformation to train on.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
+        near: Share of the sets drawn with touches near to each other; for "free" alone.
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -166,6 +171,8 @@ def make_plan(
             f"touch sets: found {touch_sets}, expected none for the free set: each sample has one of its own; "
             "give the number shown at a deformation"
         )
+    if set_name != "free" and near is not None:
+        raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -173,6 +180,8 @@ def make_plan(
     if set_name == "free":
         n_shown = default[2] if per_deformation is None else per_deformation
         n_sets = n_bends * n_shown + 2 * apart * min(SHOWN_KEPT, n_shown)
+        near = CLUSTERED if near is None else near
+        _check("share of near touches", near, 0.0, 1.0)
     else:
         n_shown = min(n_sets, default[2]) if per_deformation is None else per_deformation
     _check("deformations", n_bends, 1, 100_000)
@@ -184,9 +193,9 @@ def make_plan(
         return Plan("paper", seed, n_sets, n_sets, bends, splits)
     bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near)
 
 
-def _check(what: str, value: int, low: int, high: int) -> None:
+def _check(what: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise ValueError(f"{what}: found {value}, expected {low} to {high}")
+        raise ValueError(f"{what}: found {value:.12g}, expected {low:.12g} to {high:.12g}")

@@ -82,6 +82,7 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
         "touch_sets": plan.touch_sets,
         "shown": [plan.shown(number) for number in deformations],
         "pool": {number: (plan.counts[number], plan.held_out(number)) for number in together},
+        "near": plan.near,
     }
 
 
@@ -122,7 +123,7 @@ def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
 
 def _pool(job: dict[str, Any]) -> FreePool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return free_pool(job["pool"], job["seed"])
+    return free_pool(job["pool"], job["seed"], job["near"])
 
 
 def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:

@@ -32,6 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--per-deformation", type=int, metavar="N", help="touch sets shown at a deformation (default all, 3000, 5000)"
     )
+    parser.add_argument(
+        "--near", type=float, metavar="SHARE", help="share of free touch sets drawn close together (default 1/3)"
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://HOST:8786, instead")
     parser.add_argument("--json", action="store_true", help="print one JSON object on what was written")
@@ -53,6 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         touch_sets=arguments.touch_sets,
         per_deformation=arguments.per_deformation,
         kept=arguments.kept,
+        near=arguments.near,
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
