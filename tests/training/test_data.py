@@ -44,6 +44,25 @@ def test_a_batch_holds_each_cloud_once_and_the_right_one_for_each_sample(toy_dat
     assert flips
 
 
+def test_batches_of_few_deformations_bring_every_sample_once_but_the_last_few(toy_data: Any) -> None:
+    data = toy_data("area", samples=2000, bends=12)
+    number = np.arange(len(data.voltages))[:, None]
+    data = replace(data, voltages=(data.reference * (1.0 + 1e-3 * number)).astype(np.float32))  # dv tells the sample
+    chosen = replace(CHOSEN, flips=False, batch=32)
+    all_at_once, few = (list(batches(data, replace(chosen, together=n), seed=0, epoch=1)) for n in (0, 3))
+    assert len(few) == len(all_at_once) == len(data.train) // 32
+    rows = [np.rint(1e3 * batch.dv[:, 0].numpy()).astype(int) for batch in few]
+    bends = [set(data.deformation[batch].tolist()) for batch in rows]
+    seen = np.concatenate(rows)
+    assert len(set(seen.tolist())) == len(seen)
+    assert set(seen.tolist()) <= set(data.train.tolist())
+    assert all(len(batch.clouds) == len(own) for batch, own in zip(few, bends, strict=True))
+    assert np.mean([len(own) <= 3 for own in bends]) > 0.8  # the others are made of what was left
+    assert len({tuple(sorted(own)) for own in bends if len(own) == 3}) > 1
+    later = [batch.dv for batch in batches(data, replace(chosen, together=3), seed=0, epoch=2)]
+    assert not torch.equal(few[0].dv, later[0])
+
+
 def test_without_flips_nothing_is_mirrored(toy_data: Any) -> None:
     data = toy_data("units")
     known = relative_change(data.voltages, data.reference)

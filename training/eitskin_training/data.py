@@ -152,9 +152,9 @@ def batches(
         mirrored: Clouds of each mirror image, filled here and reused between epochs.
     """
     rng = np.random.default_rng([seed, epoch])
-    order = rng.permutation(data.train)
+    size = min(recipe.batch, len(data.train))
+    order = _order(data, recipe.together, size, rng)
     images = {} if mirrored is None else mirrored
-    size = min(recipe.batch, len(order))
     filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
     for start in range(0, len(order) - size + 1, size):
         flip = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
@@ -169,6 +169,27 @@ def batches(
         if recipe.predicted_dropout:
             predicted[rng.random(len(rows)) < recipe.predicted_dropout] = 0.0
         yield assemble(data, rows, dv, predicted, MIRRORS[flip], images[flip])
+
+
+def _order(data: TrainingData, together: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Return the training samples in the order of an epoch; each batch has few deformations where that is asked for.
+
+    What is left of a group when its batches are full makes batches of its own, so every sample but the last few comes.
+    """
+    if not together:
+        return rng.permutation(data.train)
+    bends = rng.permutation(np.unique(data.deformation[data.train]))
+    group = np.empty(len(data.clouds), dtype=np.intp)
+    group[bends] = np.arange(len(bends)) % -(-len(bends) // together)
+    rows = rng.permutation(data.train)
+    own = group[data.deformation[rows]]
+    rows = rows[np.argsort(own, kind="stable")]
+    starts = np.cumsum([0, *np.bincount(own)])
+    full = starts[1:] - np.diff(starts) % size
+    whole = np.concatenate([rows[start:stop] for start, stop in zip(starts[:-1], full, strict=True)])
+    rest = rng.permutation(np.concatenate([rows[a:b] for a, b in zip(full, starts[1:], strict=True)]))
+    every = np.concatenate([whole, rest[: len(rest) // size * size]]).reshape(-1, size)
+    return np.asarray(rng.permutation(every).reshape(-1))
 
 
 def assemble(

@@ -49,6 +49,8 @@ class Recipe:
         lost_rows: Share of the samples that lose one to four rows.
         lost_electrode: Share of the samples that lose every row of one electrode.
         predicted_dropout: Share of the samples whose V_pred is replaced by V0, as when none was sent.
+        together: Deformations that a batch is drawn from, others for each group of batches; 0 draws from all. The
+            cloud channel runs once a deformation and batch.
     """
 
     name: str
@@ -67,10 +69,13 @@ class Recipe:
     lost_rows: float = 0.0
     lost_electrode: float = 0.0
     predicted_dropout: float = 0.0
+    together: int = 0
 
     def __post_init__(self) -> None:
         if self.epochs < 1 or self.batch < 2:
             raise ValueError(f"epochs {self.epochs} and batch {self.batch}; expected at least 1 epoch and a batch of 2")
+        if self.together < 0:
+            raise ValueError(f"deformations together are {self.together}; expected 0 for all, or more")
         if self.labels == "area" and self.architecture.outputs != N_PIXELS:
             raise ValueError(f"area labels need {N_PIXELS} outputs; the architecture has {self.architecture.outputs}")
 
@@ -140,6 +145,7 @@ RECIPES: Final[dict[str, Recipe]] = {
         name="free",
         architecture=replace(_ROBUST.architecture, widths=(340, 340), hidden=340, symmetric=True),
         flips=False,  # all but the sharpening treats a mirrored batch as the batch
+        together=48,
     ),
     "tiny": replace(
         _ROBUST,
