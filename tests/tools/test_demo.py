@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +17,7 @@ from eitskin_proto.grid import GRID_SHAPE, N_PIXELS
 from eitskin_sim.script import demonstration
 from eitskin_tools.demo.children import Child, ChildDiedError, family
 from eitskin_tools.demo.draw import Painter, plain_lines
-from eitskin_tools.demo.recorder import Record
+from eitskin_tools.demo.recorder import STAGES, Record
 from eitskin_tools.demo.score import accuracy, percentiles_us, timing
 from eitskin_tools.plots import choose, picture
 
@@ -73,6 +74,7 @@ def test_json_is_one_object_and_nothing_is_left_behind(place: Path) -> None:
     medians = [stage["p50"] for stage in found["stages_us"].values()]
     assert all(value >= 0 for value in medians), "stamps of different processes are in order"
     assert found["scored"] > 50
+    assert 0 < found["inferred"] < found["frames"]
     assert -1.0 <= found["cc_median"] <= 1.0
     assert ours(place) == []
     assert left_in(place) == set()
@@ -184,6 +186,31 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
     assert spans["wire"] == 100.0
     assert spans["deliver"] == 50.0
     assert sum(spans.values()) == pytest.approx(found["latency_us"]["p50"])
+
+
+@pytest.mark.parametrize(
+    ("skipped", "ran"),
+    [
+        ((), True),
+        (("geometry:cloud_unchanged",), True),
+        (("map:untouched", "geometry:cloud_unchanged"), True),  # looked at in spite of the gate
+        (("inference:unchanged", "geometry:cloud_unchanged"), False),  # has an earlier frame's map and its solver
+        (("inference:untouched", "geometry:cloud_unchanged"), False),
+    ],
+)
+def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[str, ...], ran: bool) -> None:
+    record = Record.empty(1)
+    frame = SimpleNamespace(
+        sequence=1, device_us=0, received_ns=300_000, host_ns=dict.fromkeys(STAGES, 200_000), touched=True,
+        solver="vd2t", skipped=skipped, cloud=0, map=np.zeros(GRID_SHAPE), counts={"corrupt": 0, "withheld": 0},
+    )  # fmt: skip
+    record.note(0, frame)
+    assert record.inferred[0] == ran
+    wire = np.full(4, 100_000)
+    found = timing(record, wire)
+    assert found["inferred"] == int(ran)
+    assert found["latency_us"]["p50"] == 200.0
+    assert found["latency_inferred_us"] == ({"p50": 200.0, "p99": 200.0, "p999": 200.0, "max": 200.0} if ran else {})
 
 
 def test_an_empty_record_is_an_error_and_not_a_summary() -> None:

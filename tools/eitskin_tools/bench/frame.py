@@ -191,6 +191,8 @@ def _print(found: dict[str, Any]) -> None:
         latency = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_us"].items())
         stages = ", ".join(f"{name} {us['p50']:.0f}/{us['p99']:.0f}" for name, us in result["stages_us"].items() if us)
         print(f"{rate} frames/s, {result['frames']} frames, {result['lost']} lost; wire to subscriber, us: {latency}")
+        alone = "  ".join(f"{name} {value:.0f}" for name, value in result["latency_inferred_us"].items())
+        print(f"  the {result['inferred']} that a solver ran for (the others untouched or unchanged), us: {alone}")
         line = "  ".join(f"{name} {value:.0f}" for name, value in result["line_us"].items())
         print(f"  the bare line and socket, us: {line}; beyond it p50 {result['over_line_us']['p50']:.0f}")
         print(f"  stages, us p50/p99: {stages}")

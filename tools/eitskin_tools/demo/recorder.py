@@ -40,6 +40,7 @@ class Record:
     """(n, 7) the runtime's stamps, in the order of ``STAGES``."""
     touched: npt.NDArray[np.bool_]
     inferred: npt.NDArray[np.bool_]
+    """Whether a solver ran for the frame, and no earlier map stands for it."""
     cloud: npt.NDArray[np.int64]
     maps: npt.NDArray[np.float16]
     """(m, 1350) of frames 0, stride, 2 stride, ..."""
@@ -68,7 +69,7 @@ class Record:
         for column, stage in enumerate(STAGES):
             self.host_ns[index, column] = frame.host_ns[stage]
         self.touched[index] = frame.touched
-        self.inferred[index] = frame.solver != "none"
+        self.inferred[index] = not any(reason.startswith("inference:") for reason in frame.skipped)
         self.cloud[index] = frame.cloud
         if index % self.stride == 0:
             self.maps[index // self.stride] = frame.map.reshape(-1)

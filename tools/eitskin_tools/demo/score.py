@@ -74,6 +74,7 @@ def timing(record: Record, wire_ns: npt.NDArray[np.int64]) -> dict[str, Any]:
         "corrupt": record.corrupt,
         "overruns": int(np.count_nonzero(wire_ns[between % len(wire_ns)] < 0)),
         "latency_us": percentiles_us(latency[known]),
+        "inferred": int(np.count_nonzero(record.inferred)),
         "latency_inferred_us": percentiles_us(latency[known & record.inferred]),
         "stages_us": {name: percentiles_us(spans[known, column]) for column, name in enumerate(SPANS)},
         "clouds": int(np.count_nonzero(np.diff(record.cloud))),

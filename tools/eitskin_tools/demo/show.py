@@ -249,6 +249,9 @@ def print_summary(summary: dict[str, Any]) -> None:
           f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
     print(f"wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, max {ms(latency['max'])} ms",
           file=out)  # fmt: skip
+    if alone := summary["latency_inferred_us"]:
+        print(f"  the {summary['inferred']} frames that a solver ran for: p50 {ms(alone['p50'])} ms, "
+              f"p99 {ms(alone['p99'])} ms", file=out)  # fmt: skip
     parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
     print(f"stages, us p50/p99: {parts}", file=out)
     if summary["cc_median"] is not None:
