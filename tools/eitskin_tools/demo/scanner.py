@@ -2,7 +2,7 @@
 
 Every period it takes the cloud of the script's moment, as a scanner gives it, and sends it over the control endpoint.
 Where the bundle asks for it, the forward model's prediction of the untouched voltages goes with the cloud. The process
-is nice: what it computes must not cost the stream its time.
+is a little nice: what it computes must not cost the stream its time, and yet be done while the bend is still the same.
 """
 
 import argparse
@@ -20,8 +20,8 @@ import numpy as np
 import eitskin
 from eitskin_tools.demo.events import script_start
 
-NICENESS: Final = 10
-"""Of this process; see nice(2)."""
+NICENESS: Final = 2
+"""Of this process; see nice(2). With 10, on cores that other programs fill, a cloud came every four seconds."""
 
 
 class _Stopped(BaseException):
