@@ -11,6 +11,7 @@ printed as a whole run would be, and the summary says how many jobs are missing.
 
 import argparse
 import json
+import os
 import sys
 import time
 from collections.abc import Callable
@@ -40,6 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print."""
+    if "numpy" not in sys.modules:  # products this small only wait for a second thread
+        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
     from eitskin.bundle import default_path
     from eitskin_tools.stress.sweep import FULL, QUICK
 
