@@ -9,7 +9,6 @@ How far the free set's mesh is from finer ones is measured on fewer sets (:mod:`
 
 import argparse
 import json
-import os
 import sys
 from collections.abc import Callable
 from time import perf_counter, process_time
@@ -17,6 +16,7 @@ from typing import Any
 
 from eitskin_tools.bench.free_error import error_rows, gap_rows
 from eitskin_tools.cli import UsageError
+from eitskin_tools.threads import one_blas_thread
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,8 +46,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{name.replace('_', '-')} must be at least 1")
     if arguments.scenes < 0 or 0 < arguments.scenes < 3:
         raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
-    if "numpy" not in sys.modules:
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    one_blas_thread()
     rows = [*_paper(arguments), *_free(arguments), _pyeit()]
     errors = [*error_rows(arguments.scenes), *gap_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}

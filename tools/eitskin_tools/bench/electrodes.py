@@ -9,7 +9,6 @@ as each part is done.
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -18,6 +17,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.choices import chosen, several
 from eitskin_tools.cli import UsageError
+from eitskin_tools.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from eitskin.bundle import Bundle
@@ -56,8 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
     parts = chosen(arguments.only, PARTS)
     if arguments.only and "accuracy" in parts and arguments.phantoms is None:
         raise UsageError("--only accuracy needs --phantoms FILE")
-    if "numpy" not in sys.modules:
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    one_blas_thread()
     rows = measure(arguments, parts)
     summary = _summary(rows)
     if arguments.json:

@@ -8,14 +8,13 @@ disturbed least. The scan has no order, an arbitrary pose, 0.1 mm noise and 1 % 
 
 import argparse
 import json
-import os
-import sys
 from collections.abc import Callable
 from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
 from eitskin_tools.cli import UsageError
+from eitskin_tools.threads import one_blas_thread
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -29,8 +28,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if arguments.points < 1_500 or arguments.repeats < 1:
         raise UsageError("--points must be at least 1500 and --repeats at least 1")
-    if "numpy" not in sys.modules:
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    one_blas_thread()
     rows = [*_scan_rows(arguments.points, arguments.repeats), *_solver_rows(arguments.repeats)]
     summary = {row["what"]: row["cpu_ms"] for row in rows}
     if arguments.json:

@@ -11,7 +11,6 @@ printed as a whole run would be, and the summary says how many jobs are missing.
 
 import argparse
 import json
-import os
 import sys
 import time
 from collections.abc import Callable
@@ -19,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.choices import chosen, several
+from eitskin_tools.threads import one_blas_thread
 
 if TYPE_CHECKING:
     from eitskin_tools.stress.rows import Curve, Row
@@ -41,8 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and print."""
-    if "numpy" not in sys.modules:  # products this small only wait for a second thread
-        os.environ["OMP_NUM_THREADS"] = os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    one_blas_thread()
     from eitskin.bundle import default_path
     from eitskin_tools.stress.sweep import FULL, QUICK
 
