@@ -17,7 +17,7 @@ from eitskin_tools.peer import reader_eitskin
 from eitskin_tools.peer.frames import BASE, Format, payload
 
 DRAIN_S: Final = 1.5
-"""How long a reader goes on after the last frame: flexitac's own timeout is shorter."""
+"""How long a reader goes on after the last frame, however late the sensor began: flexitac's own timeout is shorter."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,7 +53,7 @@ def ages(reader: Reader, frames: int, rate_hz: float) -> dict[str, Any]:
         frames: How many are sent.
         rate_hz: How many a second.
     """
-    sent_ns, received = _run(reader, frames, rate_hz, flip=False, drain_s=0.0)
+    sent_ns, received = _run(reader, frames, rate_hz, flip=False)
     ages_ns = [
         at_ns - sent
         for at_ns, number in ((row[0], _number(row[2])) for row in received)
@@ -80,7 +80,7 @@ def corruption(reader: Reader, frames: int, rate_hz: float) -> dict[str, int]:
         frames: How many are sent.
         rate_hz: How many a second.
     """
-    sent_ns, received = _run(reader, frames, rate_hz, flip=True, drain_s=DRAIN_S)
+    sent_ns, received = _run(reader, frames, rate_hz, flip=True)
     known = {hashlib.sha256(payload(number)).hexdigest() for number in range(frames)}
     return {
         "sent": sum(sent is not None for sent in sent_ns),
@@ -93,9 +93,7 @@ def _number(first: Sequence[int]) -> int:
     return sum(digit * BASE**place for place, digit in enumerate(first))
 
 
-def _run(
-    reader: Reader, frames: int, rate_hz: float, *, flip: bool, drain_s: float
-) -> tuple[list[int | None], list[list[Any]]]:
+def _run(reader: Reader, frames: int, rate_hz: float, *, flip: bool) -> tuple[list[int | None], list[list[Any]]]:
     """Return when each frame was sent and what the reader printed."""
     options = ["--frames", str(frames), "--rate", str(rate_hz), *(["--flip"] if flip else [])]
     sensor = subprocess.Popen(
@@ -106,7 +104,7 @@ def _run(
         assert sensor.stdin is not None
         assert sensor.stdout is not None
         port = sensor.stdout.readline().strip()
-        seconds = frames / rate_hz + drain_s
+        seconds = frames / rate_hz + DRAIN_S
         with subprocess.Popen(
             [*reader.command, port, str(seconds), *reader.options], stdout=subprocess.PIPE, text=True
         ) as process:
