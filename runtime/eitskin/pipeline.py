@@ -84,7 +84,8 @@ class Pipeline:
         bundle: The solvers.
         hello: Of the device.
         budget_ns: From read to publish; None for no budget.
-        solver: The most accurate solver to use; None for the bundle's best.
+        solver: The most accurate solver to use; None for the bundle's own choice
+            (:func:`eitskin.engine.default_solver`) or, with a budget, its most accurate one.
         skip_unchanged: Whether a touched frame keeps the map of an earlier one if only noise lies between them.
 
     Raises:

@@ -1,12 +1,14 @@
 import tracemalloc
+from dataclasses import replace
 
 import numpy as np
 import onnxruntime
 import pytest
 
-from eitskin.engine import Buffers, GeometryGraph, HeadEngine, ProjectionEngine, engines
+from eitskin.engine import Buffers, GeometryGraph, HeadEngine, ProjectionEngine, default_solver, engines
 from eitskin.errors import BundleError
 from eitskin.gate import Gate
+from eitskin.pipeline import Pipeline
 from eitskin.prediction import log_ratio
 from eitskin_proto.cloud import flat_cloud
 
@@ -192,3 +194,31 @@ def test_a_gate_with_a_missing_or_infinite_array_is_refused(tiny, name):
         Gate({key: value for key, value in arrays.items() if key != name})
     with pytest.raises(BundleError, match=name):
         Gate(arrays | {name: np.full_like(arrays[name], np.inf)})
+
+
+@pytest.mark.parametrize(
+    ("card", "solver"),
+    [
+        ({"int8": {"flipped": 0.0003}}, "vd2t-int8"),  # less than half a pixel of 1350 a frame
+        ({"int8": {"flipped": 0.0}}, "vd2t-int8"),
+        ({"int8": {"flipped": 1 / 1350}}, "vd2t"),
+        ({"int8": {"flipped": float("nan")}}, "vd2t"),
+        ({"int8": {"flipped": "little"}}, "vd2t"),
+        ({"int8": None}, "vd2t"),
+        ({}, "vd2t"),
+    ],
+)
+def test_the_int8_head_is_taken_alone_where_the_card_says_that_it_shows_the_same(tiny, hello, card, solver):
+    bundle = replace(tiny, manifest={**tiny.manifest, "metrics": card})
+    assert default_solver(bundle) == solver
+    assert [engine.name for engine in Pipeline(bundle, hello).engines] == [solver]
+    assert [engine.name for engine in Pipeline(bundle, hello, 10**9).engines] == ["vd2t", "vd2t-int8", "tikhonov"]
+    assert [engine.name for engine in Pipeline(bundle, hello, solver="vd2t").engines] == ["vd2t"]
+
+
+def test_a_bundle_without_an_int8_head_falls_back_to_what_it_has(tiny):
+    manifest = {**tiny.manifest, "metrics": {"int8": {"flipped": 0.0}}}
+    plain = {name: tiny.files[name] for name in tiny.files if name != "head_int8.onnx"}
+    assert default_solver(replace(tiny, manifest=manifest, files=plain)) == "vd2t"
+    bare = {name: plain[name] for name in plain if name != "head.onnx"}
+    assert default_solver(replace(tiny, manifest=manifest, files=bare)) == "tikhonov"

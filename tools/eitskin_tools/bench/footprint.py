@@ -1,11 +1,11 @@
 """``eitskin bench footprint``: what the runtime costs before the first frame: time, memory and disk, beside torch's.
 
 Each row is a fresh interpreter that imports something, loads the model where it can, and reports its own clock and
-memory. The runtime's row imports exactly what ``eitskin run`` does; "runtime, int8" is ``eitskin run --solver
-vd2t-int8``, which never reads the float32 head. Modules are read as bytecode, which every installer makes; the
-interpreter that makes it here is not counted. CPU time is the least of all repeats: on a busy machine it says more than
-the clock, whose median is given beside it. Installed size counts the files of a distribution and, for the runtime, of
-the dependencies that its metadata names, each once.
+memory. The runtime's row imports and loads exactly what ``eitskin run`` does, which is one head; "runtime, float32" is
+``eitskin run --solver vd2t``. Modules are read as bytecode, which every installer makes; the interpreter that makes it
+here is not counted. CPU time is the least of all repeats: on a busy machine it says more than the clock, whose median
+is given beside it. Installed size counts the files of a distribution and, for the runtime, of the dependencies that its
+metadata names, each once.
 """
 
 import argparse
@@ -68,7 +68,7 @@ ROWS: Final = {
     "numpy": "import numpy",
     "subscriber": "import eitskin; eitskin.subscribe",
     "runtime": _RUNTIME,
-    "runtime, int8": _RUNTIME,
+    "runtime, float32": _RUNTIME,
     "torch": _TORCH,
 }
 """What each row's interpreter runs."""
@@ -106,11 +106,11 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps({"rows": rows, "summary": summary}))
         return 0
-    print(f"{'':14}{'load, ms':>10}{'CPU, ms':>9}{'RSS, MB':>10}{'threads':>9}{'installed, MB':>15}")
+    print(f"{'':18}{'load, ms':>10}{'CPU, ms':>9}{'RSS, MB':>10}{'threads':>9}{'installed, MB':>15}")
     for row in rows:
         size = "" if row["installed_mb"] is None else f"{row['installed_mb']:.0f}"
         print(
-            f"{row['what']:14}{row['load_ms']:10.0f}{row['cpu_ms']:9.0f}{row['rss_mb']:10.0f}{row['threads']:9}{size:>15}"
+            f"{row['what']:18}{row['load_ms']:10.0f}{row['cpu_ms']:9.0f}{row['rss_mb']:10.0f}{row['threads']:9}{size:>15}"
         )
     for name, reason in missing.items():
         print(f"{name} was left out: {reason}")
@@ -120,7 +120,7 @@ def run(arguments: argparse.Namespace) -> int:
 def _probe(name: str, body: str, bundle: Path | None, repeats: int, bytecode: str) -> dict[str, Any]:
     """Return the median load time, the least CPU time and the largest memory of some fresh interpreters."""
     where = None if bundle is None else str(bundle)
-    code = _PROBE.format(body=body.format(path=where, solver="vd2t-int8" if name == "runtime, int8" else None))
+    code = _PROBE.format(body=body.format(path=where, solver="vd2t" if name == "runtime, float32" else None))
     environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": bytecode}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)
     found = []

@@ -73,7 +73,7 @@ def stream(
         frames: How many.
         bundle: To run; None for the shipped one.
         core: CPU that the runtime, or the bare line's relay, runs on; None for any.
-        solver: The most accurate one to use; None for the bundle's best.
+        solver: The most accurate one to use; None for the bundle's own choice.
     """
     import numpy as np
 

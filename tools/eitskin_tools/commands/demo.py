@@ -15,7 +15,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="how long, from the first frame (20)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
-    parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
+        "says that it shows the same, else vd2t)",
+    )
     parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it touches come and go")
     parser.add_argument(
         "--device", default="virtual", choices=("virtual", "qemu"),

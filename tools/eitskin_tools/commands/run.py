@@ -37,7 +37,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
-    parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
+        "says that it shows the same, else vd2t; with a budget vd2t)",
+    )
     parser.add_argument(
         "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
     )
