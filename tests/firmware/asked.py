@@ -9,7 +9,7 @@ import numpy as np
 from eitskin.serial_port import SerialPort
 from eitskin_proto import config_toml, framing
 from eitskin_proto import messages as m
-from eitskin_proto.codes import Code
+from eitskin_proto.codes import Code, EventCode
 from eitskin_proto.config import Configuration
 from eitskin_proto.frames import Frame
 from eitskin_tools.faults.board import Board
@@ -66,9 +66,13 @@ class Asked:
 
     def restart(self, token: int) -> m.Hello:
         """Restart it and return what it says then."""
-        assert self.ask(m.Restart(token)).code == Code.OK
-        self.listen(self.restart_s)
+        answers = [found for found in self.until_restarted(m.Restart(token)) if isinstance(found, m.Ack)]
+        assert [found.code for found in answers] == [Code.OK]
         return self.ask(m.HelloRequest())
+
+    def until_restarted(self, request: m.Restart) -> list[m.Message]:
+        """Send a request and return every message that came until it ran again."""
+        return self.raw(b"\0" + framing.encode(request.pack()), self.restart_s)
 
     restart_s = 0.05
 
@@ -191,6 +195,16 @@ class BoardAsked(Asked):
                     assert found.tag == request.tag
                     return found
         raise AssertionError(f"the board did not answer {request}")
+
+    def until_restarted(self, request: m.Restart) -> list[m.Message]:
+        """The same; on a busy machine it takes a while until it says what runs, the last of its messages."""
+        said = super().until_restarted(request)
+        deadline_s = time.perf_counter() + 10.0
+        while time.perf_counter() < deadline_s and not any(
+            isinstance(found, m.Event) and found.code != EventCode.RESTARTING for found in said
+        ):
+            said += self.listen(0.2)
+        return said
 
     def wait(self, seconds: float) -> bytes:
         said, deadline_s = b"", time.perf_counter() + max(seconds, 0.2)

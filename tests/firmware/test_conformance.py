@@ -154,7 +154,7 @@ def test_a_trial_without_confirmation_ends_by_itself_after_30_s(clocked):
 
 
 def test_a_restart_says_so_before_and_what_runs_after_it(asked):
-    said = asked.raw(framing.encode(m.Restart(0, tag=4).pack()), asked.restart_s)
+    said = asked.until_restarted(m.Restart(0, tag=4))
     assert [found.code for found in said] == [Code.OK, EventCode.RESTARTING, EventCode.CONFIGURATION_CHANGED]
     assert [type(found) for found in said] == [m.Ack, m.Event, m.Event]
     assert said[2].detail == 0, "its generation"
