@@ -108,14 +108,16 @@ class BusPort:
         self._number = self._number % 126 + 1 if self._number > 1 else 2
         node = f"bus/usb/001/{self._number:03}"
         plugged = Plugged(self.serial_number)
+        handler = self._handler(plugged, self._ring)
+        self._handlers.append(handler)  # the bed does not own it
+        self._bed.attach_ioctl(
+            f"/dev/{node}", handler
+        )  # before the node: whoever opens one that nobody serves yet is ended
         self._bed.add_from_string(
             f"P: /devices/1-1\nN: {node}\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\nE: DEVNAME=/dev/{node}\n"
             f"E: BUSNUM=001\nE: DEVNUM={self._number:03}\nA: busnum=1\\n\nA: devnum={self._number}\\n\nA: speed=12\\n\n"
             f"A: bConfigurationValue=1\\n\nH: descriptors={descriptors().hex().upper()}\n"
         )
-        handler = self._handler(plugged, self._ring)
-        self._handlers.append(handler)  # the bed does not own it
-        self._bed.attach_ioctl(f"/dev/{node}", handler)
         self._now = plugged
         self._bed.uevent("/sys/devices/1-1", "add")
 
