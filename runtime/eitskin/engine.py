@@ -269,8 +269,7 @@ def engines(
     Raises:
         ValueError: The bundle has no solver of this name.
     """
-    found = ["tikhonov"]
-    found[:0] = [name for name, file in HEADS.items() if file in bundle.files]
+    found = solvers(bundle)
     if best is not None and best not in found:
         raise ValueError(f"solver {best!r} does not exist; this bundle has {', '.join(found)}")
     if best is None:
@@ -286,20 +285,23 @@ def engines(
     ]
 
 
+def solvers(bundle: Bundle) -> list[str]:
+    """Return the names of what a bundle offers, from the most accurate to the fastest."""
+    return [*(name for name, file in HEADS.items() if file in bundle.files), "tikhonov"]
+
+
 def default_solver(bundle: Bundle) -> str:
     """Return the solver of a stream that has no latency budget, and so no reason to change it.
 
     That is the int8 head, which takes half the time, where the bundle's metrics card says that less than one pixel of a
     frame's map is above half height in one head's map and below in the other's; else the most accurate solver.
     """
-    names = [name for name, file in HEADS.items() if file in bundle.files]
+    names = solvers(bundle)
     try:
         flipped = float(bundle.manifest["metrics"]["int8"]["flipped"])
     except (KeyError, TypeError, ValueError):
         flipped = 1.0
-    if QUANTISED in names and 0.0 <= flipped < 1.0 / N_PIXELS:
-        return QUANTISED
-    return names[0] if names else "tikhonov"
+    return QUANTISED if QUANTISED in names and 0.0 <= flipped < 1.0 / N_PIXELS else names[0]
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:

@@ -110,9 +110,8 @@ class BusPort:
         plugged = Plugged(self.serial_number)
         handler = self._handler(plugged, self._ring)
         self._handlers.append(handler)  # the bed does not own it
-        self._bed.attach_ioctl(
-            f"/dev/{node}", handler
-        )  # before the node: whoever opens one that nobody serves yet is ended
+        # Before the node: umockdev ends a program that opens a node which nobody serves yet.
+        self._bed.attach_ioctl(f"/dev/{node}", handler)
         self._bed.add_from_string(
             f"P: /devices/1-1\nN: {node}\nE: SUBSYSTEM=usb\nE: DEVTYPE=usb_device\nE: DEVNAME=/dev/{node}\n"
             f"E: BUSNUM=001\nE: DEVNUM={self._number:03}\nA: busnum=1\\n\nA: devnum={self._number}\\n\nA: speed=12\\n\n"
