@@ -263,22 +263,33 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    from eitskin_tools.labels import beside
+
     figure, panels = pyplot.subplots(
         1, len(found), figsize=(7.0 * len(found), 5.2), layout="constrained", squeeze=False
     )
     for axes, (name, rows) in zip(panels[0], found.items(), strict=True):
-        shown = [row for row in rows if not row["variant"].startswith("gate")]
+        shown = _shown(rows)
         front = sorted((row for row in shown if row["pareto"]), key=lambda row: row["p50"])
         axes.plot(*zip(*map(_point, front), strict=True), color="tab:red", zorder=1)
         for row in shown:
             axes.scatter(*_point(row), color="tab:red" if row["pareto"] else "tab:grey", zorder=2)
-            axes.annotate(row["variant"], _point(row), fontsize=7, xytext=(4, 3), textcoords="offset points")
         axes.set(xscale="log", yscale="log", xlabel="paced run time, us (p50)", ylabel="1 - CC", title=name)
         axes.grid(alpha=0.3)
+    figure.canvas.draw()  # gives the panels their places
+    figure.set_layout_engine("none")
+    for axes, rows in zip(panels[0], found.values(), strict=True):
+        shown = _shown(rows)
+        beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
     try:
         figure.savefig(path, dpi=100)
     finally:
         pyplot.close(figure)
+
+
+def _shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the rows that the picture shows: the gate's error is one of another kind."""
+    return [row for row in rows if not row["variant"].startswith("gate")]
 
 
 def _point(row: dict[str, Any]) -> tuple[float, float]:
