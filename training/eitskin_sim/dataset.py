@@ -35,9 +35,6 @@ from eitskin_sim.plan import SetName
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
-ROWS: Final = 4096
-"""Labels that are made at a time."""
-
 HINT: Final = "make it again with 'eitskin dataset'"
 
 
@@ -101,10 +98,8 @@ class DataSet:
         if self.labels_kind == "units":
             return np.asarray(map_from_units(np.uint8(255) * self.units), dtype=np.uint8).reshape(-1, N_PIXELS)
         table = self.free.area_table()
-        found = np.empty((len(self.free), N_PIXELS), dtype=np.uint8)
-        for start in range(0, len(found), ROWS):
-            found[start : start + ROWS] = np.rint(255.0 * np.minimum(table[start : start + ROWS].toarray(), 1.0))
-        return found
+        table.data = np.rint(255.0 * np.minimum(table.data, 1.0)).astype(np.uint8)
+        return np.asarray(table.toarray())
 
 
 def load(path: str | Path) -> DataSet:
