@@ -1,9 +1,9 @@
 """``eitskin bench tradeoff``: run time against error for every solver and variant, as a table and a picture.
 
 Error is 1 - CC, the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``. Run
-time is one call a 5 ms period, the variants taking turns, as a robot sees it; classical solvers have their operators of
-the sheet ready, as the network has its geometry. Of the variants that give a whole map, those that no other one beats
-in both are on the Pareto front.
+time is one call a 5 ms period, the variants taking turns on one thread, as a robot sees it; classical solvers have
+their operators of the sheet ready, as the network has its geometry. Of the variants that give a whole map, those that
+no other one beats in both are on the Pareto front.
 
 ::
 
@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin_tools.cli import UsageError
+from eitskin_tools.threads import one_blas_thread
 
 PERIOD_S: Final = 0.005
 """Between two calls."""
@@ -50,6 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
+    one_blas_thread()
     from eitskin_sim.scene import load_phantoms
     from eitskin_tools.bench.frame import machine
 
