@@ -76,11 +76,11 @@ firmware qemu: $(VENV)/.dev system-packages
 	$(MAKE) -C firmware_proto $@ PYTHON=$(abspath $(BIN)/python)
 
 powercut fuzz hotplug: $(VENV)/.dev system-packages
-	$(BIN)/python -m eitskin_tools.faults.$@
+	$(BIN)/python -m eitskin_tools.fault_injection.$@
 
 SECONDS ?= 1200
 soak: $(VENV)/.dev system-packages
-	$(BIN)/python -m eitskin_tools.faults.soak --seconds $(SECONDS)
+	$(BIN)/python -m eitskin_tools.fault_injection.soak --seconds $(SECONDS)
 
 clean:
 	rm -rf .build dist .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -6,10 +6,11 @@
 from collections.abc import Iterator
 from pathlib import Path
 
-from eitskin_proto import codes, config, frames, framing, hardware, ids, messages
-from eitskin_proto.config_toml import named
-from eitskin_proto.layout import WIDTH, Layout
-from eitskin_proto.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, N_ROWS
+from eitskin_proto.sensor import ids
+from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, N_ROWS
+from eitskin_proto.wire import codes, config, frames, framing, hardware, messages
+from eitskin_proto.wire.config_toml import named
+from eitskin_proto.wire.layout import WIDTH, Layout
 
 FOLDER = Path(__file__).parent
 HEADER = FOLDER / "core" / "eit_wire.h"

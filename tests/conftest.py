@@ -10,9 +10,9 @@ import pytest
 @pytest.fixture(scope="session")
 def toy_data() -> Callable[..., Any]:
     """Return a maker of linear toy data that trains in seconds: V = V0 (1 - A x), and bends that scale it."""
-    from eitskin_proto.grid import N_UNITS, map_from_units
-    from eitskin_proto.table import N_ROWS
-    from eitskin_training.data import TrainingData
+    from eitskin_proto.sensor.grid import N_UNITS, map_from_units
+    from eitskin_proto.sensor.table import N_ROWS
+    from eitskin_training.samples.batches import TrainingData
 
     def make(labels_kind: Any = "units", samples: int = 600, bends: int = 4, seed: int = 0) -> Any:
         rng = np.random.default_rng(seed)

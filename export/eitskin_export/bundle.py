@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.grid import N_PIXELS
-from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.table import N_ROWS
+from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.table import N_ROWS
 
 VERSION: Final = 1
 """Version of the manifest."""

@@ -1,9 +1,10 @@
 """What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
 
 The Gaussian is that of the training samples with the recipe's noise, the same that filled in lost electrodes while the
-network learned (:mod:`eitskin_sim.consistency`). The thresholds are those that one frame in ``RATE`` of touches and
-deformations never trained on exceeds; half of them choose, the other half measure. The runtime asks for ten such
-frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of these few, does.
+network learned (:mod:`eitskin_sim.measurement.consistency`). The thresholds are those that one frame in ``RATE`` of
+touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime asks for ten
+such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of these few,
+does.
 """
 
 import io
@@ -14,15 +15,15 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.correction import NAMES
-from eitskin.drift import estimates
-from eitskin.electrodes import NEEDED, WINDOW, ElectrodeWatch
-from eitskin.imputation import Consistency as Deployed
-from eitskin_export.untouched import Bends
-from eitskin_proto.table import N_ROWS
-from eitskin_sim.consistency import FLOOR, RATIO_RANGE
-from eitskin_training.data import TrainingData, consistency_of, noisy_change
+from eitskin.health.correction import NAMES
+from eitskin.health.drift import estimates
+from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
+from eitskin.health.imputation import Consistency as Deployed
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.measurement.consistency import FLOOR, RATIO_RANGE
+from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change
 
 RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""

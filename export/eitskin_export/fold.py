@@ -12,12 +12,12 @@ import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from eitskin_proto.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
-from eitskin_proto.table import N_ROWS
-from eitskin_training.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
-from eitskin_training.mirror import MIRRORS
-from eitskin_training.model import VD2T, Architecture, Residual, Standardise, activation, features
-from eitskin_training.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
+from eitskin_proto.sensor.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
+from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.model import VD2T, Architecture, Residual, Standardise, activation, features
+from eitskin_training.network.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
 
 
 class Geometry(nn.Module):
@@ -72,7 +72,7 @@ class Head(nn.Module):
 
     Every permutation is a gather of single elements (``GatherElements``): ONNX Runtime does 1350 in under 2 us, where a
     Gather or a Transpose of them takes 10 to 35. The first one gives cells as the convolutions read them and is what
-    the runtime changes to cut a region out (:mod:`eitskin.onnx_cells`); the last one gives pixels.
+    the runtime changes to cut a region out (:mod:`eitskin.model.onnx.crop_sharpened`); the last one gives pixels.
     """
 
     channel_of_cell: Tensor

@@ -1,8 +1,9 @@
 """When a map may overrule the gate: at more touched pixels than the network ever shows of an untouched sheet.
 
-The runtime infers one in fifty of the frames that the gate calls untouched (:mod:`eitskin.watch`). A network shows
-ghosts now and then, most of all of a bent sheet without a cloud; so the number of pixels above one half that counts as
-a strong touch is taken from untouched sheets at bends that neither network nor gate learned from, twice their largest.
+The runtime infers one in fifty of the frames that the gate calls untouched (:mod:`eitskin.pipeline.gate_audit`). A
+network shows ghosts now and then, most of all of a bent sheet without a cloud; so the number of pixels above one half
+that counts as a strong touch is taken from untouched sheets at bends that neither network nor gate learned from, twice
+their largest.
 """
 
 from typing import Final
@@ -10,11 +11,11 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.watch import STRONG_VALUE
+from eitskin.pipeline.gate_audit import STRONG_VALUE
 from eitskin_export import parity
-from eitskin_export.material import noisy_change
-from eitskin_proto.cloud import flat_cloud, network_input
-from eitskin_proto.grid import N_PIXELS
+from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_training.gate.material import noisy_change
 
 FEWEST_PIXELS: Final = 9
 """10 mm square: the least that counts as a strong touch, however quiet the network is."""

@@ -16,10 +16,10 @@ import onnx
 import torch
 
 from eitskin_export.fold import Geometry, Head
-from eitskin_proto.cloud import CLOUD_SHAPE
 from eitskin_proto.errors import SkinError
-from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.table import N_ROWS
+from eitskin_proto.sensor.cloud import CLOUD_SHAPE
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.table import N_ROWS
 
 OPSET: Final = 20
 """Version of the ONNX operators: the newest that torch 2.13 exports (18 to 20 work)."""

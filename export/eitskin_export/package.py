@@ -9,18 +9,19 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_export import consistency, gate, graphs, parity, projection, quantise
+from eitskin_export import consistency, graphs, parity, projection, quantise
 from eitskin_export.bundle import projection_bytes, write
 from eitskin_export.bundle import read as read_bundle
 from eitskin_export.fold import split
 from eitskin_export.gate_audit import audit_pixels
-from eitskin_export.untouched import Bends, solved_bends
 from eitskin_proto.errors import MismatchError
 from eitskin_training.card import card
-from eitskin_training.data import TrainingData, noisy_change
-from eitskin_training.joined import load_all
-from eitskin_training.model import VD2T
+from eitskin_training.gate import fit
+from eitskin_training.gate.untouched import Bends, solved_bends
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData, noisy_change
+from eitskin_training.samples.joined import load_all
 from eitskin_training.train import network, read
 
 
@@ -78,7 +79,7 @@ def export(
     tell: Callable[[str], None] = lambda _: None,
     jacobian: Callable[[], npt.NDArray[np.float64]] = projection.flat_jacobian,
     bends: Callable[[TrainingData], Bends] = solved_bends,
-    gate_steps: int = gate.STEPS,
+    gate_steps: int = fit.STEPS,
 ) -> dict[str, Any]:
     """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
 
@@ -103,7 +104,7 @@ def export(
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     tell("fitting the gate")
     untouched = bends(data)
-    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
+    touch_gate = fit.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
         audit_pixels(geometry_bytes, head_bytes, untouched.measure, data.reference)
     )
     tell("learning what healthy frames look like")
@@ -149,7 +150,7 @@ def refit_gate(
     path: Path,
     *,
     bends: Callable[[TrainingData], Bends] = solved_bends,
-    gate_steps: int = gate.STEPS,
+    gate_steps: int = fit.STEPS,
 ) -> dict[str, Any]:
     """Fit a bundle's gate once more, leave all else as it is, and return its new id and the gate's facts.
 
@@ -170,7 +171,7 @@ def refit_gate(
             f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
         )
     untouched = bends(data)
-    touch_gate = gate.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
+    touch_gate = fit.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
         audit_pixels(files["geometry.onnx"], files["head.onnx"], untouched.measure, data.reference)
     )
     identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()})
@@ -186,7 +187,7 @@ def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array,
     return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
 
 
-def _facts(found: Trained, data: TrainingData, touch_gate: gate.Gate, metrics: dict[str, Any]) -> dict[str, Any]:
+def _facts(found: Trained, data: TrainingData, touch_gate: fit.Gate, metrics: dict[str, Any]) -> dict[str, Any]:
     history = found.content["history"]
     architecture = found.recipe.architecture
     return {

@@ -20,17 +20,17 @@ import onnxruntime
 import torch
 from torch import nn
 
-from eitskin.bundle import load_bundle
-from eitskin.engine import Buffers, GeometryGraph, engines
-from eitskin_proto.cloud import flat_cloud, network_input
+from eitskin.model.bundle import load_bundle
+from eitskin.model.engine import Buffers, GeometryGraph, engines
 from eitskin_proto.errors import SkinError
-from eitskin_proto.normalise import relative_change
-from eitskin_sim import trials
-from eitskin_sim.noise import add_noise
-from eitskin_sim.parts import Scene
-from eitskin_sim.scanned import scanned_cloud
-from eitskin_sim.solve import solve_scene
-from eitskin_training.model import VD2T
+from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.evaluation import trials
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.parts import Scene
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_training.network.model import VD2T
 
 TOLERANCE: Final = 1e-5
 """Largest difference allowed in the map: float32 rounds a sum of 500 products to about 1e-6 of its size."""

@@ -12,9 +12,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.table import N_ROWS
-from eitskin_sim.jacobian import cell_jacobian
-from eitskin_sim.parts import Electrodes, Sheet
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.fem.jacobian import cell_jacobian
+from eitskin_sim.scene.parts import Electrodes, Sheet
 
 FACTOR: Final = 1e-3
 """Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""

@@ -13,9 +13,6 @@ import importlib
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from eitskin.bundle import Bundle, load_bundle
-    from eitskin.control import request, send_cloud
-    from eitskin.curve import ClientKeys, load_client_keys, make_keys
     from eitskin.errors import (
         BadReference,
         BudgetError,
@@ -35,10 +32,13 @@ if TYPE_CHECKING:
         StaleFrame,
         TransportError,
     )
-    from eitskin.frame import Frame
-    from eitskin.reference import Reference
+    from eitskin.messaging.control import request, send_cloud
+    from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
+    from eitskin.messaging.frame import Frame
+    from eitskin.messaging.subscription import Subscription, subscribe
+    from eitskin.model.bundle import Bundle, load_bundle
+    from eitskin.reference.captured import Reference
     from eitskin.skin import Skin
-    from eitskin.subscription import Subscription, subscribe
 
 __all__ = [
     "BadReference",
@@ -73,18 +73,18 @@ __all__ = [
 ]
 
 _HOMES: Final = {
-    "Bundle": "bundle",
-    "ClientKeys": "curve",
-    "Frame": "frame",
-    "Reference": "reference",
+    "Bundle": "model.bundle",
+    "ClientKeys": "messaging.curve_keys",
+    "Frame": "messaging.frame",
+    "Reference": "reference.captured",
     "Skin": "skin",
-    "Subscription": "subscription",
-    "load_bundle": "bundle",
-    "load_client_keys": "curve",
-    "make_keys": "curve",
-    "request": "control",
-    "send_cloud": "control",
-    "subscribe": "subscription",
+    "Subscription": "messaging.subscription",
+    "load_bundle": "model.bundle",
+    "load_client_keys": "messaging.curve_keys",
+    "make_keys": "messaging.curve_keys",
+    "request": "messaging.control",
+    "send_cloud": "messaging.control",
+    "subscribe": "messaging.subscription",
 }
 """Where each public name lives; the errors live in ``errors``."""
 

@@ -3,7 +3,7 @@
 import time
 from typing import Final
 
-from eitskin.publish import Publisher
+from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin
 
 LOOK_NS: Final = 200_000_000

@@ -18,27 +18,27 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from eitskin import reference as references
-from eitskin.bundle import Bundle, load_bundle
-from eitskin.cutter import Cutter
-from eitskin.device import Device
-from eitskin.engine import GeometryGraph
+from eitskin.acquisition.device import Device
+from eitskin.acquisition.ports import open_line
+from eitskin.acquisition.serial_port import DEFAULT_BAUD
+from eitskin.acquisition.transport import Transport
 from eitskin.errors import BadReference, BundleError, HandshakeError, PortReturned, SkinError
-from eitskin.frame import TOUCHED, Frame, FramePacker, unpack_frame
-from eitskin.health import health_of
-from eitskin.idle import IdleGate, IdleMode
-from eitskin.imputation import MISSING
-from eitskin.lines import open_line
-from eitskin.pipeline import INFER, PACK, PUBLISH, READ, Pipeline
-from eitskin.prediction import log_ratio
-from eitskin.reference import DEFAULT_FRAMES, Reference, ReferenceBuilder
-from eitskin.regions import Region, union
-from eitskin.serial_port import DEFAULT_BAUD
-from eitskin.stats import Statistics
-from eitskin.transport import Transport
-from eitskin_proto.answers import Event
-from eitskin_proto.codes import MessageType, Mode
-from eitskin_proto.frames import FRAME_TYPE
+from eitskin.health.imputation import MISSING
+from eitskin.health.monitor import health_of
+from eitskin.messaging.frame import TOUCHED, Frame, FramePacker, unpack_frame
+from eitskin.messaging.regions import Region, union
+from eitskin.model.bundle import Bundle, load_bundle
+from eitskin.model.engine import GeometryGraph
+from eitskin.pipeline.frame_pipeline import INFER, PACK, PUBLISH, READ, Pipeline
+from eitskin.pipeline.idle import IdleGate, IdleMode
+from eitskin.pipeline.region_worker import Cutter
+from eitskin.pipeline.stats import Statistics
+from eitskin.reference import captured as references
+from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.predicted import log_ratio
+from eitskin_proto.wire.answers import Event
+from eitskin_proto.wire.codes import MessageType, Mode
+from eitskin_proto.wire.frames import FRAME_TYPE
 
 CAPTURE_S = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
@@ -63,13 +63,14 @@ class Skin:
         budget_ms: From read to publish; None for no budget.
         baud: Bits per second on a real UART.
         solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8`` or ``tikhonov``; None for the bundle's own
-            choice (:func:`eitskin.engine.default_solver`) or, with a budget, its most accurate one.
+            choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
         skip_unchanged: Whether a frame keeps the map of an earlier one while only noise lies between them
-            (:mod:`eitskin.stillness`).
+            (:mod:`eitskin.pipeline.stillness`).
         idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
-            (:mod:`eitskin.idle`); None scans all of them always.
+            (:mod:`eitskin.pipeline.idle`); None scans all of them always.
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
-        compensate_drift: Whether to take out of the frames what the reference has drifted (:mod:`eitskin.drift`).
+        compensate_drift: Whether to take out of the frames what the reference has drifted
+        (:mod:`eitskin.health.drift`).
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.

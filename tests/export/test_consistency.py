@@ -7,16 +7,16 @@ import numpy as np
 import pytest
 import torch
 
-from eitskin.electrodes import ElectrodeWatch
-from eitskin.imputation import Consistency, without_rows
-from eitskin.imputation import rows_of as deployed_rows
+from eitskin.health.electrodes import ElectrodeWatch
+from eitskin.health.imputation import Consistency, without_rows
+from eitskin.health.imputation import rows_of as deployed_rows
 from eitskin_export.consistency import Healthy, evidence, healthy
 from eitskin_export.projection import damped_inverse, tikhonov
-from eitskin_export.untouched import bends_of
-from eitskin_sim.consistency import Filler, logarithms, rows_of
-from eitskin_training.data import TrainingData, consistency_of, noisy_change
-from eitskin_training.filling import Filling
+from eitskin_sim.measurement.consistency import Filler, logarithms, rows_of
+from eitskin_training.gate.untouched import bends_of
+from eitskin_training.network.filling import Filling
 from eitskin_training.recipes import recipe
+from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change
 
 INVERSE = np.eye(104)
 

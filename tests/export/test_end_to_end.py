@@ -10,13 +10,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin.bundle import load_bundle
+from eitskin.model.bundle import load_bundle
 from eitskin_export import package
-from eitskin_export.untouched import bends_of
-from eitskin_sim.dataset import load
-from eitskin_sim.generate import generate
-from eitskin_sim.plan import make_plan
+from eitskin_sim.dataset.generate import generate
+from eitskin_sim.dataset.plan import make_plan
+from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
+from eitskin_training.gate.untouched import bends_of
 
 
 @pytest.fixture(scope="module")

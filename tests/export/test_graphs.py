@@ -6,13 +6,13 @@ import pytest
 import torch
 from torch import nn
 
-from eitskin.onnx_rows import cut
-from eitskin.regions import Region, pixels
+from eitskin.messaging.regions import Region, pixels
+from eitskin.model.onnx.crop import cut
 from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
-from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_training.model import VD2T, Architecture
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.network.model import VD2T, Architecture
 from eitskin_training.recipes import recipe
 
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from eitskin.bundle import load_bundle
+from eitskin.model.bundle import load_bundle
 from eitskin_export import bundle, package, parity, projection
-from eitskin_export.untouched import bends_of
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_training import train
-from eitskin_training.data import TrainingData
+from eitskin_training.gate.untouched import bends_of
 from eitskin_training.recipes import recipe
+from eitskin_training.samples.batches import TrainingData
 
 PROJECTION = np.zeros((1350, 104), dtype=np.float32)
 JACOBIAN = np.random.default_rng(0).standard_normal((104, 1350))

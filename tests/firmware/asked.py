@@ -6,17 +6,17 @@ from typing import Any
 
 import numpy as np
 
-from eitskin.serial_port import SerialPort
-from eitskin_proto import config_toml, framing
-from eitskin_proto import messages as m
-from eitskin_proto.codes import Code, EventCode
-from eitskin_proto.config import Configuration
-from eitskin_proto.frames import Frame
-from eitskin_tools.faults.board import Board
-from eitskin_tools.faults.core import HostDevice
-from eitskin_tools.skin.device import VirtualDevice
-from eitskin_tools.skin.identity import Identity
-from eitskin_tools.skin.server import SkinServer
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin_proto.wire import config_toml, framing
+from eitskin_proto.wire import messages as m
+from eitskin_proto.wire.codes import Code, EventCode
+from eitskin_proto.wire.config import Configuration
+from eitskin_proto.wire.frames import Frame
+from eitskin_tools.emulator.board import Board
+from eitskin_tools.emulator.device_core import HostDevice
+from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.server import SkinServer
 
 PAPER = config_toml.named("paper")
 FAST = config_toml.named("fast")

@@ -1,7 +1,7 @@
 import pytest
 
-from eitskin_tools.faults.core import HostDevice, library
-from eitskin_tools.faults.firmware import missing_tools
+from eitskin_tools.emulator.device_core import HostDevice, library
+from eitskin_tools.emulator.firmware import missing_tools
 
 
 @pytest.fixture(scope="session")

@@ -5,14 +5,14 @@ import time
 import numpy as np
 import pytest
 
-from eitskin.serial_port import SerialPort
-from eitskin_proto import config_toml, framing, messages
-from eitskin_proto.codes import HelloFlag
-from eitskin_proto.frames import Frame
-from eitskin_proto.table import FULL_TABLE, ROW_IN_FULL
-from eitskin_tools.faults import powercut
-from eitskin_tools.faults.board import Board, record
-from eitskin_tools.faults.firmware import missing_tools
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
+from eitskin_proto.wire import config_toml, framing, messages
+from eitskin_proto.wire.codes import HelloFlag
+from eitskin_proto.wire.frames import Frame
+from eitskin_tools.emulator.board import Board, record
+from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.fault_injection import powercut
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 

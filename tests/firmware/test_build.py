@@ -3,7 +3,7 @@ import subprocess
 
 import pytest
 
-from eitskin_tools.faults import firmware
+from eitskin_tools.emulator import firmware
 
 
 def test_the_core_uses_no_heap_no_stdio_and_no_globals(core, tmp_path):

@@ -9,11 +9,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_proto import framing
-from eitskin_proto import messages as m
-from eitskin_proto.codes import Code, EventCode, FrameFlag, HelloFlag, Mode, Slot
-from eitskin_proto.frames import Frame
-from eitskin_tools.faults.firmware import missing_tools
+from eitskin_proto.wire import framing
+from eitskin_proto.wire import messages as m
+from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, Mode, Slot
+from eitskin_proto.wire.frames import Frame
+from eitskin_tools.emulator.firmware import missing_tools
 
 from .asked import DEVICES, FAST, FULL, PAPER, CoreAsked, VirtualAsked, begin
 

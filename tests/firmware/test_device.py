@@ -5,10 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_proto import config_toml, framing, messages
-from eitskin_proto.codes import Code, EventCode, FrameFlag, HelloFlag, Mode, Slot
-from eitskin_proto.frames import Frame
-from eitskin_proto.table import FULL_TABLE, TABLE
+from eitskin_proto.sensor.table import FULL_TABLE, TABLE
+from eitskin_proto.wire import config_toml, framing, messages
+from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, Mode, Slot
+from eitskin_proto.wire.frames import Frame
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 

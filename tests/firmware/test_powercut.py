@@ -1,6 +1,6 @@
 import pytest
 
-from eitskin_tools.faults import powercut
+from eitskin_tools.fault_injection import powercut
 
 
 @pytest.mark.parametrize("kind", powercut.KINDS)

@@ -2,8 +2,8 @@ import json
 
 import pytest
 
-from eitskin_tools.faults import soak
-from eitskin_tools.faults.firmware import missing_tools
+from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.fault_injection import soak
 
 
 def test_every_number_of_a_stream_from_the_emulated_board_arrives_or_is_counted(capsys):

@@ -20,7 +20,7 @@ import onnx
 from onnx import TensorProto, helper, numpy_helper
 from onnxruntime.quantization import QuantType, quantize_dynamic
 
-from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 
 HIDDEN = 8
 ROWS = 104

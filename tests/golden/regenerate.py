@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 
-from eitskin_proto import codes, config_toml, framing, messages
-from eitskin_proto.frames import Frame, full_scale, quantise
-from eitskin_proto.scan_rows import row_count
+from eitskin_proto.wire import codes, config_toml, framing, messages
+from eitskin_proto.wire.frames import Frame, full_scale, quantise
+from eitskin_proto.wire.scan_rows import row_count
 
 WIRE = Path(__file__).parent / "wire.json"
 

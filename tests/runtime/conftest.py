@@ -10,12 +10,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.bundle import load_bundle
-from eitskin.control import ControlServer
-from eitskin.publish import Publisher
+from eitskin.messaging.control import ControlServer
+from eitskin.messaging.publish import Publisher
+from eitskin.model.bundle import load_bundle
 from eitskin.serve import serve
 from eitskin.skin import Skin
-from eitskin_proto.messages import Hello
+from eitskin_proto.wire.messages import Hello
 
 HERE = Path(__file__).parent
 TINY = HERE.parent / "golden" / "tiny.eitskin"

@@ -10,14 +10,14 @@ from time import perf_counter_ns
 
 import numpy as np
 
-from eitskin_proto.ids import PROTOCOL_ID
-from eitskin_proto.table import N_ROWS
-from eitskin_tools.skin import server
-from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import VirtualDevice
-from eitskin_tools.skin.faults import FOREIGN_ID, FaultPlayer, parse
-from eitskin_tools.skin.identity import Identity
-from eitskin_tools.skin.pty import PtyPort
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_tools.virtual_skin import server
+from eitskin_tools.virtual_skin.configure import configuration_for
+from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.faults import FOREIGN_ID, FaultPlayer, parse
+from eitskin_tools.virtual_skin.identity import Identity
+from eitskin_tools.virtual_skin.pty import PtyPort
 
 
 def untouched():

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 import eitskin
-from eitskin.reference import load
+from eitskin.reference.captured import load
 
 
 def command(*words, **options):
@@ -123,7 +123,7 @@ def test_a_port_that_vanishes_is_one_line_and_exit_1(virtual_skin, tiny_path, en
 
 
 def test_an_address_in_use_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints, tmp_path):
-    from eitskin.publish import Publisher
+    from eitskin.messaging.publish import Publisher
 
     holder = Publisher(f"ipc://{tmp_path}/frames")
     with virtual_skin() as port:

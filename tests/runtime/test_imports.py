@@ -19,7 +19,9 @@ def test_a_subscriber_loads_neither_inference_nor_serial_ports():
 
 
 def test_the_whole_runtime_loads_neither_torch_nor_scipy():
-    loaded = modules_after("import eitskin; eitskin.Skin; import eitskin.serve, eitskin.doctor, eitskin.realtime")
+    loaded = modules_after(
+        "import eitskin; eitskin.Skin; import eitskin.serve, eitskin.diagnostics.doctor, eitskin.diagnostics.realtime"
+    )
     assert not loaded & {"torch", "scipy", "onnx", "eitskin_sim"}
     assert "onnxruntime" in loaded
 

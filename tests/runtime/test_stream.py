@@ -5,11 +5,11 @@ import time
 import numpy as np
 import pytest
 
-from eitskin import device as devices
+from eitskin.acquisition import device as devices
 from eitskin.errors import BadReference, HandshakeError, PortLost
 from eitskin.skin import Skin
-from eitskin_proto.codes import MessageType
-from eitskin_proto.framing import Deframer
+from eitskin_proto.wire.codes import MessageType
+from eitskin_proto.wire.framing import Deframer
 
 
 def opened(port, tiny_path, **options):
@@ -187,7 +187,7 @@ def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
 
 
 def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothing(virtual_skin, tiny_path):
-    from eitskin_proto.cloud import flat_cloud
+    from eitskin_proto.sensor.cloud import flat_cloud
 
     with virtual_skin(touches=[[0.15, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
         frames = []
@@ -208,7 +208,7 @@ def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothi
 
 
 def test_a_full_scan_of_208_rows_gives_the_same_maps(virtual_skin, tiny_path, tmp_path):
-    from eitskin_proto import config_toml
+    from eitskin_proto.wire import config_toml
 
     text = config_toml.to_toml(config_toml.load("paper"))
     assert "rows = 104" in text

@@ -3,11 +3,11 @@ import itertools
 import numpy as np
 import pytest
 
-from eitskin_proto import messages
-from eitskin_proto.framing import Deframer, encode
-from eitskin_tools.skin.configure import configuration_for
-from eitskin_tools.skin.device import VirtualDevice
-from eitskin_tools.skin.identity import Identity
+from eitskin_proto.wire import messages
+from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_tools.virtual_skin.configure import configuration_for
+from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.identity import Identity
 
 ROWS_V = np.linspace(-0.1, -0.001, 104)
 

@@ -13,7 +13,7 @@ def test_every_variant_changes_the_inputs_and_nothing_else() -> None:
     blocks = {name: variant_recipe(base, name).architecture.feature_blocks for name in VARIANTS}
     without = {"none": 2, "cloud": 2, "paper-cloud": 2}
     assert blocks == without | {name: 3 for name in VARIANTS if name not in without}
-    as_wide = set(VARIANTS) - {"unmirrored"}  # as many weights a frame instead: tests/training/test_images.py
+    as_wide = set(VARIANTS) - {"unmirrored"}  # as many weights a frame instead: tests/training/network/test_images.py
     assert {variant_recipe(base, name).architecture.widths for name in as_wide} == {base.architecture.widths}
     with pytest.raises(ValueError, match="variant 'voltages' is unknown"):
         variant_recipe(base, "voltages")

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 import torch
 
-from eitskin_sim.consistency import Filler, fit, logarithms, rows_of
+from eitskin_sim.measurement.consistency import Filler, fit, logarithms, rows_of
 from eitskin_training import train
 from eitskin_training.adapt import Plan, adapt, write
-from eitskin_training.data import consistency_of, noisy_change
-from eitskin_training.filling import Filling
-from eitskin_training.model import VD2T
+from eitskin_training.network.filling import Filling
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe, recipe
+from eitskin_training.samples.batches import consistency_of, noisy_change
 
 QUICK = Plan(fitting_steps=20, steps=20, batch=64, rate=3e-3, width=32)
 

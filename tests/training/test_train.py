@@ -10,8 +10,8 @@ import torch
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_training import curves, train
 from eitskin_training.card import card
-from eitskin_training.data import inputs
 from eitskin_training.recipes import Recipe, recipe
+from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 
 

@@ -13,47 +13,44 @@ from collections.abc import Sequence
 from typing import Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_tools.errors import UsageError
 
-COMMANDS: Final[dict[str, str]] = {
-    "demo": "a virtual skin, the runtime and a subscriber in three processes, with the map drawn live",
-    "run": "read a skin, publish tactile frames",
-    "subscribe": "print the frames that a runtime publishes",
-    "sim": "a virtual skin behind a pseudo-terminal",
-    "reference": "capture or show the one pre-deformation reference",
-    "flash": "show, compare, write, verify or roll back the device's configuration",
-    "scan": "turn a raw scan of the bent sheet into a 3 x 30 x 45 cloud",
-    "simulate": "solve a scene with the forward model",
-    "dataset": "generate a data set",
-    "train": "train VD2T",
-    "curves": "losses of training runs side by side",
-    "adapt": "teach a trained network to go on without electrodes",
-    "export": "export a trained network to a bundle",
-    "evaluate": "score a solver on phantoms",
-    "bench": "benchmarks, each with --json",
-    "doctor": "list ports, devices, permissions and what to do about each problem",
+COMMANDS: Final[dict[str, tuple[str, str]]] = {
+    "demo": ("live.demo", "a virtual skin, the runtime and a subscriber in three processes, with the map drawn live"),
+    "run": ("live.run", "read a skin, publish tactile frames"),
+    "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
+    "sim": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
+    "reference": ("live.reference", "capture or show the one pre-deformation reference"),
+    "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
+    "scan": ("live.surface", "turn a raw scan of the bent sheet into a 3 x 30 x 45 cloud"),
+    "simulate": ("offline.simulate", "solve a scene with the forward model"),
+    "dataset": ("offline.dataset", "generate a data set"),
+    "train": ("offline.train", "train VD2T"),
+    "curves": ("offline.curves", "losses of training runs side by side"),
+    "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
+    "export": ("offline.export", "export a trained network to a bundle"),
+    "evaluate": ("offline.evaluate", "score a solver on phantoms"),
+    "bench": ("offline.bench", "benchmarks, each with --json"),
+    "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
-"""Subcommands in the order of the help, each with what it does."""
-
-
-class UsageError(SkinError):
-    """An argument that the parser could not judge by itself; exit status 2."""
+"""Subcommands in the order of the help: {name: (module below ``eitskin_tools.commands``, what it does)}."""
 
 
 def _parser(named: str | None) -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(prog="eitskin", description="Feel through a soft, bending electronic skin.")
     parser.add_argument("--version", action="store_true", help="print the version and the ids, then exit")
     subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
-    for name, summary in COMMANDS.items():
+    for name, (module, summary) in COMMANDS.items():
         child = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
         if name == named:
-            importlib.import_module(f"eitskin_tools.commands.{name}").add_arguments(child)
+            importlib.import_module(f"eitskin_tools.commands.{module}").add_arguments(child)
     return parser
 
 
 def _print_version() -> None:
     from importlib.metadata import version
 
-    from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 
     print(f"eitskin {version('eitskin')} protocol_id {PROTOCOL_ID} grid_id {GRID_ID}")
 
@@ -71,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         parser.print_usage(sys.stderr)
         print("eitskin: name a command; 'eitskin --help' lists them", file=sys.stderr)
         return 2
-    module = importlib.import_module(f"eitskin_tools.commands.{arguments.command}")
+    module = importlib.import_module(f"eitskin_tools.commands.{COMMANDS[arguments.command][0]}")
     try:
         return int(module.run(arguments))
     except BrokenPipeError:
@@ -96,5 +93,4 @@ def _one_line(error: BaseException) -> str:
 
 
 if __name__ == "__main__":
-    # By its own name: as __main__ this module's UsageError would be another class than the one that subcommands raise.
-    sys.exit(importlib.import_module("eitskin_tools.cli").main())
+    sys.exit(main())

@@ -26,10 +26,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.normalise import relative_change
-from eitskin_training.data import TrainingData
-from eitskin_training.model import RATIO_FLOOR, VD2T
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_training.network.model import RATIO_FLOOR, VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import Score, score, untouched_peaks
 from eitskin_training.train import network, train
 

@@ -1,7 +1,7 @@
 """A short second training for lost electrodes: the network and what fills their rows in learn together.
 
-Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.lost`). This stage
-starts from a run's best epoch ::
+Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.missing_rows`).
+This stage starts from a run's best epoch ::
 
     1. fitting     the filling alone, towards the rows that were lost
     2. together    filling and network on the training's loss; half of each batch lacks one to four electrodes
@@ -22,14 +22,14 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from eitskin_proto.grid import map_from_units
-from eitskin_proto.table import N_ELECTRODES
-from eitskin_sim.consistency import logarithms
-from eitskin_training.data import TrainingData, assemble, consistency_of, lose_rows, noisy_change
-from eitskin_training.filling import WIDTH, Filling, Lost
-from eitskin_training.mirror import MIRRORS
-from eitskin_training.model import VD2T
+from eitskin_proto.sensor.grid import map_from_units
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.measurement.consistency import logarithms
+from eitskin_training.network.filling import WIDTH, Filling, Lost
+from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
 from eitskin_training.score import correlation, training_loss
 from eitskin_training.train import write_file
 

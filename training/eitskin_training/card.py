@@ -2,9 +2,9 @@
 
 from typing import Any, Final
 
-from eitskin_sim.noise import KINDS, Kind
-from eitskin_training.data import TrainingData
-from eitskin_training.model import VD2T
+from eitskin_sim.measurement.noise import KINDS, Kind
+from eitskin_training.network.model import VD2T
+from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import score
 
 NOISES: Final[tuple[Kind, ...]] = tuple(kind for kind in KINDS if kind != "none")  # type: ignore[misc]

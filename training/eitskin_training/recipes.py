@@ -8,8 +8,8 @@ all three noises, the sheet's mirror symmetries, lost rows; ``units`` keeps the 
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
-from eitskin_proto.grid import N_PIXELS, N_UNITS
-from eitskin_training.model import Architecture
+from eitskin_proto.sensor.grid import N_PIXELS, N_UNITS
+from eitskin_training.network.model import Architecture
 
 Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]

@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from eitskin_proto.grid import map_from_units
-from eitskin_proto.normalise import relative_change
-from eitskin_sim.noise import Kind, add_noise
-from eitskin_training.data import PIXELS_PER_UNIT, TrainingData, assemble, noisy_change
-from eitskin_training.model import VD2T
+from eitskin_proto.sensor.grid import map_from_units
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_training.network.model import VD2T
+from eitskin_training.samples.batches import PIXELS_PER_UNIT, TrainingData, assemble, noisy_change
 
 SMALL: Final = 1e-4
 """Pixels^4: keeps the correlation of a map without any contrast, and its gradient, finite."""

@@ -25,10 +25,10 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.ids import GRID_ID, PROTOCOL_ID
-from eitskin_training.data import TrainingData, batches, inputs
-from eitskin_training.model import VD2T
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData, batches, inputs
 from eitskin_training.score import score, training_loss
 
 FORMAT: Final = 1

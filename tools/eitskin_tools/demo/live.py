@@ -7,7 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 import eitskin
-from eitskin_tools.demo.draw import RATE_HZ, Painter
+from eitskin_tools.pictures.draw import RATE_HZ, Painter
 
 
 def live(publish: str, script: Any, start_us: int, going_on: Callable[[], bool]) -> None:

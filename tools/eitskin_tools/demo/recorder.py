@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin_proto.grid import N_PIXELS
+from eitskin_proto.sensor.grid import N_PIXELS
 
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 
 import eitskin
-from eitskin_tools.demo.events import script_start
+from eitskin_tools.processes.skin_log import script_start
 
 NICENESS: Final = 2
 """Of this process; see nice(2). With 10, on cores that other programs fill, a cloud came every four seconds."""
@@ -47,7 +47,7 @@ def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int,
     Raises:
         SkinError: The runtime refuses a cloud.
     """
-    from eitskin_sim.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene.script import demonstration, from_scene
 
     script = demonstration() if scene is None else from_scene(scene)
     rng = np.random.default_rng(seed)
@@ -74,7 +74,7 @@ def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int,
 
 
 def _predicted(cloud: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    from eitskin_sim.predict import flat_voltages, predict
+    from eitskin_sim.surface.predict import flat_voltages, predict
 
     return predict(cloud), flat_voltages()
 

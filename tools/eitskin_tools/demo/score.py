@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.grid import GRID_SHAPE
+from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_tools.demo.recorder import STAGES, Record
 
 SPANS: Final = ("wire", *STAGES[1:], "deliver")
@@ -89,8 +89,8 @@ def accuracy(record: Record, script: Any, start_us: int) -> Accuracy:
         script: What the virtual skin played.
         start_us: Device clock when the script began.
     """
-    from eitskin_sim.metrics import correlation
-    from eitskin_sim.scene import Bend
+    from eitskin_sim.evaluation.metrics import correlation
+    from eitskin_sim.scene.scene import Bend
 
     first_us = int(record.device_us[0])
     times_s = ((first_us - start_us) % (1 << 32) + record.device_us - first_us) * 1e-6

@@ -22,10 +22,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
-from eitskin_tools.demo.children import GRACE_S, Child, family
-from eitskin_tools.demo.events import read_log, script_start
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
+from eitskin_tools.processes.children import GRACE_S, Child, family
+from eitskin_tools.processes.skin_log import read_log, script_start
 
 START_S: Final = 120.0
 """How long solving a script's keyframes may take, which happens once after it changed."""
@@ -124,7 +124,7 @@ def demonstrate(options: Options) -> dict[str, Any]:
     streamed = stream(options)
     script = script_of(options)
     if options.picture:
-        from eitskin_tools.plots import picture
+        from eitskin_tools.demo.frame_picture import picture
 
         picture(streamed.record, script, streamed.start_us, options.picture)
     return {
@@ -148,7 +148,9 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
-    module, first = ("eitskin_tools.demo.emulated", []) if options.device == "qemu" else ("eitskin_tools.cli", ["sim"])
+    module, first = (
+        ("eitskin_tools.emulator.emulated_skin", []) if options.device == "qemu" else ("eitskin_tools.cli", ["sim"])
+    )
     skin = Child(
         "sim", module,
         [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
@@ -213,13 +215,13 @@ def _going_on(children: list[Child], end: float) -> bool:
 
 def script_of(options: Options) -> Any:
     """Return the script that the virtual skin plays."""
-    from eitskin_sim.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene.script import demonstration, from_scene
 
     return demonstration() if options.scene is None else from_scene(options.scene)
 
 
 def _uses_prediction(bundle: Path | None) -> bool:
-    from eitskin.bundle import load_bundle
+    from eitskin.model.bundle import load_bundle
 
     return bool(load_bundle(bundle).uses_prediction)
 

@@ -7,11 +7,11 @@ twice without harm (SPEC.md, section 6), so that a lost answer costs time and no
 import time
 from typing import Any, Final
 
+from eitskin.acquisition.transport import Transport
 from eitskin.errors import HandshakeError
-from eitskin.transport import Transport
-from eitskin_proto import framing, messages
-from eitskin_proto.codes import Code, MessageType
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.wire import framing, messages
+from eitskin_proto.wire.codes import Code, MessageType
 
 ANSWER_TIMEOUT_S: Final = 0.6
 """A device answers within 0.5 s (SPEC.md, section 3)."""
@@ -83,7 +83,7 @@ class Exchange:
         """Return the ACK of a request.
 
         Args:
-            kind: Its class in :mod:`eitskin_proto.messages`.
+            kind: Its class in :mod:`eitskin_proto.wire.messages`.
             **fields: Its fields without the tag.
 
         Raises:

@@ -15,12 +15,12 @@ from contextlib import suppress
 from dataclasses import dataclass, fields
 from typing import Final
 
+from eitskin.acquisition.transport import Transport
 from eitskin.errors import SkinError, TransportError
-from eitskin.transport import Transport
-from eitskin_proto import messages
-from eitskin_proto.codes import Code, HelloFlag, Slot
-from eitskin_proto.config import BLOB_BYTES, FORMAT, Configuration
-from eitskin_proto.hardware import KNOWN
+from eitskin_proto.wire import messages
+from eitskin_proto.wire.codes import Code, HelloFlag, Slot
+from eitskin_proto.wire.config import BLOB_BYTES, FORMAT, Configuration
+from eitskin_proto.wire.hardware import KNOWN
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 
 BOOT_TIMEOUT_S: Final = 10.0

@@ -20,12 +20,12 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units
-from eitskin_proto.normalise import relative_change
-from eitskin_sim.forward import flat_metric
-from eitskin_sim.jacobian import cell_jacobian
-from eitskin_sim.parts import Electrodes, Sheet
-from eitskin_sim.predict import fit_cloud
+from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.fem.forward import flat_metric
+from eitskin_sim.fem.jacobian import cell_jacobian
+from eitskin_sim.scene.parts import Electrodes, Sheet
+from eitskin_sim.surface.predict import fit_cloud
 
 Array = npt.NDArray[np.float64]
 

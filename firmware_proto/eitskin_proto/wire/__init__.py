@@ -1,0 +1,1 @@
+"""The wire, byte by byte: packets, messages, frames and the stored configuration."""

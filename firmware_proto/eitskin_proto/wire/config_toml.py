@@ -1,0 +1,184 @@
+"""A configuration as a TOML file: every key says its unit, and a key that is not known is an error.
+
+::
+
+    format = 1
+    name = "paper"
+    revision = 1
+    hardware = "eitskin-16"
+    [drive]     frequency_Hz = 20000    current_uA = 1000
+    [measure]   settle_us = 100         averages_periods = 5    gain = 8    sample_bits = 24
+    [scan]      rows = 104              drives = [0, 1, ...]    rate_Hz = 200.0
+    [idle]      drives = [0, 1, 2, 3]   rate_Hz = 20.0          (the table may be left out)
+"""
+
+import tomllib
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_proto.wire import hardware
+from eitskin_proto.wire.config import FORMAT, Configuration
+from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
+
+NAMED: Final = ("paper", "full208", "idle", "fast")
+"""Configurations that come with the package."""
+
+KEYS: Final[dict[str, dict[str, type]]] = {
+    "": {"format": int, "name": str, "revision": int, "hardware": str},
+    "drive": {"frequency_Hz": int, "current_uA": int},
+    "measure": {"settle_us": int, "averages_periods": int, "gain": int, "sample_bits": int},
+    "scan": {"rows": int, "drives": list, "rate_Hz": float},
+    "idle": {"drives": list, "rate_Hz": float},
+}
+"""Tables and keys with their types; all are required, except that [idle] may be missing as a whole."""
+
+
+def _where(table: str) -> str:
+    return f"[{table}]" if table else "the head of the file"
+
+
+def _unknown(key: str, table: str) -> str:
+    stem = key.split("_", maxsplit=1)[0].lower()
+    for other_table, keys in KEYS.items():
+        for known in keys:
+            if known.split("_")[0].lower() == stem and (known != key or other_table != table):
+                what = "in another unit or spelling" if known != key else "there"
+                return f"unknown key {key!r} in {_where(table)}: {_where(other_table)} has {known!r} {what}"
+    return f"unknown key {key!r} in {_where(table)}; known are {', '.join(KEYS[table])}"
+
+
+def _value(content: dict[str, Any], table: str, key: str) -> Any:
+    kind = KEYS[table][key]
+    if key not in content:
+        raise ValueError(f"{_where(table)} lacks {key!r}")
+    value = content[key]
+    fits = isinstance(value, int | float if kind is float else kind) and not isinstance(value, bool)
+    if kind is list:
+        fits = fits and all(isinstance(item, int) and not isinstance(item, bool) for item in value)
+    if not fits:
+        raise ValueError(
+            f"{key} in {_where(table)} is {value!r}, expected {'a list of int' if kind is list else kind.__name__}"
+        )
+    return value
+
+
+def _millihertz(rate_hz: float, table: str) -> int:
+    if not 0.001 <= rate_hz <= 4e6:
+        raise ValueError(f"rate_Hz in [{table}] is {rate_hz!r}, expected 0.001 to 4e6")
+    return round(rate_hz * 1000)
+
+
+def parse(text: str) -> Configuration:
+    """Return the configuration of a TOML text.
+
+    Raises:
+        ValueError: Not TOML, an unknown or missing key, a wrong type or an impossible value; each named.
+    """
+    try:
+        content: dict[str, Any] = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ValueError(f"not a TOML file: {error}") from error
+    tables: dict[str, dict[str, Any]] = {"": {}}
+    for key, value in content.items():
+        if isinstance(value, dict) and key in KEYS:
+            tables[key] = value
+        elif isinstance(value, dict):
+            raise ValueError(f"unknown table [{key}]; known are " + ", ".join(f"[{t}]" for t in KEYS if t))
+        else:
+            tables[""][key] = value
+    for table, entries in tables.items():
+        for key in entries:
+            if key not in KEYS[table]:
+                raise ValueError(_unknown(key, table))
+    for table in ("drive", "measure", "scan"):
+        if table not in tables:
+            raise ValueError(f"the table [{table}] is missing")
+
+    def get(table: str, key: str) -> Any:
+        return _value(tables[table], table, key)
+
+    if get("", "format") != FORMAT:
+        raise ValueError(f"format is {get('', 'format')}, this release reads format {FORMAT}")
+    bits = get("measure", "sample_bits")
+    if bits not in (16, 24, 32):
+        raise ValueError(f"sample_bits is {bits}, expected 16, 24 or 32")
+    idle = "idle" in tables
+    return Configuration(
+        name=get("", "name"),
+        revision=get("", "revision"),
+        hardware_id=hardware.by_name(get("", "hardware")).id,
+        frequency_hz=get("drive", "frequency_Hz"),
+        current_ua=get("drive", "current_uA"),
+        settle_us=get("measure", "settle_us"),
+        averages=get("measure", "averages_periods"),
+        gain=get("measure", "gain"),
+        sample_bytes=bits // 8,
+        rows=get("scan", "rows"),
+        drives=drives_from_list(get("scan", "drives")),
+        rate_millihertz=_millihertz(get("scan", "rate_Hz"), "scan"),
+        idle_drives=drives_from_list(get("idle", "drives")) if idle else 0,
+        idle_rate_millihertz=_millihertz(get("idle", "rate_Hz"), "idle") if idle else 0,
+    )
+
+
+def to_toml(configuration: Configuration) -> str:
+    """Return the TOML text of a configuration; ``parse`` gives the same configuration back."""
+    name = configuration.name.replace("\\", "\\\\").replace('"', '\\"')
+    lines = [
+        f"format = {FORMAT}",
+        f'name = "{name}"',
+        f"revision = {configuration.revision}",
+        f'hardware = "{hardware.by_id(configuration.hardware_id).name}"',
+        "",
+        "[drive]",
+        f"frequency_Hz = {configuration.frequency_hz}",
+        f"current_uA = {configuration.current_ua}",
+        "",
+        "[measure]",
+        f"settle_us = {configuration.settle_us}",
+        f"averages_periods = {configuration.averages}",
+        f"gain = {configuration.gain}",
+        f"sample_bits = {8 * configuration.sample_bytes}",
+        "",
+        "[scan]",
+        f"rows = {configuration.rows}",
+        f"drives = {drives_to_list(configuration.drives)}",
+        f"rate_Hz = {configuration.rate_millihertz / 1000!r}",
+    ]
+    if configuration.idle_drives:
+        lines += [
+            "",
+            "[idle]",
+            f"drives = {drives_to_list(configuration.idle_drives)}",
+            f"rate_Hz = {configuration.idle_rate_millihertz / 1000!r}",
+        ]
+    return "\n".join(lines) + "\n"
+
+
+def load(path: str | Path) -> Configuration:
+    """Return the configuration of a TOML file, or of one that comes with the package if only its name is given.
+
+    Raises:
+        ValueError: The file's content is wrong; the text names file and key.
+        OSError: There is no such file.
+    """
+    if str(path) in NAMED and not Path(path).exists():
+        return named(str(path))
+    text = Path(path).read_text(encoding="utf-8")
+    try:
+        return parse(text)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from error
+
+
+def named(name: str) -> Configuration:
+    """Return a configuration that comes with the package: paper, full208, idle or fast.
+
+    Raises:
+        ValueError: There is none of this name.
+    """
+    if name not in NAMED:
+        raise ValueError(f"configuration {name!r} does not come with the package; {', '.join(NAMED)} do")
+    folder = resources.files("eitskin_proto").joinpath("configurations")
+    return parse(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"))

@@ -1,0 +1,79 @@
+"""Captures a reference from a port, without any bundle: what ``eitskin reference`` does."""
+
+import time
+from collections.abc import Iterator
+
+from eitskin.acquisition.device import Device
+from eitskin.acquisition.ports import open_line
+from eitskin.acquisition.serial_port import DEFAULT_BAUD
+from eitskin.errors import BadReference
+from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.wire.codes import MessageType
+from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.scan_rows import ALL_DRIVES
+
+PATIENCE_S = 10.0
+"""Beyond the time that the frames take by themselves."""
+
+
+def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -> Reference:
+    """Return the mean of the next frames of a skin, which must be flat and untouched.
+
+    Args:
+        port: Serial port's path, or ``usb:SERIAL``.
+        frames: How many, at least 2.
+        baud: Bits per second on a real UART.
+
+    Raises:
+        TransportError: The port is missing, busy, denied or lost.
+        HandshakeError: The device does not answer, or measures in a way that cannot be used.
+        BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+        ValueError: Fewer than 2 frames.
+    """
+    builder = ReferenceBuilder(frames)
+    transport = open_line(port, baud)
+    try:
+        device = Device(transport)
+        device.start()
+        end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
+        found = _collect(device, builder, end_s)
+        device.stop()
+        return found
+    finally:
+        transport.close()
+
+
+def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
+    """Yield whole scans of a device's present configuration as they come; the next one overwrites the view.
+
+    Args:
+        device: It streams.
+        end_s: ``perf_counter`` at which to stop waiting.
+    """
+    view = FrameView()
+    while (left_s := end_s - time.perf_counter()) > 0:
+        for payload in device.payloads(left_s):
+            if payload[0] != MessageType.FRAME:
+                continue
+            try:
+                view.load(payload)
+            except ProtocolError:
+                continue  # not of this device's making
+            if view.drives == ALL_DRIVES and view.generation == device.hello.generation:
+                yield view
+
+
+def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Reference:
+    normaliser = Normaliser(device.hello.volts_per_count)
+    for view in whole_frames(device, end_s):
+        if view.saturation:
+            continue
+        normaliser.load(view.counts)
+        if builder.add(normaliser.voltages()):
+            return builder.finish(device.hello)
+    raise BadReference(
+        f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "
+        "check the current and the gain of the configuration with 'eitskin flash'"
+    )

@@ -1,0 +1,275 @@
+"""A skin at the end of a line: who it is, starting and stopping its stream, and finding it again after a reset.
+
+The handshake is the gate: a device of another protocol, table or grid is refused before one frame is read. Requests
+carry a tag and are repeated until their own answer comes, since the line may lose either. ::
+
+    HELLO_REQUEST -> HELLO: protocol, ids, serial number, configuration, rows, volts per count
+    TIME_REQUEST  -> TIME                                            a few times; the quickest counts
+    START         -> ACK, FRAME, FRAME, ...                          frames before the ACK belong to an older stream
+    (silence)     -> HELLO_REQUEST: the same serial number and configuration -> START, else refuse
+"""
+
+import time
+from collections import deque
+from typing import Final, Protocol
+
+from eitskin.acquisition.clock import TimeSample
+from eitskin.acquisition.transport import Transport
+from eitskin.errors import HandshakeError
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.wire import requests
+from eitskin_proto.wire.answers import Ack, Hello, Time
+from eitskin_proto.wire.codes import Code, HelloFlag, MessageType, Mode
+from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
+from eitskin_proto.wire.framing import Deframer, encode, wire_bytes
+from eitskin_proto.wire.scan_rows import ALL_DRIVES
+
+HANDSHAKE_S: Final = 4.0
+"""How long a device may take to answer; one that boots when its port is opened needs two seconds."""
+
+RETRY_S: Final = 0.4
+"""After which a request is sent again."""
+
+LARGEST_VOLTS_PER_COUNT: Final = 1e3
+"""V; whatever claims more is not a measurement of volts."""
+
+SILENCE_S: Final = 1.0
+"""A stream that is silent for so long, and for 20 frames, is looked after."""
+
+IDLE_SILENCE_S: Final = 5.0
+"""The same in the idle mode."""
+
+
+TIME_QUESTIONS: Final = 5
+"""Asked before each stream; the shortest round trip bounds the clock best."""
+
+TIME_ANSWER_S: Final = 0.1
+"""A device that does not answer this question within this time is not asked again: it only makes ages better."""
+
+
+class Wanted(Protocol):
+    """Whether a payload is the one that is waited for."""
+
+    def __call__(self, payload: bytes, /) -> bool:
+        """Return whether it is."""
+
+
+class Device:
+    """A device that answered; the transport stays the caller's to close.
+
+    Args:
+        transport: An open line.
+
+    Raises:
+        HandshakeError: Nobody answered, or the device measures in a way this runtime cannot use.
+        ProtocolError: It speaks another major version.
+        MismatchError: It was built for another protocol_id or grid_id.
+        PortLost: The line is gone.
+    """
+
+    def __init__(self, transport: Transport) -> None:
+        self.transport = transport
+        self.deframer = Deframer()
+        self.read_ns = 0
+        """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
+        self.held: deque[bytes] = deque()
+        """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
+        self.idle = False
+        """It scans a few drives only, at a rate that HELLO does not tell."""
+        self._tag = 0
+        self.hello = self._handshake()
+        """What the device said about itself."""
+        self.time_sample: TimeSample | None = None
+        """Its clock, asked just before the stream was started; None if it gave no answer."""
+        check_usable(self.hello, transport.line_bytes_per_s)
+
+    @property
+    def configuration(self) -> str:
+        """Name and digest of the active configuration, as frames carry it."""
+        return f"{self.hello.configuration_name}/{self.hello.configuration_digest:08x}"
+
+    @property
+    def silence_s(self) -> float:
+        """How long without a frame is too long."""
+        if self.idle:
+            return IDLE_SILENCE_S
+        return max(SILENCE_S, 20e3 / max(self.hello.rate_mHz, 1))
+
+    def payloads(self, timeout_s: float | None = None) -> list[bytes]:
+        """Return the intact payloads that have arrived, waiting for bytes.
+
+        Args:
+            timeout_s: How long to wait; None waits until something comes or the transport is cancelled.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+        if self.held:
+            held = list(self.held)
+            self.held.clear()
+            self.read_ns = time.perf_counter_ns()
+            return held
+        data = self.transport.read(timeout_s)
+        self.read_ns = time.perf_counter_ns()
+        return self.deframer.feed(data)
+
+    def start(self) -> None:
+        """Start streaming whole scans; what was sent before is thrown away.
+
+        Raises:
+            HandshakeError: The device refused or did not answer.
+        """
+        if self.hello.flags & HelloFlag.IDLE or self.idle:
+            self._request(requests.SetMode(self._next_tag(), Mode.ACTIVE))
+            self.idle = False
+        self.time_sample = self.ask_time()
+        self._request(requests.Start(self._next_tag()))
+
+    def ask_time(self) -> TimeSample | None:
+        """Return the device's clock from the quickest of a few questions; None if one was not answered in time.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+        best: TimeSample | None = None
+        for _ in range(TIME_QUESTIONS):
+            tag = self._next_tag()
+
+            def answers(payload: bytes, tag: int = tag) -> bool:
+                return payload[0] == MessageType.TIME and len(payload) == Time.LAYOUT.size and payload[1] == tag
+
+            asked_ns = time.perf_counter_ns()
+            payload = self._exchange(encode(requests.TimeRequest(tag).pack()), answers, TIME_ANSWER_S)
+            if payload is None:
+                return best
+            sample = TimeSample(Time.unpack(payload).device_us, asked_ns, time.perf_counter_ns())
+            if best is None or sample.round_trip_ns < best.round_trip_ns:
+                best = sample
+        return best
+
+    def stop(self) -> None:
+        """Stop streaming.
+
+        Raises:
+            HandshakeError: The device refused or did not answer.
+        """
+        self._request(requests.Stop(self._next_tag()))
+
+    def ask_mode(self, mode: Mode) -> None:
+        """Ask for another mode and return at once; the frames say when it has come about.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+        self.idle = mode == Mode.IDLE
+        self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
+
+    def recover(self) -> None:
+        """Greet the device again after silence or a reset, and stream on if nothing changed.
+
+        Raises:
+            HandshakeError: It does not answer, or is another device, or runs another configuration.
+        """
+        self.deframer.reset()
+        found = self._handshake()
+        known = self.hello
+        if found.serial_number != known.serial_number:
+            raise HandshakeError(
+                f"{self.transport.name}: the device is now {found.serial_number}, expected {known.serial_number}; "
+                "start again, with the reference of this device"
+            )
+        if found.configuration_digest != known.configuration_digest:
+            raise HandshakeError(
+                f"{self.transport.name}: the configuration is now {found.configuration_name}/"
+                f"{found.configuration_digest:08x}, expected {self.configuration}; capture a new reference: "
+                f"eitskin reference --port {self.transport.name} --out FILE"
+            )
+        self.hello = found
+        self.start()
+
+    def _next_tag(self) -> int:
+        self._tag = (self._tag + 1) & 0xFF
+        return self._tag
+
+    def _handshake(self) -> Hello:
+        before = self.deframer.discarded_bytes
+        request = requests.HelloRequest(self._next_tag())
+        packet = b"\0" + encode(request.pack())  # the delimiter ends whatever the line holds of an earlier host
+        payload = self._exchange(packet, lambda payload: payload[0] == MessageType.HELLO, HANDSHAKE_S)
+        if payload is None:
+            noise = self.deframer.discarded_bytes - before + self.deframer.pending_bytes
+            if noise:
+                raise HandshakeError(
+                    f"{self.transport.name} sends {noise} bytes that are no packets of this protocol: another kind of "
+                    "device, or another baud rate; 'eitskin doctor' lists the ports"
+                )
+            raise HandshakeError(
+                f"{self.transport.name} did not answer within {HANDSHAKE_S:g} s: check the power and that this is the "
+                "skin; 'eitskin doctor' lists the ports"
+            )
+        hello = Hello.unpack(payload)
+        hello.check()
+        return hello
+
+    def _request(self, message: requests.Start | requests.Stop | requests.SetMode) -> None:
+        kind = message.LAYOUT.type
+
+        def answers(payload: bytes) -> bool:
+            if payload[0] != MessageType.ACK or len(payload) != Ack.LAYOUT.size:
+                return False
+            ack = Ack.unpack(payload)
+            return ack.request == kind and ack.tag == message.tag
+
+        payload = self._exchange(encode(message.pack()), answers, HANDSHAKE_S)
+        if payload is None:
+            raise HandshakeError(f"{self.transport.name} did not acknowledge {kind.name} within {HANDSHAKE_S:g} s")
+        ack = Ack.unpack(payload)
+        if ack.code != Code.OK:
+            raise HandshakeError(f"{self.transport.name} refused {kind.name}: {ack.text}")
+
+    def _exchange(self, packet: bytes, wanted: Wanted, timeout_s: float) -> bytes | None:
+        end = time.perf_counter() + timeout_s
+        repeat = 0.0
+        while (now := time.perf_counter()) < end:
+            if now >= repeat:
+                self.transport.write(packet)
+                repeat = now + RETRY_S
+            payloads = self.deframer.feed(self.transport.read(min(end, repeat) - now))
+            for index, payload in enumerate(payloads):
+                if wanted(payload):
+                    self.held.clear()
+                    self.held.extend(payloads[index + 1 :])
+                    return payload
+        return None
+
+
+def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
+    """Refuse a device whose frames this runtime cannot turn into maps, or whose line cannot carry them.
+
+    Args:
+        hello: What it said.
+        line_bytes_per_s: What our side of the line carries; 0 for no limit.
+
+    Raises:
+        HandshakeError: What was found, what was expected, and what to do.
+    """
+    hint = "flash another configuration with 'eitskin flash'"
+    if hello.rows not in (N_ROWS, N_FULL_ROWS) or hello.drives != ALL_DRIVES:
+        raise HandshakeError(
+            f"configuration {hello.configuration_name} measures {hello.rows} rows of drives 0x{hello.drives:04x}, "
+            f"expected {N_ROWS} or {N_FULL_ROWS} rows of all 16 drives; {hint}"
+        )
+    if not 0.0 < hello.volts_per_count <= LARGEST_VOLTS_PER_COUNT:
+        raise HandshakeError(
+            f"HELLO.volts_per_count: found {hello.volts_per_count:g} V, expected more than 0 and at most "
+            f"{LARGEST_VOLTS_PER_COUNT:g} V; update the firmware"
+        )
+    if hello.sample_bytes not in SAMPLE_BYTES:
+        raise HandshakeError(f"HELLO.sample_bytes: found {hello.sample_bytes}, expected 2, 3 or 4; update the firmware")
+    limits = [limit for limit in (line_bytes_per_s, hello.line_bytes_per_s) if limit > 0]
+    packet = wire_bytes(frame_bytes(hello.rows, hello.sample_bytes))
+    if limits and hello.rate_mHz * packet > min(limits) * 1000:
+        raise HandshakeError(
+            f"{hello.rate_mHz / 1000:g} frames/s of {packet} bytes do not fit a line of {min(limits)} bytes/s, which "
+            f"carries {min(limits) // packet} frames/s: raise --baud, or {hint}"
+        )

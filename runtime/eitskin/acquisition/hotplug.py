@@ -1,0 +1,176 @@
+"""A line that is opened again when it vanishes, so that a pulled cable costs frames and not the program.
+
+::
+
+    read, write ──> open line ───PortLost──> wait for the port ──> open ──> PortReturned
+                                                   └─ give_up_s passed ──> PortLost
+
+The device behind a port that returns may be another one, or may have restarted: ``PortReturned`` tells the caller to
+shake hands anew before it believes a byte. A USB port is found again by vendor, product and serial number, since it may
+come back under another path; any other port by its path.
+"""
+
+import os
+import select
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Final
+
+from serial.tools import list_ports
+
+from eitskin.acquisition.ports import open_line as open_any
+from eitskin.acquisition.serial_port import DEFAULT_BAUD
+from eitskin.acquisition.transport import USB_PREFIX, Transport
+from eitskin.errors import PortLost, PortReturned, TransportError
+
+LOOK_S: Final = 0.05
+"""How often a port that vanished is looked for; nothing can be waited on while it is gone."""
+
+
+@dataclass(frozen=True, slots=True)
+class UsbName:
+    """What a USB serial port keeps when it comes back."""
+
+    vendor_id: int
+    product_id: int
+    serial_number: str
+
+
+def usb_name(port: str) -> UsbName | None:
+    """Return how to find a port again; None if it is no USB port, or one without a serial number."""
+    path = os.path.realpath(port)
+    for found in list_ports.comports():
+        if os.path.realpath(found.device) == path and found.vid is not None and found.serial_number:
+            return UsbName(found.vid, found.pid, found.serial_number)
+    return None
+
+
+def port_named(name: UsbName) -> str | None:
+    """Return the path of the port of this name; None while it is not there."""
+    for found in list_ports.comports():
+        if found.vid is not None and UsbName(found.vid, found.pid, found.serial_number or "") == name:
+            return str(found.device)
+    return None
+
+
+class HotPlug:
+    """A transport that survives unplugging; see :class:`eitskin.acquisition.transport.Transport`.
+
+    Args:
+        port: Path of the port.
+        baud: Bits per second on a real UART.
+        give_up_s: How long to wait for a port that vanished; None waits until ``cancel``.
+        open_line: Opens a path; a test gives its own.
+
+    Raises:
+        TransportError: The port cannot be opened the first time.
+    """
+
+    def __init__(
+        self,
+        port: str,
+        baud: int = DEFAULT_BAUD,
+        give_up_s: float | None = None,
+        open_line: Callable[[str, int], Transport] = open_any,
+    ) -> None:
+        self.name = port
+        self.returns = 0
+        """How often the port vanished and came back."""
+        self._baud = baud
+        self._give_up_s = give_up_s
+        self._open = open_line
+        self._line: Transport | None = open_line(port, baud)
+        self._usb = usb_name(port)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        self._poll = select.poll()
+        self._poll.register(self._wake, select.POLLIN)
+
+    @property
+    def line_bytes_per_s(self) -> int:
+        """What the line carries; 0 where no baud rate limits it, or while it is gone."""
+        return 0 if self._line is None else self._line.line_bytes_per_s
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``.
+
+        Raises:
+            PortReturned: The port vanished and is back: shake hands anew.
+            PortLost: It did not come back in time.
+        """
+        if self._line is None:
+            return self._wait(None)
+        try:
+            return self._line.read(timeout_s)
+        except PortLost as error:
+            return self._wait(error)
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``.
+
+        Raises:
+            PortReturned: The port vanished and is back: shake hands anew.
+            PortLost: It did not come back in time, or the waiting was cancelled.
+        """
+        cause: PortLost | None = None
+        if self._line is not None:
+            try:
+                self._line.write(data)
+                return
+            except PortLost as error:
+                cause = error
+        self._wait(cause)
+        raise PortLost(f"{self.name} is gone, and waiting for it was cancelled") from cause
+
+    def _wait(self, cause: PortLost | None) -> bytes:
+        """Wait for the port: raise when it is back or given up, return nothing when cancelled."""
+        self._drop()
+        deadline_s = None if self._give_up_s is None else time.perf_counter() + self._give_up_s
+        while deadline_s is None or time.perf_counter() < deadline_s:
+            if self._poll.poll(round(LOOK_S * 1000)):
+                os.eventfd_read(self._wake)
+                return b""
+            if self._reopened():
+                raise PortReturned(f"{self.name} vanished and is back: shake hands anew")
+        raise PortLost(
+            f"{self.name} vanished and did not come back within {self._give_up_s:g} s: check the cable and the power"
+        ) from cause
+
+    def _reopened(self) -> bool:
+        path = self.name if self._usb is None else port_named(self._usb)
+        if path is None:
+            return False
+        with suppress(TransportError):  # not there yet, or its permissions are not set yet
+            self._line = self._open(path, self._baud)
+            self.name = path
+            self.returns += 1
+            return True
+        return False
+
+    def _drop(self) -> None:
+        if self._line is not None:
+            self._line.close()
+            self._line = None
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once; safe in a signal handler."""
+        line = self._line
+        if line is not None:
+            line.cancel()
+        if self._wake >= 0:
+            os.eventfd_write(self._wake, 1)
+
+    def report(self) -> list[str]:
+        """Return what was got of what was asked for."""
+        how = f"by {self._usb}" if self._usb is not None else "by its path"
+        if self.name.startswith(USB_PREFIX):
+            how = "by vendor, product and serial number"
+        return [*([] if self._line is None else self._line.report()), f"if it vanishes: looked for {how}"]
+
+    def close(self) -> None:
+        """Give the port back; closing twice is fine."""
+        self._drop()
+        if self._wake >= 0:
+            os.close(self._wake)
+            self._wake = -1

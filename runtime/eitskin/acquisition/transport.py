@@ -1,0 +1,51 @@
+"""What the runtime needs of a line to a device. Serial ports and USB endpoints fit it; so does a socket in a test.
+
+Nothing above this line knows pyserial or pyusb: an implementation translates its driver's exceptions into the branches
+of :class:`eitskin.errors.TransportError`.
+"""
+
+from typing import Final, Protocol
+
+USB_PREFIX: Final = "usb:"
+"""What the name of a port starts with if it is a USB device."""
+
+
+class Transport(Protocol):
+    """A full-duplex byte stream that blocks in ``read`` and can be woken from another thread or a signal handler."""
+
+    @property
+    def name(self) -> str:
+        """What people call this line: ``/dev/ttyACM0``."""
+
+    @property
+    def line_bytes_per_s(self) -> int:
+        """What the line carries; 0 where no baud rate limits it."""
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return whatever has arrived, waiting for the first byte.
+
+        Args:
+            timeout_s: How long to wait; None waits until something comes.
+
+        Returns:
+            At least one byte; or none, after the timeout or ``cancel``.
+
+        Raises:
+            PortLost: The line is gone.
+        """
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``.
+
+        Raises:
+            PortLost: The line is gone or takes no bytes.
+        """
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once."""
+
+    def report(self) -> list[str]:
+        """Return what was got of what was asked for, a line for people each."""
+
+    def close(self) -> None:
+        """Give the line back; closing twice is fine."""

@@ -1,0 +1,1 @@
+"""What is there, what is wrong with it, and what to do about it."""

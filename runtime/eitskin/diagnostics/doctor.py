@@ -1,0 +1,174 @@
+"""Looks at what the runtime depends on, and says what to do about each problem; changes nothing.
+
+``examine`` needs no device: ports, USB devices, permissions, latency timers, bundles, limits. ``greet`` opens one port
+and asks who is there, how fast it answers and what it runs. Both return plain values and a list of problems, each of
+which says what to do.
+"""
+
+import os
+import resource
+from pathlib import Path
+from typing import Any, Final
+
+from serial.tools import list_ports
+
+from eitskin.acquisition.device import Device
+from eitskin.acquisition.ports import open_line
+from eitskin.acquisition.serial_port import DEFAULT_BAUD
+from eitskin.errors import SkinError
+from eitskin.messaging.endpoints import runtime_folder
+from eitskin.model.bundle import LABELS, default_path, load_bundle
+from eitskin_proto.wire.codes import HelloFlag
+from eitskin_proto.wire.messages import Hello
+
+SLOW_LATENCY_MS: Final = 1
+"""An FTDI adapter holds bytes back for up to this long at best; 16 ms is what it comes with."""
+
+SLOW_ANSWER_MS: Final = 5.0
+"""A round trip of this length at best has been held back somewhere: USB frames take 1 ms, a UART 0.2 ms."""
+
+ADAPTERS: Final = Path("/sys/bus/usb-serial/devices")
+"""Where the kernel shows the latency timers of serial adapters."""
+
+SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"), Path("/lib/udev/rules.d"))
+
+
+def examine() -> dict[str, Any]:
+    """Return ports, USB devices, bundles, limits and problems as plain values."""
+    problems: list[str] = []
+    ports = [_port(info, problems) for info in sorted(list_ports.comports())]
+    usb = _usb(problems)
+    bundles = [_bundle(labels, problems) for labels in LABELS]
+    try:
+        folder = str(runtime_folder())
+    except SkinError as error:
+        folder = "unusable"
+        problems.append(str(error))
+    if not ports and not usb:
+        problems.append("no port and no USB device of a skin: plug the skin in, or start a virtual one: 'eitskin sim'")
+    return {
+        "ports": ports,
+        "usb": usb,
+        "bundles": bundles,
+        "limits": [f"endpoints in {folder}", _limit("real-time priority", resource.RLIMIT_RTPRIO),
+                   _limit("locked memory", resource.RLIMIT_MEMLOCK), _limit("open files", resource.RLIMIT_NOFILE)],
+        "problems": problems,
+    }  # fmt: skip
+
+
+def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
+    """Return what the device on a port says about itself, how its line is, and what is wrong with either.
+
+    Args:
+        port: A serial port's path, or ``usb:SERIAL``.
+        baud: Bits per second on a real UART.
+
+    Raises:
+        TransportError: The port is missing, busy, denied or lost.
+        HandshakeError: The device does not answer, or measures in a way that cannot be used.
+        MismatchError: It was built for another protocol_id or grid_id.
+    """
+    transport = open_line(port, baud)
+    try:
+        device = Device(transport)
+        hello = device.hello
+        sample = None if hello.flags & HelloFlag.STREAMING else device.ask_time()
+        answer_ms = None if sample is None else round(sample.round_trip_ns / 1e6, 3)
+        return {
+            "serial_number": hello.serial_number,
+            "firmware": ".".join(map(str, hello.firmware_version)),
+            "protocol": f"{hello.protocol_major}.{hello.protocol_minor}",
+            "configuration": device.configuration,
+            "generation": hello.generation,
+            "rate_hz": hello.rate_mHz / 1000,
+            "rows": hello.rows,
+            "sample_bytes": hello.sample_bytes,
+            "uptime_s": hello.uptime_ms / 1000,
+            "flags": [flag.name for flag in HelloFlag if hello.flags & flag],
+            "line": transport.report(),
+            "answer_ms": answer_ms,
+            "problems": _device_problems(port, hello, answer_ms),
+        }
+    finally:
+        transport.close()
+
+
+def _device_problems(port: str, hello: Hello, answer_ms: float | None) -> list[str]:
+    found = []
+    if hello.flags & HelloFlag.FACTORY:
+        found.append(f"no configuration is stored, the built-in one runs: 'eitskin flash write paper --port {port}'")
+    if hello.flags & HelloFlag.TRIAL:
+        found.append("the configuration is on trial and goes back within 30 s: let 'eitskin flash write' finish")
+    if hello.flags & HelloFlag.ROLLED_BACK:
+        found.append(
+            f"the last flashed configuration was never confirmed and was given up: flash it again, --port {port}"
+        )
+    if hello.flags & HelloFlag.STREAMING:
+        found.append("it streams to nobody: a program ended without stopping it; 'eitskin run' starts it anew")
+    if answer_ms is not None and answer_ms > SLOW_ANSWER_MS:
+        found.append(
+            f"it answers after {answer_ms:g} ms at best, expected at most {SLOW_ANSWER_MS:g}: a latency timer (see the "
+            "port above), a hub, or a busy machine"
+        )
+    return found
+
+
+def _port(info: Any, problems: list[str]) -> dict[str, Any]:
+    usb = f"{info.vid:04x}:{info.pid:04x} {info.serial_number or ''}".strip() if info.vid is not None else ""
+    state = "usable"
+    if not os.access(info.device, os.R_OK | os.W_OK):
+        state = "no permission"
+        problems.append(f"{info.device}: run 'sudo usermod -aG dialout $USER', then log in again")
+    timer = ADAPTERS / Path(info.device).name / "latency_timer"
+    if timer.exists():
+        waits_ms = int(timer.read_text(encoding="ascii").strip() or 0)
+        state += f", latency timer {waits_ms} ms"
+        if waits_ms > SLOW_LATENCY_MS:
+            problems.append(
+                f"{info.device}: bytes wait up to {waits_ms} ms; run 'echo 1 | sudo tee {timer}', or add a udev rule "
+                'with ATTR{latency_timer}="1"'
+            )
+    return {"port": info.device, "description": info.description, "id": usb, "state": state}
+
+
+def _usb(problems: list[str]) -> list[dict[str, Any]]:
+    """Return the skins with USB endpoints of their own."""
+    from eitskin.acquisition import usb_port  # noqa: PLC0415 -- pyusb is only loaded by who uses it
+
+    try:
+        found = usb_port.devices()
+    except SkinError as error:
+        problems.append(str(error))
+        return []
+    rule = any((folder / usb_port.RULE_FILE.name).is_file() for folder in SYSTEM_RULES)
+    listed = []
+    for one in found:
+        state = "usable" if one.usable else "no permission"
+        if not one.usable:
+            problems.append(
+                f"{one.node}: run {usb_port.RULE}" + (" (the rule is there: plug it in again)" if rule else "")
+            )
+        elif not one.serial_number:
+            state = "no serial number"
+            problems.append(f"{one.node}: the device tells no serial number, so that two of them cannot be told apart")
+        listed.append(
+            {"port": one.port, "node": one.node, "id": f"{usb_port.VENDOR_ID:04x}:{usb_port.PRODUCT_ID:04x}",
+             "serial_number": one.serial_number, "state": state, "udev_rule": rule}
+        )  # fmt: skip
+    return listed
+
+
+def _bundle(labels: str, problems: list[str]) -> dict[str, Any]:
+    path = default_path(labels)
+    try:
+        found = load_bundle(path)
+    except SkinError as error:
+        problems.append(str(error))
+        return {"path": str(path), "labels": labels, "id": "", "state": "unusable"}
+    return {"path": str(path), "labels": labels, "id": found.id, "state": f"intact, {labels} labels, {found.id}"}
+
+
+def _limit(name: str, which: int) -> str:
+    soft, hard = resource.getrlimit(which)
+    words = ["unlimited" if value == resource.RLIM_INFINITY else str(value) for value in (soft, hard)]
+    return f"{name}: {words[0]} of at most {words[1]}"

@@ -1,0 +1,184 @@
+"""All sixteen electrodes, each with its state, the evidence and what to do: from a few seconds of frames.
+
+Frames are held against a captured reference where there is one. Without one the forward model's flat sheet stands in,
+scaled to the device's current, so that an electrode that had failed before any reference was taken is found as well;
+a real sheet is then a few percent off in every row, and is allowed to be. Where a device scans all 208 rows, each row
+and its reciprocal must agree, which no touch and no deformation can break.
+"""
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.acquisition.capture import whole_frames
+from eitskin.acquisition.device import Device
+from eitskin.acquisition.ports import open_line
+from eitskin.acquisition.serial_port import DEFAULT_BAUD
+from eitskin.errors import BadReference
+from eitskin.health.electrodes import NOT_RECIPROCAL, WELL, WINDOW, ElectrodeWatch
+from eitskin.health.imputation import Array, Consistency
+from eitskin.health.reciprocity import electrode_gaps, row_gaps
+from eitskin.reference.captured import Reference
+from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
+
+MODEL_SPREAD: Final = 0.02
+"""How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
+
+LARGEST_GAP: Final = 0.02
+"""Relative difference of a row and its reciprocal, median over a pair's rows; noise of 50 dB makes 0.3 %."""
+
+ADVICE: Final[dict[str, str]] = {
+    WELL: "nothing to do",
+    "detached": "look at its wire and its contact: wet or replace the hydrogel, press the contact on, solder the wire",
+    "shorted": "look for a bridge between the two: water, hydrogel, solder, a pinched cable",
+    "swapped": "exchange the two wires at the plug; until then their rows are rearranged",
+    "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
+    "excluded": "it was left out by hand",
+    NOT_RECIPROCAL: "it reads differently than it drives: look at its wire, its contact and the front end's switch",
+}
+"""What to do about each state."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """Some seconds of frames."""
+
+    voltages: Array
+    """(n, 104) V."""
+    gap: Array | None
+    """(104,) median relative difference of each row and its reciprocal; None where 104 rows are scanned."""
+
+
+def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
+    """Return what a skin sends in some seconds.
+
+    Args:
+        port: Serial port's path, or ``usb:SERIAL``.
+        seconds: How long.
+        baud: Bits per second on a real UART.
+
+    Raises:
+        TransportError: The port is missing, busy, denied or lost.
+        HandshakeError: The device does not answer, or measures in a way that cannot be used.
+        BadReference: Fewer frames came than failures are told from.
+        ValueError: The time is not positive.
+    """
+    if not 0 < seconds < 3600:
+        raise ValueError(f"seconds is {seconds}, expected more than 0 and less than 3600")
+    transport = open_line(port, baud)
+    try:
+        device = Device(transport)
+        device.start()
+        normaliser = Normaliser(device.hello.volts_per_count)
+        volts, gaps = [], []
+        for view in whole_frames(device, time.perf_counter() + seconds):
+            normaliser.load(view.counts)
+            volts.append(normaliser.voltages().copy())
+            if (gap := _gap(view.counts)) is not None:
+                gaps.append(gap)
+        device.stop()
+    finally:
+        transport.close()
+    if len(volts) < WINDOW:
+        raise BadReference(f"{len(volts)} whole frames came in {seconds:g} s; expected at least {WINDOW}")
+    return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None)
+
+
+def _gap(counts: npt.NDArray[np.int32]) -> Array | None:
+    """Return (104,) relative differences of rows and their reciprocals, of a frame of 208 rows."""
+    if len(counts) != N_FULL_ROWS:
+        return None
+    apart, size = row_gaps(counts)
+    return np.asarray(np.abs(apart) / np.maximum(size, 1.0))
+
+
+def load_recording(path: str | Path) -> Recording:
+    """Return a recorded stream: an .npy file of (n, 104) V.
+
+    Raises:
+        BadReference: It cannot be read, or is of another shape.
+    """
+    try:
+        found = np.load(path, allow_pickle=False)
+    except (OSError, ValueError, EOFError) as error:
+        raise BadReference(f"{path} cannot be read as .npy: {error}") from error
+    if not isinstance(found, np.ndarray) or found.ndim != 2 or found.shape[1] != N_ROWS or len(found) < WINDOW:
+        raise BadReference(f"{path}: found {getattr(found, 'shape', '?')}, expected at least ({WINDOW}, {N_ROWS}) V")
+    if found.dtype.kind != "f" or not np.isfinite(found).all():
+        raise BadReference(f"{path}: expected finite numbers in V")
+    return Recording(found.astype(np.float64), None)
+
+
+def check_up(recording: Recording, consistency: Consistency, reference: Reference | None = None) -> dict[str, Any]:
+    """Return all sixteen electrodes as plain values.
+
+    Args:
+        recording: Frames of a sheet in any shape, touched or not.
+        consistency: Of a bundle.
+        reference: What the frames are held against; None takes the forward model's flat sheet.
+    """
+    volts, spread = _against(recording, consistency, reference)
+    watch = ElectrodeWatch(consistency, volts, spread)
+    seen: list[Sequence[npt.NDArray[np.float64]]] = []
+    for voltages in recording.voltages:
+        raw = relative_change(voltages, volts).astype(np.float32)
+        change = raw.copy()
+        watch.correct(change)
+        watch.look(raw, change)
+        evidence = watch.evidence
+        seen.append((evidence.surprise, evidence.pair_ratio, evidence.jumping))
+    surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))
+    gaps = None if recording.gap is None else electrode_gaps(recording.gap)
+    found = []
+    for electrode, watched in enumerate(watch.states()):
+        gap = None if gaps is None else float(gaps[electrode])
+        apart = watched == WELL and gap is not None and gap > LARGEST_GAP
+        state = NOT_RECIPROCAL if apart else watched
+        partner = next((f.partner for f in watch.findings if f.electrode == electrode), None)
+        found.append(
+            {"electrode": electrode, "state": state, "partner": partner,
+             "surprise": round(float(surprise[electrode]), 2), "pair_ratio": round(float(ratio[electrode]), 4),
+             "jumping": round(float(jumping[electrode]), 3), "reciprocity_gap": None if gap is None else round(gap, 4),
+             "to_do": ADVICE[state]}
+        )  # fmt: skip
+    return {
+        "frames": len(recording.voltages),
+        "against": "forward model" if reference is None else f"reference of {reference.captured_utc}",
+        "surprise_limit": round(watch.threshold, 1),
+        "unclear": watch.unclear,
+        "electrodes": found,
+    }
+
+
+def _against(recording: Recording, consistency: Consistency, reference: Reference | None) -> tuple[Array, Array]:
+    """Return (104,) V and its spread that frames are held against."""
+    if reference is not None:
+        return reference.voltages_V, reference.spread_V
+    model = consistency.reference
+    middle = np.median(recording.voltages, axis=0)
+    factor = float(np.median(middle / model))  # of the current: half of the rows suffice, the failed ones are fewer
+    return model * factor, np.abs(model * factor) * MODEL_SPREAD
+
+
+def lines(found: dict[str, Any]) -> list[str]:
+    """Return what people read of :func:`check_up`, a line each."""
+    shown = [f"electrodes: {found['frames']} frames against the {found['against']}"]
+    for one in found["electrodes"]:
+        partner = "" if one["partner"] is None else f" with {one['partner']}"
+        gap = "" if one["reciprocity_gap"] is None else f"  reciprocity {one['reciprocity_gap']:.2%}"
+        shown.append(
+            f"electrode {one['electrode']:2d}  {one['state']}{partner}  surprise {one['surprise']:g} of "
+            f"{found['surprise_limit']:g}  pair at {one['pair_ratio']:.0%}  jumps {one['jumping']:.0%}{gap}  "
+            f"{one['to_do']}"
+        )
+    if found["unclear"]:
+        shown.append("electrodes: the rows fit no sheet and no single failure; check the plug, then every wire")
+    assert len(found["electrodes"]) == N_ELECTRODES
+    return shown

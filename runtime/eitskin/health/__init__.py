@@ -1,0 +1,1 @@
+"""What the skin knows of itself: failed electrodes, missing rows, drift."""

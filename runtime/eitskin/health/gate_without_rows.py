@@ -1,0 +1,103 @@
+"""The gate on frames that lack rows, or whose rows are noisier than those that it learned from.
+
+The gate asks whether a frame is an *untouched* sheet's. So what it sees in a missing row is what an untouched sheet
+would have there, given the other rows: such a row says nothing for a touch and nothing against one. (Filled in for the
+network, by touched sheets, missing rows made it call every third untouched frame touched, and it missed most touches
+at a threshold that cured that.) ::
+
+    l_m = E[l_m | the others, untouched]            l = log(V / V0), Gaussian over deformations of the bundle
+
+Its threshold then follows: of ``BLOCKS`` * ``BLOCK`` sheets drawn from that Gaussian, with this device's own noise by
+the spread of its reference, a share of ``FALSE_ALARMS`` lies above it. Where no row is missing the bundle's threshold,
+which was set on solved deformations, is the least. The sheets are drawn a block at a time while the line rests; until
+all are judged the bundle's threshold holds.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.health.imputation import Consistency, Imputation, Rows
+from eitskin.model.gate import Gate
+from eitskin_proto.sensor.table import N_ROWS
+
+Array = npt.NDArray[np.float64]
+
+FALSE_ALARMS: Final = 0.01
+"""Share of untouched frames that may be called touched: three times that of a bundle's own threshold, as for the gate
+of an idle device. It costs one inference in a hundred frames, and a touch near a gap is missed less often."""
+
+LEARNED_NOISE: Final = 0.005
+"""Relative spread of a row up to which the bundle's own threshold is believed while no row is missing."""
+
+BLOCK: Final = 50
+BLOCKS: Final = 40
+"""A block takes 0.8 ms: less than a frame's time even at 1000 frames/s."""
+
+SEED: Final = 0x6A7E
+"""The same sheets every time: a threshold is no matter of luck."""
+
+
+class Resting:
+    """Fills rows in for a gate and sets its threshold.
+
+    Args:
+        consistency: Of the bundle.
+        gate: Of the bundle; its threshold is changed.
+        sigma: (104,) relative standard deviation of a single frame's rows.
+    """
+
+    def __init__(self, consistency: Consistency, gate: Gate, sigma: Array) -> None:
+        self._gate, self._sigma = gate, sigma
+        covariance = consistency.untouched_covariance
+        self._mean, self._half = consistency.untouched_mean, np.linalg.cholesky(covariance)
+        self._precision: Array = np.asarray(np.linalg.inv(covariance + np.diag(sigma**2)), dtype=np.float64)
+        self._filling = Imputation(self._mean, self._precision, consistency.ratio_range)
+        self._logits: list[npt.NDArray[np.float32]] = []
+        self._rng = np.random.default_rng(SEED)
+        self._calibrating = False
+        self.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
+
+    @property
+    def due(self) -> bool:
+        """Whether sheets are still to be judged."""
+        return self._calibrating
+
+    def leave_out(self, rows: Rows) -> None:
+        """Do without these rows from the next frame on, with the bundle's threshold until there is a better one.
+
+        Args:
+            rows: (104,) missing ones.
+        """
+        self._filling.leave_out(rows, self._precision)
+        self._gate.threshold = self._gate.usual_threshold
+        self._logits = []
+        self._rng = np.random.default_rng(SEED)
+        self._calibrating = bool(rows.any() or (self._sigma > LEARNED_NOISE).any())
+
+    def fill(self, change: npt.NDArray[np.float32]) -> None:
+        """Overwrite the missing rows of (104,) dV by an untouched sheet's."""
+        self._filling.fill(change)
+
+    def filled(self, changes: Array) -> Array:
+        """Return (n, 104) dV as the gate would see them: for a look at many frames at once."""
+        return self._filling.filled(changes)
+
+    def step(self) -> None:
+        """Judge a block of drawn sheets; the last one sets the threshold."""
+        if not self._calibrating:
+            return
+        logs = self._mean + self._rng.standard_normal((BLOCK, N_ROWS)) @ self._half.T
+        changes = np.expm1(logs) + self._sigma * self._rng.standard_normal(logs.shape)
+        self._logits.append(self._gate.logits(self.filled(changes)))
+        if len(self._logits) == BLOCKS:
+            found = float(np.quantile(np.concatenate(self._logits), 1.0 - FALSE_ALARMS))
+            whole = not self._filling.missing.any()
+            self._gate.threshold = max(found, self._gate.usual_threshold) if whole else found
+            self._calibrating = False
+
+    def finish(self) -> None:
+        """Judge all of them now."""
+        while self._calibrating:
+            self.step()

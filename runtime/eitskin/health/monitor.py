@@ -1,0 +1,240 @@
+"""What the runtime knows of its own senses: which electrodes have failed, and how far the reference has drifted.
+
+Before a frame is judged, what is known is put right, for the gate (``prepare``) and after it for the network
+(``complete``), and a healthy frame pays one copy of 104 numbers.
+After it was published it is put aside, and several are looked at in one go, when the line rests: a fifth of the cost of
+each by itself, since the arithmetic is small and its weights leave the caches in between, and in nobody's way, since a
+frame that was published just now is still being handed over by other threads. What changes is told by the next frame. A
+bundle without ``consistency.npz`` has none of this, and says so where it is asked for.
+"""
+
+import threading
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BundleError
+from eitskin.health.drift import Drift
+from eitskin.health.electrodes import HEALTHY, NOT_RECIPROCAL, ElectrodeWatch
+from eitskin.health.gate_without_rows import Resting
+from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency, without_rows
+from eitskin.health.reciprocity import LARGEST_GAP, Reciprocity
+from eitskin.model.bundle import Bundle
+from eitskin.model.gate import Gate
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+
+TOGETHER: Final = 5
+"""Frames whose electrodes are looked at together: a failure is named at most 4 frames later than by looking at each."""
+
+MOST_TOGETHER: Final = TOGETHER + 1
+"""The line may never rest: so many frames are looked at in any case."""
+
+DRIFT_TOGETHER: Final = 24
+"""The same for drift, which moves in minutes; a multiple of ``MOST_TOGETHER``."""
+
+
+class Health:
+    """Electrodes and drift of one skin.
+
+    Args:
+        consistency: Of the bundle.
+        exclude: Electrodes left out by hand.
+        compensate_drift: Whether drift is taken out of the frames.
+    """
+
+    def __init__(
+        self, consistency: Consistency, *, exclude: tuple[int, ...] = (), compensate_drift: bool = False
+    ) -> None:
+        self._consistency = consistency
+        self._lock = threading.Lock()
+        self._wanted: tuple[int, ...] | None = None
+        self._raw = np.zeros((MOST_TOGETHER, N_ROWS), dtype=np.float32)
+        self._waiting = 0
+        """Frames of ``_raw`` that were published and not yet looked at."""
+        self._followed = np.zeros((DRIFT_TOGETHER, N_ROWS), dtype=np.float32)
+        self._following = 0
+        """Frames of ``_followed`` that drift has not seen yet."""
+        self._touched = False
+        self._events: tuple[str, ...] = ()
+        self._unclear = False
+        self.drift = Drift(consistency, compensate=compensate_drift)
+        self.watch = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
+        self.reciprocity = Reciprocity()
+        """Of a device that scans all 208 rows; idle for any other."""
+        self._reciprocal_again: dict[int, int] = {}
+        self._rows_before = self.watch.missing
+        self.resting: Resting | None = None
+        """Cares for a gate on frames that lack rows; None without one."""
+
+    def use(
+        self,
+        reference_V: npt.NDArray[np.float64],
+        spread_V: npt.NDArray[np.float64],
+        gate: Gate | None = None,
+    ) -> None:
+        """Hold frames against another reference from now on.
+
+        Args:
+            reference_V: (104,) V.
+            spread_V: (104,) V, standard deviation of its single frames.
+            gate: What judges the frames; its threshold is set by what they can show.
+        """
+        by_hand = tuple(finding.electrode for finding in self.watch.findings if finding.state == "excluded")
+        self.watch = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
+        self._rows_before = self.watch.missing
+        self.resting = None
+        if gate is not None:
+            self.resting = Resting(self._consistency, gate, self.watch.sigma)
+            self.resting.leave_out(self.watch.missing)
+            self.resting.finish()
+        self.drift.restart()
+        self.reciprocity.restart()
+        self._reciprocal_again = {}
+        self._waiting = self._following = 0
+
+    def exclude(self, electrodes: tuple[int, ...]) -> None:
+        """Leave these electrodes out by hand from the next frame on; may be called from another thread.
+
+        Raises:
+            ValueError: One does not exist, or there are too many.
+        """
+        self.watch.check(electrodes)
+        with self._lock:
+            self._wanted = electrodes
+
+    def prepare(self, change: npt.NDArray[np.float32]) -> None:
+        """Keep (104,) dV as measured, and put it right, in place, as far as a gate needs it."""
+        np.copyto(self._raw[self._waiting], change)
+        alters = self.watch.alters
+        if alters:
+            self.watch.rearrange(change)
+        self.drift.correct(change)
+        if alters and self.resting is not None:
+            self.resting.fill(change)
+
+    def complete(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
+        """Fill in, in place, what a solver needs, behind :meth:`prepare`.
+
+        Args:
+            change: (104,) dV.
+            predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
+        """
+        if self.watch.alters:
+            self.watch.imputation.fill(change, predicted)
+
+    def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
+        """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
+
+        Args:
+            counts: Of the frame: (208,) are held against each other at once.
+            touched: What the gate said.
+        """
+        if counts is not None and len(counts) == N_FULL_ROWS:
+            self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.watch.findings))
+            self._count_reciprocal()
+        self._waiting += 1
+        self._touched |= touched
+        return self._waiting == MOST_TOGETHER
+
+    @property
+    def due(self) -> bool:
+        """Whether enough frames wait, or the gate's threshold is to be set, or somebody wants electrodes left out."""
+        calibrating = self.resting is not None and self.resting.due
+        return self._waiting >= TOGETHER or self._wanted is not None or calibrating
+
+    def look(self, predicted: npt.NDArray[np.float32]) -> bool:
+        """Look at the frames that wait, and return whether other rows are missing from now on.
+
+        Args:
+            predicted: (104,) log(V_pred / V0) of the cloud in use.
+        """
+        raw, self._waiting = self._raw[: self._waiting], 0
+        watch, before = self.watch, self.watch.texts
+        with self._lock:
+            wanted, self._wanted = self._wanted, None
+        if wanted is not None:
+            watch.exclude(wanted)
+        if len(raw):
+            self._weigh(raw, predicted)
+        self._hold_reciprocal()
+        if watch.texts != before:
+            self._tell(tuple(f"electrode:{text}" for text in watch.texts if text not in before))
+            self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in watch.texts))
+        if watch.unclear and not self._unclear:
+            self._tell(("electrodes:unclear",))
+        self._unclear = watch.unclear
+        if watch.missing is self._rows_before:
+            if self.resting is not None:
+                self.resting.step()
+            return False
+        self._rows_before = watch.missing
+        if self.resting is not None:
+            self.resting.leave_out(watch.missing)
+        return True
+
+    def _weigh(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
+        change = raw
+        if self.watch.alters:
+            change = raw.copy()
+            for row in change:
+                self.watch.correct(row, predicted)
+        self.watch.look(raw, change)
+        self._follow(change, predicted)
+
+    def _count_reciprocal(self) -> None:
+        """Count the frames in a row in which each electrode that was given up reads both ways alike."""
+        for finding in self.watch.findings:
+            if finding.state == NOT_RECIPROCAL:
+                well = self.reciprocity.gaps[finding.electrode] < LARGEST_GAP / 2.0
+                before = self._reciprocal_again.get(finding.electrode, 0)
+                self._reciprocal_again[finding.electrode] = before + 1 if well else 0
+
+    def _hold_reciprocal(self) -> None:
+        """Give up the electrode that is not reciprocal, and use again one that is."""
+        for electrode, frames in tuple(self._reciprocal_again.items()):
+            if frames >= HEALTHY:
+                del self._reciprocal_again[electrode]
+                self.watch.trust(electrode)
+        suspect = self.reciprocity.suspect
+        if suspect is not None and self.watch.give_up(suspect):
+            self._reciprocal_again[suspect] = 0
+
+    def _follow(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
+        """Show (n, 104) frames, failed rows filled in, to drift once they are enough."""
+        end = self._following + len(change)
+        self._followed[self._following : end] = change
+        self._following = end
+        if end + MOST_TOGETHER <= DRIFT_TOGETHER:
+            return
+        touched, self._following, self._touched = self._touched, 0, False
+        if self.drift.look(self._followed[:end], predicted, touched=touched):
+            self._tell(("drift:uneven" if self.drift.uneven else f"drift:{self.drift.percent:+.0f}%",))
+
+    def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Return the bundle's projection without the rows that are missing."""
+        return without_rows(matrix, self._consistency.projection_inverse, self.watch.missing)
+
+    def take_events(self) -> tuple[str, ...]:
+        """Return what happened since the last call."""
+        events, self._events = self._events, ()
+        return events
+
+    def _tell(self, events: tuple[str, ...]) -> None:
+        self._events += tuple(event for event in events if event not in self._events)
+
+
+def health_of(bundle: Bundle, *, exclude: tuple[int, ...] = (), compensate_drift: bool = False) -> Health | None:
+    """Return what watches over electrodes and drift, or None for a bundle that cannot.
+
+    Raises:
+        BundleError: It cannot, but something of it is asked for; or its arrays are damaged.
+        ValueError: An electrode does not exist.
+    """
+    arrays = bundle.consistency_arrays()
+    if arrays is None:
+        if exclude or compensate_drift:
+            wish = "excluding electrodes" if exclude else "compensating drift"
+            raise BundleError(f"{bundle.path}: {wish} is {MISSING}")
+        return None
+    return Health(Consistency.of(arrays), exclude=exclude, compensate_drift=compensate_drift)

@@ -1,0 +1,222 @@
+"""Who may reach us: which addresses are allowed, and what each needs before it is bound.
+
+===================  ==========================  =====================================
+address              publishing                  control
+===================  ==========================  =====================================
+``ipc:///path``      yes                         yes, the socket readable by its owner
+``tcp://127.0.0.1``  yes                         with CURVE keys
+other ``tcp://``     with CURVE keys             with CURVE keys
+anything else        refused                     refused
+===================  ==========================  =====================================
+
+libzmq replaces whatever file is at an ipc path, even one that another process serves. So the path is looked at first:
+a living socket is "in use", a dead one is removed, anything else is left alone and refused.
+"""
+
+import errno
+import os
+import socket
+import stat
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import zmq
+
+from eitskin.errors import EndpointError
+from eitskin.messaging.curve_keys import ServerKeys
+
+CLOSING_S: Final = 2.0
+"""How long libzmq may take to close a listener."""
+
+LONGEST_PATH: Final = 100
+"""Bytes of an ipc path; the kernel takes 107."""
+
+
+def runtime_folder() -> Path:
+    """Return a folder that only this user can enter, made if need be.
+
+    Raises:
+        EndpointError: It exists and belongs to somebody else, or others may enter.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    folder = Path(base) / "eitskin" if base and Path(base).is_dir() else Path(f"/tmp/eitskin-{os.getuid()}")
+    with suppress(FileExistsError):
+        folder.mkdir(mode=0o700)
+    found = folder.lstat()
+    if not stat.S_ISDIR(found.st_mode) or found.st_uid != os.getuid() or found.st_mode & 0o077:
+        raise EndpointError(
+            f"{folder} is no folder of ours alone (mode {stat.filemode(found.st_mode)}); remove it, or name endpoints"
+        )
+    return folder
+
+
+def default_publish() -> str:
+    """Return where frames are published unless told otherwise."""
+    return f"ipc://{runtime_folder()}/frames"
+
+
+def default_control() -> str:
+    """Return where control requests are taken unless told otherwise."""
+    return f"ipc://{runtime_folder()}/control"
+
+
+def needs_keys(endpoint: str, *, control: bool) -> bool:
+    """Return whether an endpoint may be bound with CURVE keys only.
+
+    Args:
+        endpoint: ``ipc:///path`` or ``tcp://address:port``.
+        control: It takes commands, so that no other user may reach it, not even on this machine.
+
+    Raises:
+        EndpointError: It is neither, or has no path or port.
+    """
+    scheme, separator, rest = endpoint.partition("://")
+    if not separator or scheme not in ("ipc", "tcp"):
+        raise EndpointError(f"endpoint {endpoint!r}: expected ipc:///path or tcp://address:port")
+    if scheme == "ipc":
+        if not rest.startswith("/"):
+            raise EndpointError(f"endpoint {endpoint!r}: expected an absolute path, such as ipc:///tmp/skin")
+        if len(os.fsencode(rest)) > LONGEST_PATH:
+            raise EndpointError(f"endpoint {endpoint!r}: the path has more than {LONGEST_PATH} bytes")
+        return False
+    host, separator, port = rest.rpartition(":")
+    if not separator or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
+        raise EndpointError(f"endpoint {endpoint!r}: expected tcp://address:port")
+    return control or not _is_loopback(host)
+
+
+def _is_loopback(host: str) -> bool:
+    import ipaddress  # noqa: PLC0415 -- only TCP needs it
+
+    try:
+        return ipaddress.ip_address(host.strip("[]")).is_loopback
+    except ValueError:
+        return False  # a name or an interface may point anywhere
+
+
+def bind(socket_: Any, endpoint: str, *, keys: ServerKeys | None, control: bool) -> str:
+    """Bind a ZeroMQ socket and return its address, with the port that a ``*`` became.
+
+    Args:
+        socket_: Of zmq; its other options must be set already.
+        endpoint: Where.
+        keys: CURVE keys; they are used wherever they are given on TCP.
+        control: See :func:`needs_keys`.
+
+    Raises:
+        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound.
+    """
+    required = needs_keys(endpoint, control=control)
+    if required and keys is None:
+        what = "control requests" if control else "frames"
+        raise EndpointError(
+            f"{endpoint} would let others reach {what}: give CURVE keys with --curve-keys DIR "
+            "('eitskin doctor --make-curve-keys DIR' makes them), or use ipc:///path"
+        )
+    try:
+        if endpoint.startswith("ipc://"):
+            path = Path(endpoint.removeprefix("ipc://"))
+            _clear(path)
+            with _umask(0o177 if control else None):
+                socket_.bind(endpoint)
+        else:
+            if keys is not None:
+                keys.apply(socket_)
+            socket_.bind(endpoint)
+    except (zmq.ZMQError, OSError) as error:
+        raise EndpointError(_bind_problem(endpoint, error)) from error
+    return str(socket_.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
+
+
+def release(endpoint: str) -> None:
+    """Wait until nobody listens on a closed ipc endpoint any more, and remove its file.
+
+    libzmq closes in a thread of its own. Some of its versions then remove the file, 4.3.5 leaves it: who binds again
+    too early would lose the new file to the former, and whoever waits for it to go waits for ever with the latter.
+    """
+    if not endpoint.startswith("ipc://"):
+        return
+    path = Path(endpoint.removeprefix("ipc://"))
+    end_s = time.perf_counter() + CLOSING_S
+    while _listens(path) and time.perf_counter() < end_s:
+        time.sleep(0.002)
+    with suppress(OSError):
+        path.unlink()
+
+
+def _listens(path: Path) -> bool:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            return False
+        except OSError:
+            return True  # its queue is full: it lives
+        return True
+
+
+def reopen(open_endpoint: Callable[[str], None], endpoint: str) -> None:
+    """Bind an endpoint that was closed just now, waiting for libzmq to let go of it.
+
+    Args:
+        open_endpoint: Makes a socket and binds it; raises EndpointError while the endpoint is in use.
+        endpoint: Where.
+
+    Raises:
+        EndpointError: It cannot be bound again.
+    """
+    release(endpoint)
+    end_s = time.perf_counter() + CLOSING_S
+    while True:
+        try:
+            open_endpoint(endpoint)
+        except EndpointError:
+            if time.perf_counter() > end_s:
+                raise
+            time.sleep(0.01)
+        else:
+            return
+
+
+def _bind_problem(endpoint: str, error: zmq.ZMQError | OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return f"{endpoint} is in use: stop the program that serves it, or name another endpoint"
+    if error.errno == errno.ENOENT:
+        return f"{endpoint}: its folder does not exist"
+    return f"{endpoint} cannot be bound: {error.strerror or error}"
+
+
+def _clear(path: Path) -> None:
+    try:
+        mode = path.lstat().st_mode
+    except FileNotFoundError:
+        return
+    if not stat.S_ISSOCK(mode):
+        raise EndpointError(f"ipc://{path}: a file that is no socket is in the way; name another endpoint")
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
+        probe.settimeout(1.0)
+        try:
+            probe.connect(str(path))
+        except (ConnectionRefusedError, FileNotFoundError):
+            with suppress(FileNotFoundError):
+                path.unlink()
+            return
+        except OSError as error:
+            raise EndpointError(f"ipc://{path} cannot be taken over: {error.strerror or error}") from error
+    raise EndpointError(f"ipc://{path} is in use: stop the program that serves it, or name another endpoint")
+
+
+@contextmanager
+def _umask(mask: int | None) -> Iterator[None]:
+    """Make files of one mode from the first instant on; a later chmod would leave a gap."""
+    if mask is None:
+        yield
+        return
+    before = os.umask(mask)
+    try:
+        yield
+    finally:
+        os.umask(before)

@@ -1,0 +1,423 @@
+"""A tactile frame: what is published, byte by byte, and what a subscriber gets.
+
+On the wire a frame is one MessagePack map (firmware_proto/SPEC.md lists the fields). The publisher keeps one such
+message in memory: everything that changes with each frame has a fixed width and stands first, so that it is
+overwritten in place and the time of publishing can be stamped last. Only the texts at the end vary in length. ::
+
+    v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
+
+A subscriber that said it can do without gets a short message, which lacks shape and map, while the map is that of an
+earlier frame: ``map_seq`` says which.
+
+A subscriber trusts nothing: sizes, types, shape and finiteness are checked, whatever the publisher claims to be.
+"""
+
+import math
+import operator
+import struct
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import FrameError
+from eitskin.messaging.regions import MOST, WHOLE, Region, Regions
+from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
+
+VERSION: Final = 1
+"""Of the message; a subscriber refuses another one."""
+
+STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
+"""The end of each stage is stamped with ``perf_counter_ns``; read is when the last byte was in hand."""
+
+COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
+"""Totals since the runtime started."""
+
+NUMBERS: Final = (
+    "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift", *STAGES,
+    *COUNTS,
+)  # fmt: skip
+"""What changes with each frame, in the order of the message."""
+
+TOUCHED: Final = (0xC2, 0xC3)
+"""False and true in MessagePack."""
+
+MAP_BYTES: Final = 4 * N_PIXELS
+
+FIRST_BYTE: Final = b"\xde"
+"""A frame's message begins with it: a MessagePack map of more than 15 keys."""
+
+LARGEST_MESSAGE: Final = 16384
+"""Bytes; a frame has about 6000."""
+
+MAX_TEXTS: Final = 16
+MAX_TEXT: Final = 128
+"""How many skips or events a frame may name, and how long each may be."""
+
+
+@lru_cache(maxsize=1)
+def host_id() -> str:
+    """Return what tells this boot of this machine from others: stamps compare only within it."""
+    try:
+        return Path("/proc/sys/kernel/random/boot_id").read_text(encoding="ascii").strip()[:36]
+    except OSError:
+        return "unknown"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One tactile frame, as a subscriber sees it."""
+
+    map: npt.NDArray[np.float32]
+    """(30, 45) read-only: touched area fraction, or touch probability, of each pixel; row 0 at y = 0."""
+    touched: bool
+    """What the gate says; an untouched frame's map is 0."""
+    sequence: int
+    """Of the device, unwrapped; a gap is a frame lost before the runtime."""
+    number: int
+    """Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber."""
+    device_us: int
+    """Device clock at the end of the scan, unwrapped past 2^32."""
+    host_ns: Mapping[str, int]
+    """``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``."""
+    received_ns: int
+    """``perf_counter_ns`` of this machine when the frame was taken from the socket."""
+    age_us: int
+    """From the scan to publishing, against the fastest frame seen."""
+    solver: str
+    """``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed."""
+    skipped: tuple[str, ...]
+    """What was left out, and why: ``inference:untouched``."""
+    events: tuple[str, ...]
+    """What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``, ``lost``."""
+    electrodes: tuple[str, ...]
+    """Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``."""
+    drift_percent: float | None
+    """How far the voltages have moved against the reference, all rows alike; None while that is unknown."""
+    gate_logit: float
+    """The gate's logit; compare it with the bundle's threshold."""
+    cloud: int
+    """Revision of the cloud in use; 0 is the flat sheet."""
+    weak_rows: int
+    """Rows of the reference that carry no information, and are filled in from the others."""
+    map_sequence: int
+    """``sequence`` of the frame that the map was computed for; an older one if nothing changed since, beyond noise."""
+    regions: Regions
+    """What of the map was computed: the union of these rectangles; the rest is 0."""
+    counts: Mapping[str, int]
+    """Totals of the runtime: ``COUNTS``."""
+    configuration: str
+    """Name and digest of the device's active configuration."""
+    bundle: str
+    """Id of the bundle."""
+    serial_number: str
+    """Of the device."""
+    run: str
+    """Differs after each start of the runtime."""
+    same_host: bool
+    """Whether the runtime runs on this machine, so that its stamps compare with ours."""
+
+    @property
+    def age_s(self) -> float:
+        """Seconds since the scan, as of now; on another machine the time on the network is not seen."""
+        since_ns = time.perf_counter_ns() - (self.host_ns["publish"] if self.same_host else self.received_ns)
+        return self.age_us * 1e-6 + max(since_ns, 0) * 1e-9
+
+    @property
+    def latency_s(self) -> float:
+        """Seconds from the last byte on the wire to this process; on another machine up to publishing only."""
+        end_ns = self.received_ns if self.same_host else self.host_ns["publish"]
+        return (end_ns - self.host_ns["read"]) * 1e-9
+
+    def stages_us(self) -> dict[str, float]:
+        """Return how long each stage took, ``deliver`` being the way from the publisher to this process."""
+        stamps = [self.host_ns[stage] for stage in STAGES]
+        spans = {stage: (end - start) / 1000 for stage, start, end in zip(STAGES[1:], stamps, stamps[1:], strict=False)}
+        if self.same_host:
+            spans["deliver"] = (self.received_ns - stamps[-1]) / 1000
+        return spans
+
+
+class FramePacker:
+    """One message in memory, overwritten for each frame.
+
+    Args:
+        configuration: Name and digest of the device's configuration.
+        bundle: Id.
+        serial_number: Of the device.
+        run: Differs after each start.
+    """
+
+    __slots__ = (
+        "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
+        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view",
+    )  # fmt: skip
+
+    _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
+
+    def __init__(self, *, configuration: str, bundle: str, serial_number: str, run: str) -> None:
+        head = bytearray()
+        self._slots: dict[str, tuple[struct.Struct, int]] = {}
+
+        def key(name: str) -> None:
+            head.extend(msgpack.packb(name))
+
+        def slot(name: str, kind: str) -> None:
+            code, layout, width = self._KINDS[kind]
+            head.append(code)
+            self._slots[name] = (struct.Struct(layout), len(head) - (width == 0))
+            head.extend(bytes(width))
+
+        constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
+        self._constant: dict[str, object] = {**constant, "host": host_id()}
+        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"))  # fmt: skip
+        assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
+        entries = 1 + len(plain) + 4 + 5 + len(self._constant)
+        head += FIRST_BYTE + struct.pack(">H", entries)
+        key("v")
+        head.append(VERSION)
+        for name, kind in plain:
+            key(name)
+            slot(name, kind)
+        for group, names in (("host_ns", STAGES), ("counts", COUNTS)):
+            key(group)
+            head.append(0x80 | len(names))
+            for name in names:
+                key(name)
+                slot(name, "u")
+        self._map_at = len(head)
+        head += msgpack.packb("shape") + msgpack.packb(list(GRID_SHAPE)) + msgpack.packb("map")
+        head += b"\xc5" + struct.pack(">H", MAP_BYTES)
+        map_at = len(head)
+        self._tail_at = map_at + MAP_BYTES
+        self._buffer = bytearray(head) + bytes(LARGEST_MESSAGE - len(head))
+        self._view = memoryview(self._buffer)
+        self._map = self._view[map_at : self._tail_at]
+        self._short = bytearray(LARGEST_MESSAGE - MAP_BYTES)
+        self._short[: self._map_at] = head[: self._map_at]
+        struct.pack_into(">H", self._short, 1, entries - 2)
+        self._short_view = memoryview(self._short)
+        self._at, self._layout, self._arguments = self._whole()
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
+        self._texts: object = None
+        self._end = self._tail_at
+        self._short_end = self._map_at
+
+    def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
+        """Return where the numbers begin, and what writes all of them, and the names between them, in one call."""
+        first = end = self._slots[NUMBERS[0]][1]
+        layout, arguments = ">", list[Any]()
+        for name in NUMBERS:
+            one, at = self._slots[name]
+            between = bytes(self._buffer[end:at])
+            layout += f"{len(between)}s{one.format.lstrip('>')}"
+            arguments += [between, 0]
+            end = at + one.size
+        return first, struct.Struct(layout), arguments
+
+    def put_numbers(self, numbers: tuple[float, ...]) -> None:
+        """Overwrite all numbers.
+
+        Args:
+            numbers: In the order of ``NUMBERS``; touched as ``TOUCHED[bool]``.
+        """
+        self._arguments[1::2] = numbers
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
+
+    def put(self, name: str, value: float) -> None:
+        """Overwrite one number of ``NUMBERS``."""
+        layout, at = self._slots[name]
+        layout.pack_into(self._buffer, at, value)
+
+    def put_map(self, values: memoryview) -> None:
+        """Copy the map.
+
+        Args:
+            values: 5400 bytes, float32 little-endian.
+        """
+        self._map[:] = values
+
+    def put_texts(
+        self,
+        solver: str,
+        skipped: tuple[str, ...],
+        events: tuple[str, ...],
+        regions: Regions = (WHOLE,),
+        electrodes: tuple[str, ...] = (),
+    ) -> None:
+        """Replace the texts; recurring combinations are kept ready."""
+        wanted = (solver, skipped, events, regions, electrodes)
+        if wanted == self._texts:
+            return  # it is there already
+        self._texts = wanted
+        tail = self._tails.get(wanted)
+        if tail is None:
+            content = {
+                "solver": solver,
+                "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
+                "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
+                "regions": [list(region.bounds) for region in regions],
+                "electrodes": [text[:MAX_TEXT] for text in electrodes[:MAX_TEXTS]],
+                **self._constant,
+            }
+            tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
+            if len(self._tails) < 256:  # bounded, since events can combine in many ways
+                self._tails[wanted] = tail
+        self._end = self._tail_at + len(tail)
+        self._view[self._tail_at : self._end] = tail
+        self._short_end = self._map_at + len(tail)
+
+    def message(self) -> memoryview:
+        """Return the message as it stands; the next ``put`` changes it."""
+        return self._view[: self._end]
+
+    def short_message(self) -> memoryview:
+        """Return the message as it stands without shape and map; the next call changes it."""
+        short, whole, at = self._short_view, self._view, self._map_at
+        short[3:at] = whole[3:at]
+        short[at : self._short_end] = whole[self._tail_at : self._end]
+        return short[: self._short_end]
+
+
+class MapMissing(FrameError):  # noqa: N818 -- named as the other states of a stream are
+    """A frame without a map, whose map was not received either."""
+
+
+def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -> Frame:
+    """Return the frame of a published message.
+
+    Args:
+        message: Of any origin.
+        received_ns: When it was taken from the socket.
+        known: An earlier frame of the same stream, whose map a message without one may mean.
+
+    Raises:
+        MapMissing: It has no map, and means another one than ``known`` has.
+        FrameError: It is no frame, or one of another version.
+    """
+    fields = _strict_map(message)
+    if fields.get("v") != VERSION:
+        raise FrameError(f"frame version: found {fields.get('v')!r}, expected {VERSION}; use the runtime's release")
+    sequence = _count(fields, "seq")
+    map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
+    regions = _regions(fields)
+    if "map" in fields:
+        values = _map(fields)
+    elif known is not None and (known.run, known.map_sequence) == (fields.get("run"), map_sequence):
+        values, regions = known.map, known.regions
+    else:
+        raise MapMissing(f"frame {sequence} has the map of frame {map_sequence}, which was not received")
+    if not isinstance(fields.get("touched"), bool):
+        raise FrameError("frame touched: expected true or false")
+    gate_logit = fields.get("gate_logit")
+    if not isinstance(gate_logit, float):
+        raise FrameError("frame gate_logit: expected a float")
+    return Frame(
+        map=values,
+        touched=fields["touched"],
+        sequence=sequence,
+        number=_count(fields, "n"),
+        device_us=_count(fields, "device_us"),
+        host_ns=_counts(fields, "host_ns", STAGES),
+        received_ns=received_ns,
+        age_us=_count(fields, "age_us"),
+        solver=_text(fields, "solver"),
+        skipped=_texts(fields, "skipped"),
+        events=_texts(fields, "events"),
+        electrodes=_texts(fields, "electrodes") if "electrodes" in fields else (),
+        drift_percent=_drift(fields),
+        gate_logit=gate_logit,
+        cloud=_count(fields, "cloud"),
+        weak_rows=_count(fields, "weak_rows"),
+        map_sequence=map_sequence,
+        regions=regions,
+        counts=_counts(fields, "counts", COUNTS),
+        configuration=_text(fields, "configuration"),
+        bundle=_text(fields, "bundle"),
+        serial_number=_text(fields, "serial"),
+        run=_text(fields, "run"),
+        same_host=_text(fields, "host") == host_id(),
+    )
+
+
+def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
+    shape, raw = fields.get("shape"), fields.get("map")
+    if shape != list(GRID_SHAPE):
+        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected {list(GRID_SHAPE)}")
+    if not isinstance(raw, bytes) or len(raw) != MAP_BYTES:
+        raise FrameError(f"frame map: expected {MAP_BYTES} bytes")
+    values = np.frombuffer(raw, dtype="<f4").reshape(GRID_SHAPE)  # of immutable bytes: read-only
+    if not np.isfinite(values).all():
+        raise FrameError("frame map: holds values that are not finite")
+    return values
+
+
+def _regions(fields: Mapping[str, Any]) -> Regions:
+    found = fields.get("regions", [list(WHOLE.bounds)])
+    try:
+        regions = tuple(Region(*map(operator.index, bounds)) for bounds in found)
+    except (TypeError, ValueError) as error:
+        raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
+    if not 1 <= len(regions) <= MOST:
+        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MOST}")
+    return regions
+
+
+def _strict_map(message: bytes) -> dict[str, Any]:
+    if len(message) > LARGEST_MESSAGE:
+        raise FrameError(f"a message of {len(message)} bytes is no frame; expected at most {LARGEST_MESSAGE}")
+    try:
+        fields = msgpack.unpackb(
+            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=MAP_BYTES, max_array_len=MAX_TEXTS,
+            max_map_len=64, max_ext_len=0,
+        )  # fmt: skip
+    except (
+        Exception
+    ) as error:  # msgpack's exceptions have no common base: ValueError, StackError, UnicodeDecodeError, ...
+        raise FrameError(f"a message of {len(message)} bytes is no frame ({type(error).__name__})") from error
+    if not isinstance(fields, dict):
+        raise FrameError(f"a message is no frame: found {type(fields).__name__}, expected a map")
+    return fields
+
+
+def _count(fields: Mapping[str, Any], name: str) -> int:
+    value = fields.get(name)
+    if isinstance(value, bool) or not isinstance(value, int) or value < 0:
+        raise FrameError(f"frame {name}: found {str(value)[:40]}, expected a count")
+    return value
+
+
+def _drift(fields: Mapping[str, Any]) -> float | None:
+    """Return the drift in percent; a message without it, or with a number that is none, says that it is unknown."""
+    value = fields.get("drift", math.nan)
+    if not isinstance(value, float):
+        raise FrameError(f"frame drift: found {str(value)[:40]}, expected a float")
+    return value if math.isfinite(value) else None
+
+
+def _counts(fields: Mapping[str, Any], name: str, keys: tuple[str, ...]) -> dict[str, int]:
+    value = fields.get(name)
+    if not isinstance(value, dict):
+        raise FrameError(f"frame {name}: expected a map of {', '.join(keys)}")
+    return {key: _count(value, key) for key in keys}
+
+
+def _text(fields: Mapping[str, Any], name: str) -> str:
+    value = fields.get(name)
+    if not isinstance(value, str) or len(value) > MAX_TEXT:
+        raise FrameError(f"frame {name}: expected a text of at most {MAX_TEXT} characters")
+    return value
+
+
+def _texts(fields: Mapping[str, Any], name: str) -> tuple[str, ...]:
+    value = fields.get(name)
+    if not isinstance(value, list) or not all(isinstance(text, str) and len(text) <= MAX_TEXT for text in value):
+        raise FrameError(f"frame {name}: expected a list of short texts")
+    return tuple(value)

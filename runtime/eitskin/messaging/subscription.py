@@ -1,0 +1,206 @@
+"""``for frame in eitskin.subscribe(endpoint): frame.map``: frames as they come, newest first or all of them.
+
+``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
+frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
+
+A subscriber may say that it needs a region only, or that it does without maps that have not changed; it still finds
+one in every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads everything that
+waits and returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
+"""
+
+import time
+from types import TracebackType
+from typing import Any, Final, Self
+
+import zmq
+
+from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.frame import FIRST_BYTE, LARGEST_MESSAGE, Frame, MapMissing, unpack_frame
+from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
+
+MODES: Final = ("latest", "all")
+
+_POLLIN: Final = int(zmq.POLLIN)
+
+QUEUE_FRAMES: Final = 2000
+"""Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
+
+
+class Subscription:
+    """An open subscription: iterate it, or call ``next_frame``; leave it with ``close`` or as a context manager.
+
+    Args:
+        endpoint: Where the runtime publishes.
+        mode: ``latest`` or ``all``.
+        timeout_s: How long to wait for a frame; None waits for ever.
+        max_age_s: Oldest frame that is good enough; None takes any.
+        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
+        skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
+        keys: CURVE keys for TCP beyond loopback.
+
+    Raises:
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
+        EndpointError: ZeroMQ cannot make sense of the endpoint.
+    """
+
+    def __init__(
+        self,
+        endpoint: str,
+        *,
+        mode: str = "latest",
+        timeout_s: float | None = None,
+        max_age_s: float | None = None,
+        region_mm: tuple[float, float, float, float] | None = None,
+        skip_unchanged: bool = False,
+        keys: ClientKeys | None = None,
+    ) -> None:
+        if mode not in MODES:
+            raise ValueError(f"mode {mode!r} does not exist; expected one of {', '.join(MODES)}")
+        for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
+            if value is not None and not value > 0:
+                raise ValueError(f"{name} is {value}, expected more than 0")
+        self.region = WHOLE if region_mm is None else Region.from_mm(*region_mm)
+        """What this side needs, in pixels; ``frame.map[region.slices]``."""
+        modest = region_mm is not None or skip_unchanged
+        self._timeout_ms = -1 if timeout_s is None else max(1, round(timeout_s * 1000))
+        self._waits_ms = -1
+        """What the socket waits at most; -1 for ever. It waits by itself: ``poll`` first would delay each frame."""
+        self._max_age_s = max_age_s
+        self.endpoint = endpoint
+        self.received = 0
+        """Frames taken so far."""
+        self.lost = 0
+        """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
+        self.rejected = 0
+        """Messages that were no frames."""
+        self.mapless = 0
+        """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        self._known: Frame | None = None
+        self._newest_only = mode == "latest" and modest
+        self._run = ""
+        self._number = 0
+        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
+        self._socket: Any = self._context.socket(zmq.SUB)
+        self._socket.setsockopt(zmq.LINGER, 0)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
+        self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
+        if mode == "latest" and not modest:
+            self._socket.setsockopt(zmq.CONFLATE, 1)
+        if keys is not None:
+            keys.apply(self._socket)
+        try:
+            self._socket.connect(endpoint)
+        except zmq.ZMQError as error:
+            self.close()
+            raise EndpointError(f"{endpoint} cannot be connected to: {error.strerror}") from error
+        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
+        for topic in declared:
+            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
+
+    def next_frame(self) -> Frame:
+        """Return the next frame, waiting for it.
+
+        Raises:
+            NoFrame: None came within ``timeout_s``.
+            StaleFrame: One came, but it is older than ``max_age_s``.
+        """
+        deadline_ns = time.perf_counter_ns() + self._timeout_ms * 1_000_000
+        left_ms = self._timeout_ms
+        while True:
+            if left_ms != self._waits_ms:
+                self._waits_ms = left_ms
+                self._socket.setsockopt(zmq.RCVTIMEO, left_ms)
+            try:
+                frame = self._take()
+            except zmq.Again:
+                raise NoFrame(
+                    f"no frame from {self.endpoint} within {self._timeout_ms / 1000:g} s; is the runtime running?"
+                ) from None
+            if frame is None:
+                if left_ms >= 0:
+                    left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
+                continue
+            age_s = frame.age_s
+            if self._max_age_s is not None and age_s > self._max_age_s:
+                raise StaleFrame(f"the newest frame is {age_s:.3f} s old, expected at most {self._max_age_s:g} s")
+            return frame
+
+    def _take(self) -> Frame | None:
+        """Return the frame of the next message, or of the newest one that waits; None if there is none in it."""
+        frame = None
+        while True:
+            message = self._socket.recv()
+            try:
+                frame = unpack_frame(message, time.perf_counter_ns(), self._known)
+            except MapMissing:
+                self.mapless += 1
+            except FrameError:
+                self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+            else:
+                self._known = frame
+            if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
+                if frame is not None:
+                    self._count(frame)
+                return frame
+
+    def _count(self, frame: Frame) -> None:
+        if frame.run == self._run and frame.number > self._number:
+            self.lost += frame.number - self._number - 1
+        self._run, self._number = frame.run, frame.number
+        self.received += 1
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __next__(self) -> Frame:
+        return self.next_frame()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the socket back; closing twice is fine."""
+        self._socket.close(0)
+        self._context.term()
+
+
+def subscribe(
+    endpoint: str,
+    mode: str = "latest",
+    *,
+    timeout_s: float | None = None,
+    max_age_s: float | None = None,
+    region_mm: tuple[float, float, float, float] | None = None,
+    skip_unchanged: bool = False,
+    keys: ClientKeys | None = None,
+) -> Subscription:
+    """Return an open subscription to a runtime's frames, to be iterated.
+
+    Args:
+        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``.
+        mode: ``latest`` for a control loop, ``all`` for a recorder.
+        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`; None waits for ever.
+        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
+        region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
+        skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
+        keys: CURVE keys for TCP beyond loopback.
+
+    Raises:
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
+        EndpointError: ZeroMQ cannot make sense of the endpoint.
+    """
+    return Subscription(
+        endpoint,
+        mode=mode,
+        timeout_s=timeout_s,
+        max_age_s=max_age_s,
+        region_mm=region_mm,
+        skip_unchanged=skip_unchanged,
+        keys=keys,
+    )

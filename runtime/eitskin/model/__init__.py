@@ -1,0 +1,1 @@
+"""What turns changes of voltage into maps: the bundle, its engines and its gate."""

@@ -1,0 +1,262 @@
+"""Reads a bundle: the one file with everything that turns voltages into maps, checked before any of it is used.
+
+::
+
+    NAME.eitskin (ZIP)
+      manifest.json     format, version, protocol_id, grid_id, labels, recipe, seeds, metrics, sha256 of every file
+      geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
+      head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
+      head_int8.onnx    the same, dynamic int8 (optional)
+      tikhonov.npy      (1350, 104) the projection for the flat sheet
+      gate.npz          the touch gate (optional)
+      consistency.npz   what healthy frames look like: failing electrodes and drift are told by it (optional)
+
+A bundle is data: nothing in it is executed or unpickled, sizes are bounded before anything is read. Its id is the
+SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are read when they are asked for, and checked
+each time: a session keeps its own copy of the weights, so that another one in Python would only cost memory.
+"""
+
+import hashlib
+import io
+import json
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BundleError, MismatchError
+from eitskin.model.archive import BadArchiveError, Member, members
+from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.table import N_ROWS
+
+FORMAT: Final = "eitskin-bundle"
+VERSION: Final = 1
+
+LABELS: Final = {"area": "free", "units": "units"}
+"""What a bundle's maps mean -> the shipped bundle's name."""
+
+REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
+"""Files without which a bundle is no bundle."""
+
+LARGEST_MANIFEST: Final = 1 << 20
+LARGEST_FILE: Final = 256 << 20
+"""Bounds in bytes on what a file may claim; a default bundle is a few MB."""
+
+EXPORT_HINT: Final = "make it again with 'eitskin export'"
+
+
+class Files(Mapping[str, bytes]):
+    """The files of a bundle by name; each access reads and checks one.
+
+    Args:
+        path: Of the bundle.
+        digests: SHA-256 of every file.
+    """
+
+    def __init__(self, path: Path, digests: Mapping[str, str]) -> None:
+        self._path = path
+        self._digests = digests
+
+    def __getitem__(self, name: str) -> bytes:
+        expected = self._digests[name]
+        with _Opened(self._path) as archive:
+            data = _member(archive.members, name, LARGEST_FILE, self._path)
+        found = hashlib.sha256(data).hexdigest()
+        if found != expected:
+            raise BundleError(
+                f"{self._path}: {name} is damaged: sha256 found {found[:16]}, expected {expected[:16]}; "
+                f"copy the bundle again, or {EXPORT_HINT}"
+            )
+        return data
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._digests
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._digests)
+
+    def __len__(self) -> int:
+        return len(self._digests)
+
+
+@dataclass(frozen=True, slots=True)
+class Bundle:
+    """A checked bundle."""
+
+    path: Path
+    manifest: dict[str, Any]
+    files: Mapping[str, bytes]
+    id: str
+    """16 hex digits."""
+
+    @property
+    def labels(self) -> str:
+        """``area`` or ``units``: what a value of the map means."""
+        return str(self.manifest["labels"])
+
+    @property
+    def bias_width(self) -> int:
+        """H, the width of the first fusion layer."""
+        return int(self.manifest["head"]["bias"])
+
+    @property
+    def uses_prediction(self) -> bool:
+        """Whether the head takes the predicted reference of the deformed sheet."""
+        return "log_predicted" in self.manifest["head"]["inputs"]
+
+    def tikhonov(self) -> npt.NDArray[np.float32]:
+        """Return the (1350, 104) projection.
+
+        Raises:
+            BundleError: It has another shape or type, or is not finite.
+        """
+        matrix = _load_array(self.files["tikhonov.npy"], "tikhonov.npy")
+        if not isinstance(matrix, np.ndarray) or matrix.shape != (N_PIXELS, N_ROWS) or matrix.dtype.kind != "f":
+            found = f"{getattr(matrix, 'shape', '?')} {getattr(matrix, 'dtype', '?')}"
+            raise BundleError(f"tikhonov.npy: found {found}, expected ({N_PIXELS}, {N_ROWS}) float32; {EXPORT_HINT}")
+        if not np.isfinite(matrix).all():
+            raise BundleError(f"tikhonov.npy: holds values that are not finite; {EXPORT_HINT}")
+        return np.ascontiguousarray(matrix, dtype=np.float32)
+
+    def gate_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return the touch gate's arrays, or None for a bundle without a gate."""
+        return self._archive("gate.npz")
+
+    def consistency_arrays(self) -> dict[str, npt.NDArray[np.generic]] | None:
+        """Return the arrays that healthy frames are told by, or None for a bundle without them."""
+        return self._archive("consistency.npz")
+
+    def _archive(self, name: str) -> dict[str, npt.NDArray[np.generic]] | None:
+        if name not in self.files:
+            return None
+        try:
+            found = members(self.files[name])
+            return {key.removesuffix(".npy"): _load_array(found[key].read(LARGEST_MANIFEST), name) for key in found}
+        except BadArchiveError as error:
+            raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error
+
+
+def default_path(labels: str = "area") -> Path:
+    """Return where the shipped bundle for these labels is.
+
+    Raises:
+        ValueError: There are no such labels.
+    """
+    if labels not in LABELS:
+        raise ValueError(f"labels {labels!r} do not exist; expected one of {', '.join(LABELS)}")
+    return Path(__file__).parents[1] / "bundles" / f"{LABELS[labels]}.eitskin"
+
+
+def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bundle:
+    """Return a bundle whose every byte was checked.
+
+    Args:
+        path: The file; None takes the shipped bundle of area labels.
+        lazily: Check each file only when it is used.
+
+    Raises:
+        BundleError: It cannot be read, is damaged or incomplete.
+        MismatchError: It was made for another format version, protocol_id or grid_id.
+    """
+    where = default_path() if path is None else Path(path)
+    with _Opened(where) as archive:
+        raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
+        present = set(archive.members)
+    manifest = _manifest(raw, where)
+    _check_ids(manifest, where)
+    missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in present or name not in manifest["files"]]
+    if missing:
+        raise BundleError(f"{where} lacks {', '.join(dict.fromkeys(missing))}; {EXPORT_HINT}")
+    files = Files(where, {name: str(entry["sha256"]) for name, entry in manifest["files"].items()})
+    if not lazily:
+        for name in files:
+            files[name]
+    return Bundle(where, manifest, files, hashlib.sha256(raw).hexdigest()[:16])
+
+
+class _Opened:
+    """The members of an archive, open while the block lasts."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self.members: Mapping[str, Member] = {}
+
+    def __enter__(self) -> Self:
+        where = self._path
+        try:
+            self._stream = where.open("rb")
+        except FileNotFoundError as error:
+            raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
+        except OSError as error:
+            raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
+        try:
+            self.members = members(self._stream)
+        except BadArchiveError as error:
+            self._stream.close()
+            raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.members = {}
+        self._stream.close()
+
+
+def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -> bytes:
+    if name not in found:
+        raise BundleError(f"{where} has no {name}; {EXPORT_HINT}")
+    try:
+        return found[name].read(largest)
+    except BadArchiveError as error:
+        raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+
+
+def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
+    try:
+        manifest = json.loads(raw)
+    except (ValueError, RecursionError) as error:
+        raise BundleError(f"{where}: manifest.json is no JSON ({error}); {EXPORT_HINT}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
+        raise BundleError(f"{where}: format found {found!r}, expected {FORMAT!r}; {EXPORT_HINT}")
+    if manifest.get("version") != VERSION:
+        raise MismatchError(
+            f"{where}: version", found=manifest.get("version"), expected=VERSION, hint=f"{EXPORT_HINT} of this release"
+        )
+    problem = _shape_problem(manifest)
+    if problem:
+        raise BundleError(f"{where}: manifest.json: {problem}; {EXPORT_HINT}")
+    return manifest
+
+
+def _shape_problem(manifest: dict[str, Any]) -> str | None:
+    files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
+    if labels not in LABELS:
+        return f"labels found {labels!r}, expected one of {', '.join(LABELS)}"
+    if not isinstance(files, dict) or len(files) > 32:
+        return "files must be an object of at most 32 names"
+    if not all(isinstance(entry, dict) and isinstance(entry.get("sha256"), str) for entry in files.values()):
+        return "every file needs a sha256"
+    if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
+        return "head.inputs must be a list"
+    bias = head.get("bias")
+    if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
+        return f"head.bias found {bias!r}, expected a width from 1 to 65536"
+    return None
+
+
+def _check_ids(manifest: dict[str, Any], where: Path) -> None:
+    for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        if manifest.get(name) != expected:
+            hint = f"take a bundle of this release, or {EXPORT_HINT}"
+            raise MismatchError(f"{where}: {name}", found=manifest.get(name), expected=expected, hint=hint)
+
+
+def _load_array(data: bytes, name: str) -> Any:
+    try:
+        return np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, OSError, EOFError) as error:
+        raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error

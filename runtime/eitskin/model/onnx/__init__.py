@@ -1,0 +1,1 @@
+"""ONNX files cut down to what a region needs, without the ``onnx`` package."""

@@ -1,0 +1,274 @@
+"""The one reference: the mean of N frames of the flat, untouched sheet, with their spread and where they come from.
+
+Every dV divides by it, so it belongs to one device in one configuration; another serial number or digest is refused.
+It is kept as JSON with a checksum, written to a new file that then takes the old one's name: a power cut leaves the
+old reference or the new one, never half of one. ::
+
+    {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "serial_number", "configuration_digest",
+     "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104], "sha256"}
+
+A row whose voltage is under a ten-thousandth of the largest, or that does not stand out of its own noise, is *weak*: it
+carries nothing, is filled in from the others (:mod:`eitskin.reference.row_noise`), and is named wherever a reference is
+reported.
+"""
+
+import hashlib
+import json
+import os
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BadReference, MismatchError
+from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.normalise import weak_rows
+from eitskin_proto.sensor.table import N_ROWS, TABLE
+from eitskin_proto.wire.answers import Hello
+
+FORMAT: Final = "eitskin-reference"
+VERSION: Final = 1
+
+DEFAULT_FRAMES: Final = 100
+"""Half a second at 200 frames/s: the mean's noise is a tenth of a frame's."""
+
+LARGEST_SPREAD: Final = 0.05
+"""The median row may vary by 5 % of its voltage: at 50 dB it varies by 0.3 %, under a moving touch by far more."""
+
+SMALLEST_V: Final = 1e-9
+"""The largest row must be above this; a front end that is not connected reads zeros."""
+
+LARGEST_FILE: Final = 65536
+"""Bytes; a reference has about 5000."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reference:
+    """A reference with its provenance."""
+
+    voltages_V: npt.NDArray[np.float64]
+    """(104,) V, mean."""
+    spread_V: npt.NDArray[np.float64]
+    """(104,) V, standard deviation of a single frame."""
+    frames: int
+    """How many frames the mean is of."""
+    serial_number: str
+    configuration_digest: int
+    configuration_name: str
+    captured_utc: str
+    """Wall clock, for people."""
+
+    @property
+    def weak(self) -> npt.NDArray[np.intp]:
+        """Rows that carry no information."""
+        return np.flatnonzero(lost_rows(self.voltages_V, self.spread_V))
+
+    def report(self) -> list[str]:
+        """Return what people should know about this reference, a line each."""
+        relative = self.spread_V / np.maximum(np.abs(self.voltages_V), SMALLEST_V)
+        lines = [
+            f"reference: {self.frames} frames of {self.serial_number}, configuration {self.configuration_name}/"
+            f"{self.configuration_digest:08x}, captured {self.captured_utc}, median spread {np.median(relative):.2%}"
+        ]
+        if self.weak.size:
+            names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
+            more = f" and {self.weak.size - 8} more" if self.weak.size > 8 else ""
+            lines.append(f"reference: {self.weak.size} weak rows, filled in from the others: {names}{more}")
+        weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
+        if weighed:
+            lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
+        return lines
+
+    def check(self, hello: Hello) -> None:
+        """Refuse a reference of another device or configuration.
+
+        Raises:
+            BadReference: A row is not finite.
+            MismatchError: With what was found, expected, and the command that captures a new one.
+        """
+        hint = "capture one of this device: eitskin reference --port PORT --out FILE"
+        bad = np.flatnonzero(~np.isfinite(self.voltages_V))
+        if bad.size:
+            raise BadReference(f"reference: row {bad[0]} is {self.voltages_V[bad[0]]} V, expected a finite one; {hint}")
+        if self.serial_number != hello.serial_number:
+            raise MismatchError(
+                "reference: serial_number", found=self.serial_number, expected=hello.serial_number, hint=hint
+            )
+        if self.configuration_digest != hello.configuration_digest:
+            raise MismatchError(
+                "reference: configuration_digest",
+                found=f"{self.configuration_digest:08x} ({self.configuration_name})",
+                expected=f"{hello.configuration_digest:08x} ({hello.configuration_name})",
+                hint=hint,
+            )
+
+
+class ReferenceBuilder:
+    """Takes frame after frame and makes the reference; allocates nothing a frame (Welford's running mean).
+
+    Args:
+        frames: How many to take, at least 2.
+    """
+
+    __slots__ = ("_delta", "_mean", "_product", "_squares", "frames", "taken")
+
+    def __init__(self, frames: int) -> None:
+        if frames < 2:
+            raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2")
+        self.frames = frames
+        self.taken = 0
+        self._mean = np.zeros(N_ROWS)
+        self._squares = np.zeros(N_ROWS)
+        self._delta = np.zeros(N_ROWS)
+        self._product = np.zeros(N_ROWS)
+
+    def add(self, voltages: npt.NDArray[np.float64]) -> bool:
+        """Take one frame and return whether there are enough.
+
+        Args:
+            voltages: (104,) V.
+        """
+        self.taken += 1
+        np.subtract(voltages, self._mean, out=self._delta)
+        np.divide(self._delta, self.taken, out=self._product)
+        np.add(self._mean, self._product, out=self._mean)
+        np.subtract(voltages, self._mean, out=self._product)
+        np.multiply(self._product, self._delta, out=self._product)
+        np.add(self._squares, self._product, out=self._squares)
+        return self.taken >= self.frames
+
+    def finish(self, hello: Hello) -> Reference:
+        """Return the reference of what was taken.
+
+        Raises:
+            BadReference: All voltages are zero, or they varied as if the sheet had been touched or moved.
+        """
+        spread = np.sqrt(self._squares / (self.taken - 1))
+        largest = float(np.abs(self._mean).max())
+        if not largest >= SMALLEST_V:
+            raise BadReference(
+                f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
+                "check that the electrodes are connected"
+            )
+        usable = ~weak_rows(self._mean)
+        variation = float(np.median(spread[usable] / np.abs(self._mean[usable])))
+        if variation > LARGEST_SPREAD:
+            raise BadReference(
+                f"the frames of the reference vary by {variation:.1%} (median row), expected at most "
+                f"{LARGEST_SPREAD:.0%}: leave the sheet flat, untouched and at rest, then capture again"
+            )
+        return Reference(
+            voltages_V=self._mean.copy(),
+            spread_V=spread,
+            frames=self.taken,
+            serial_number=hello.serial_number,
+            configuration_digest=hello.configuration_digest,
+            configuration_name=hello.configuration_name,
+            captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        )
+
+
+def save(reference: Reference, path: str | Path) -> None:
+    """Write a reference to a file, atomically.
+
+    Raises:
+        BadReference: The file cannot be written.
+    """
+    content: dict[str, Any] = {
+        "format": FORMAT,
+        "version": VERSION,
+        "protocol_id": PROTOCOL_ID,
+        "grid_id": GRID_ID,
+        "serial_number": reference.serial_number,
+        "configuration_digest": f"{reference.configuration_digest:08x}",
+        "configuration_name": reference.configuration_name,
+        "captured_utc": reference.captured_utc,
+        "frames": reference.frames,
+        "voltages_V": reference.voltages_V.tolist(),
+        "spread_V": reference.spread_V.tolist(),
+    }
+    content["sha256"] = _digest(content)
+    import tempfile  # noqa: PLC0415 -- 10 ms that a stream does not need
+
+    where = Path(path)
+    try:
+        handle, name = tempfile.mkstemp(dir=where.parent, prefix=f".{where.name}.")
+        try:
+            with os.fdopen(handle, "w", encoding="ascii") as stream:
+                stream.write(json.dumps(content, indent=1) + "\n")
+                stream.flush()
+                os.fsync(stream.fileno())
+            Path(name).replace(where)
+        except BaseException:
+            with suppress(OSError):
+                Path(name).unlink()
+            raise
+        folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY)
+        try:
+            os.fsync(folder)  # the new name is on disk too
+        finally:
+            os.close(folder)
+    except OSError as error:
+        raise BadReference(f"{where} cannot be written: {error.strerror or error}") from error
+
+
+def load(path: str | Path) -> Reference:
+    """Return the reference of a file.
+
+    Raises:
+        BadReference: It cannot be read, is damaged, or holds values that cannot be used.
+        MismatchError: It was made for another version, protocol_id or grid_id.
+    """
+    where = Path(path)
+    hint = f"capture it again: eitskin reference --port PORT --out {where}"
+    try:
+        with where.open("rb") as stream:
+            raw = stream.read(LARGEST_FILE + 1)
+    except OSError as error:
+        raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {hint}") from error
+    try:
+        content = json.loads(raw) if len(raw) <= LARGEST_FILE else None
+    except (ValueError, RecursionError) as error:
+        raise BadReference(f"reference {where} is damaged ({error}); {hint}") from error
+    if not isinstance(content, dict) or content.get("format") != FORMAT:
+        raise BadReference(f"{where} is no reference; {hint}")
+    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        if content.get(name) != expected:
+            raise MismatchError(f"reference {where}: {name}", found=content.get(name), expected=expected, hint=hint)
+    claimed = content.pop("sha256", None)
+    found = _digest(content)
+    if claimed != found:
+        raise BadReference(
+            f"reference {where} is damaged: sha256 found {found[:16]}, expected {str(claimed)[:16]}; {hint}"
+        )
+    try:
+        reference = Reference(
+            voltages_V=_rows(content["voltages_V"]),
+            spread_V=_rows(content["spread_V"]),
+            frames=int(content["frames"]),
+            serial_number=str(content["serial_number"]),
+            configuration_digest=int(str(content["configuration_digest"]), 16),
+            configuration_name=str(content["configuration_name"]),
+            captured_utc=str(content["captured_utc"]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise BadReference(f"reference {where} is malformed ({error}); {hint}") from error
+    if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
+        raise BadReference(f"reference {where}: no row reaches {SMALLEST_V:g} V; {hint}")
+    return reference
+
+
+def _digest(content: dict[str, Any]) -> str:
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+
+
+def _rows(values: Any) -> npt.NDArray[np.float64]:
+    rows = np.array(values, dtype=np.float64)
+    if rows.shape != (N_ROWS,) or not np.isfinite(rows).all():
+        raise ValueError(f"expected {N_ROWS} finite voltages")
+    return rows

@@ -1,0 +1,126 @@
+"""From a frame's counts to dV, into memory that exists already.
+
+A frame carries the 104 rows of the table, or all 208, of which each reciprocal pair is averaged: twice the
+measurements, 0.7 of the noise. dV = V / V0 - 1, and 0 in weak rows (:mod:`eitskin_proto.sensor.normalise`).
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.normalise import inverse_reference
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+
+LARGEST_CHANGE: Final = 1e6
+"""Norm of dV. Strong rows are above 1e-4 of the largest, so no working front end changes one by more than 1e4."""
+
+NO_SIGNAL: Final = 1e-3
+"""A frame without a row above this share of its reference carries no current: a touch of contrast 50, on the whole
+sheet, leaves every row a fiftieth."""
+
+
+class Normaliser:
+    """Turns counts into dV, and into volts for whoever needs them.
+
+    Args:
+        volts_per_count: V, of HELLO.
+    """
+
+    __slots__ = (
+        "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
+        "silent", "volts_per_count", "weak_count",
+    )  # fmt: skip
+
+    def __init__(self, volts_per_count: float) -> None:
+        self.volts_per_count = volts_per_count
+        """V, what one count means."""
+        self.weak_count = 0
+        """Rows of the reference that carry no information."""
+        self.silent = False
+        """The last frame was refused because no row had a voltage."""
+        self._inverse = np.zeros(N_ROWS)
+        self._scale = np.zeros(N_ROWS)
+        self._offset = np.zeros(N_ROWS)
+        self._exact = np.zeros(N_ROWS)
+        self._voltages = np.zeros(N_ROWS)
+        self._direct = np.zeros(N_ROWS, dtype=np.int32)
+        self._reciprocal = np.zeros(N_ROWS, dtype=np.int32)
+        self._mean = np.zeros(N_ROWS)
+        self._counts: npt.NDArray[np.number] = self._mean
+
+    def use(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
+        """Normalise against a reference from the next frame on.
+
+        Args:
+            reference: (104,) V.
+            lost: Rows that do not stand out of their noise, whose dV is 0 like that of weak ones.
+
+        Raises:
+            ValueError: It holds no voltage at all.
+        """
+        self._inverse[:] = inverse_reference(reference)
+        if lost is not None:
+            self._inverse[lost] = 0.0
+        self._offset[:] = self._inverse != 0.0
+        self.weak_count = N_ROWS - int(self._offset.sum())
+        self.use_scale(self.volts_per_count)
+
+    def use_scale(self, volts_per_count: float) -> None:
+        """Read counts in another unit from the next frame on, in V."""
+        self.volts_per_count = volts_per_count
+        np.multiply(self._inverse, volts_per_count, out=self._scale)
+
+    def load(self, counts: npt.NDArray[np.int32]) -> None:
+        """Take a frame.
+
+        Args:
+            counts: (104,) or (208,); read again until the next ``load``.
+        """
+        if len(counts) == N_FULL_ROWS:
+            # mode="clip" writes straight into out; the indices are constants and in range
+            np.take(counts, ROW_IN_FULL, out=self._direct, mode="clip")
+            np.take(counts, RECIPROCAL_IN_FULL, out=self._reciprocal, mode="clip")
+            np.add(self._direct, self._reciprocal, out=self._mean, dtype=np.float64)  # int32 would overflow
+            np.multiply(self._mean, 0.5, out=self._mean)
+            self._counts = self._mean
+        else:
+            self._counts = counts
+
+    def voltages(self) -> npt.NDArray[np.float64]:
+        """Return (104,) V of the frame; the next call overwrites them."""
+        np.multiply(self._counts, self.volts_per_count, out=self._voltages)
+        return self._voltages
+
+    def rows_into(
+        self, rows: npt.NDArray[np.intp], scale: npt.NDArray[np.float64], offset: npt.NDArray[np.float64]
+    ) -> None:
+        """Write what turns the counts of some rows into dV: dV = counts * scale - offset.
+
+        Args:
+            rows: (n,) of the table.
+            scale: (n,) written.
+            offset: (n,) written; 0 in weak rows.
+        """
+        np.take(self._scale, rows, out=scale, mode="clip")
+        np.take(self._offset, rows, out=offset, mode="clip")
+
+    def change_into(self, out: npt.NDArray[np.float32]) -> bool:
+        """Write dV and return whether all of it is plausible.
+
+        Args:
+            out: (104,).
+        """
+        np.multiply(self._counts, self._scale, out=self._exact)
+        np.subtract(self._exact, self._offset, out=self._exact)
+        square = float(np.dot(self._exact, self._exact))
+        usable = N_ROWS - self.weak_count
+        # dV = -1 in every row has the square `usable`; only a frame that comes near it is looked at row by row.
+        self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
+        if self.silent or not square <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
+            return False
+        out[:] = self._exact
+        return True
+
+    def _is_silent(self) -> bool:
+        return bool(np.abs(self._exact + self._offset).max() < NO_SIGNAL)

@@ -1,0 +1,58 @@
+"""The second, predicted reference: what the forward model expects of the bent sheet when nothing touches it.
+
+From a cloud the forward model predicts the untouched voltages of the deformed sheet. The head sees their logarithm
+against the flat sheet and subtracts it from that of the measurement, which leaves what the touch did. The prediction
+is made where the cloud is made; the runtime has no forward model.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ROWS
+
+RATIO_FLOOR: Final = 1e-3
+"""|V_pred| / |V_flat| is cut off here before the logarithm, as in training."""
+
+
+def check_voltages(name: str, voltages: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    """Return (104,) V as float64, or say what is wrong with them.
+
+    Args:
+        name: What to call them.
+        voltages: (104,) V.
+
+    Raises:
+        ValueError: The shape is wrong or a value is not finite; with the value and the bound.
+    """
+    values = np.asarray(voltages, dtype=np.float64)
+    if values.shape != (N_ROWS,):
+        raise ValueError(f"{name} voltages have shape {values.shape}, expected ({N_ROWS},)")
+    bad = np.flatnonzero(~np.isfinite(values))
+    if bad.size:
+        raise ValueError(f"{name}[{bad[0]}] is {values[bad[0]]}, expected a finite number of volts")
+    return values
+
+
+def log_ratio(predicted: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray[np.float32]:
+    """Return (104,) log |V_pred| / |V0|, cut off below at log 1e-3, and 0 where the reference is 0.
+
+    Args:
+        predicted: (104,) V, untouched, of the deformed sheet, by the forward model.
+        reference: (104,) V, untouched, of the flat sheet: the model's own, or the captured one.
+
+    Raises:
+        ValueError: A shape is wrong, or a predicted voltage is not finite.
+    """
+    numerator, denominator = check_voltages("predicted", predicted), check_voltages("reference", reference)
+    usable = denominator != 0.0
+    with np.errstate(over="ignore", under="ignore"):  # an infinite ratio is refused below, by its size
+        ratio = np.abs(numerator) / np.abs(np.where(usable, denominator, 1.0))
+    if float(ratio.max(initial=0.0, where=usable)) > 1 / RATIO_FLOOR:
+        worst = int(np.argmax(np.where(usable, ratio, 0.0)))
+        raise ValueError(
+            f"predicted[{worst}] is {ratio[worst]:.3g} times the reference, expected at most {1 / RATIO_FLOOR:.0f}; "
+            "give both for the same current"
+        )
+    return np.asarray(np.where(usable, np.log(np.maximum(ratio, RATIO_FLOOR)), 0.0), dtype=np.float32)

@@ -1,0 +1,213 @@
+from dataclasses import replace
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.wire import config_toml, hardware
+from eitskin_proto.wire.config import BLOB, BLOB_BYTES, BLOB_FIELDS, Configuration, largest_line_rate_hz
+from eitskin_proto.wire.frames import frame_bytes
+from eitskin_proto.wire.framing import crc32c, wire_bytes
+from eitskin_proto.wire.layout import WIDTH
+from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list, row_count
+
+PAPER = config_toml.named("paper")
+BAUD_921600 = 92_160.0
+
+
+@st.composite
+def any_configuration(draw):
+    rows = draw(st.sampled_from([104, 208]))
+    drives = st.integers(1, 0xFFFF).filter(lambda drives: row_count(rows == 208, drives))
+    idle = draw(st.none() | drives)
+    u16, u32 = st.integers(1, 0xFFFF), st.integers(1, 0xFFFFFFFF)
+    rate = st.integers(1, 4_000_000_000)
+    return Configuration(
+        name=draw(st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), min_size=1, max_size=16)),
+        revision=draw(u32), hardware_id=hardware.EITSKIN_16.id, frequency_hz=draw(u32), current_ua=draw(u32),
+        settle_us=draw(u16), averages=draw(u16), gain=draw(u16), sample_bytes=draw(st.sampled_from([2, 3, 4])),
+        rows=rows, drives=draw(drives), rate_millihertz=draw(rate), idle_drives=idle or 0,
+        idle_rate_millihertz=draw(rate) if idle else 0,
+    )  # fmt: skip
+
+
+@given(any_configuration())
+@settings(max_examples=200, deadline=None)
+def test_value_blob_and_toml_say_the_same(configuration):
+    blob = configuration.to_blob()
+    assert len(blob) == BLOB_BYTES == 64
+    assert Configuration.from_blob(blob) == configuration
+    assert configuration.digest == crc32c(blob[:-4])
+    assert config_toml.parse(config_toml.to_toml(configuration)) == configuration
+
+
+def test_every_field_changes_the_digest():
+    for field, value in {"name": "other", "revision": 9, "frequency_hz": 1, "current_ua": 1, "settle_us": 1, "gain": 1,
+                         "averages": 1, "sample_bytes": 2, "rows": 208, "drives": 1, "rate_millihertz": 1,
+                         "idle_drives": 1, "idle_rate_millihertz": 1, "hardware_id": 1}.items():  # fmt: skip
+        assert replace(PAPER, **{field: value}).digest != PAPER.digest
+
+
+@pytest.mark.parametrize("name", config_toml.NAMED)
+def test_the_named_configurations_run_on_the_known_electronics_at_921600_baud(name):
+    configuration = config_toml.named(name)
+    assert configuration.name == name
+    configuration.check(BAUD_921600)
+
+
+def test_the_paper_configuration_is_the_papers():
+    assert (PAPER.frequency_hz, PAPER.frame_rows, PAPER.full) == (20_000, 104, False)
+    assert config_toml.named("full208").frame_rows == 208
+    assert config_toml.named("idle").frame_rows == 13 + 13 + 12 + 11
+    assert config_toml.named("fast").rate_hz > PAPER.rate_hz
+
+
+@pytest.mark.parametrize("sample_bytes", [2, 3, 4])
+@pytest.mark.parametrize("baud", [115_200, 460_800, 921_600, 3_000_000])
+def test_the_largest_rate_that_is_named_is_accepted_and_a_thousandth_more_is_not(sample_bytes, baud):
+    quick = replace(PAPER, sample_bytes=sample_bytes, settle_us=20, averages=1, frequency_hz=100_000)
+    with pytest.raises(ValueError, match="reaches at most") as caught:
+        replace(quick, rate_millihertz=4_000_000_000).check(baud / 10)
+    largest = round(1000 * float(str(caught.value).split("at most ")[1].split()[0]))
+    replace(quick, rate_millihertz=largest).check(baud / 10)
+    with pytest.raises(ValueError, match="reaches at most"):
+        replace(quick, rate_millihertz=largest + 1).check(baud / 10)
+
+
+def test_the_line_or_the_front_end_is_named_as_what_limits():
+    with pytest.raises(
+        ValueError, match=r"rate_Hz is 200\.0, but a line of 11520 bytes/s .* at most 31\.\d+ with 104 rows"
+    ):
+        PAPER.check(11_520)
+    with pytest.raises(ValueError, match=r"rate_Hz is 210\.0, but the front end reaches at most 203"):
+        replace(PAPER, rate_millihertz=210_000).check()
+    with pytest.raises(ValueError, match=r"idle rate_Hz is 5000\.0"):
+        replace(PAPER, idle_rate_millihertz=5_000_000).check(BAUD_921600)
+
+
+def test_a_line_carries_what_arithmetic_says():
+    # 104 rows of 32 bit: 20 + 416 + 13 bytes, 4 of check, 2 of stuffing, 1 delimiter = 456; ten bits a byte.
+    assert wire_bytes(frame_bytes(104, 4)) == 456
+    assert largest_line_rate_hz(104, 4, 11_520) == pytest.approx(0.95 * 11_520 / 456, rel=1e-12)
+    assert largest_line_rate_hz(104, 4, 0) == float("inf")
+    assert PAPER.scan_us() == 20 + 14 * (100 + 5 * 50)  # drives 14 and 15 have no row with drive < measure
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"frequency_hz": 500}, "frequency_Hz is 500, eitskin-16 drives 1000 to 100000"),
+        ({"current_ua": 6000}, "current_uA is 6000, eitskin-16 drives at most 5000"),
+        ({"gain": 3}, "gain is 3, eitskin-16 has 1, 2, 4"),
+        ({"settle_us": 19}, "settle_us is 19, eitskin-16 needs at least 20"),
+        ({"hardware_id": 7}, "hardware 0x00000007 is unknown"),
+    ],
+)
+def test_what_the_electronics_cannot_do_is_refused_with_what_they_can(change, text):
+    with pytest.raises(ValueError, match=text):
+        replace(PAPER, **change).check()
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"name": ""}, "1 to 16 printable"),
+        ({"name": "seventeen letters"}, "1 to 16 printable"),
+        ({"name": "Schön"}, "1 to 16 printable"),
+        ({"rows": 103}, "expected 104 .* or 208"),
+        ({"sample_bytes": 1}, "expected 16, 24 or 32"),
+        ({"drives": 0}, "drives is 0, expected 1"),
+        ({"drives": 0xC000}, "have no row in the table of 104"),
+        ({"rate_millihertz": 0}, "rate_millihertz is 0"),
+        ({"averages": 0}, "averages is 0, expected 1 to 65535"),
+        ({"idle_drives": 0}, "needs drives and a rate, or neither"),
+        ({"idle_drives": 0x8000}, "idle drives 0x8000 have no row"),
+    ],
+)
+def test_a_configuration_that_means_nothing_cannot_be_made(change, text):
+    with pytest.raises(ValueError, match=text):
+        replace(PAPER, **change)
+
+
+def resealed(blob, **at):
+    body = bytearray(blob[:-4])
+    for position, value in at.values():
+        body[position] = value
+    return bytes(body) + crc32c(bytes(body)).to_bytes(4, "little")
+
+
+def test_a_blob_is_refused_for_what_is_wrong_with_it():
+    blob = PAPER.to_blob()
+    with pytest.raises(ProtocolError, match="expected b'EITC'"):
+        Configuration.from_blob(b"JUNK" + blob[4:])
+    with pytest.raises(ProtocolError, match="format 2, this release reads format 1"):
+        Configuration.from_blob(resealed(blob, format=(4, 2)))
+    with pytest.raises(ProtocolError, match="63 bytes, expected 64"):
+        Configuration.from_blob(blob[:-1])
+    with pytest.raises(ProtocolError, match="damaged"):
+        Configuration.from_blob(blob[:-1] + bytes([blob[-1] ^ 1]))
+    with pytest.raises(ProtocolError, match="impossible: rows is 105"):
+        Configuration.from_blob(resealed(blob, rows=(5, 105)))
+    with pytest.raises(ProtocolError, match="reserved 1"):
+        Configuration.from_blob(resealed(blob, reserved=(59, 1)))
+    with pytest.raises(ProtocolError, match="impossible"):
+        Configuration.from_blob(resealed(blob, name=(16, 0xC3)))
+
+
+TOML = config_toml.to_toml(PAPER)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("frequency_Hz = 20000", "frequency_kHz = 20", r"unknown key 'frequency_kHz' in \[drive\].*'frequency_Hz'"),
+        ("settle_us", "settle_ms", r"'settle_ms' in \[measure\].*has 'settle_us' in another unit"),
+        ("current_uA = 1000", "colour = 1", r"unknown key 'colour' in \[drive\]; known are frequency_Hz, current_uA"),
+        ("current_uA = 1000", "", r"\[drive\] lacks 'current_uA'"),
+        ("gain = 8", "gain = 8.5", r"gain in \[measure\] is 8.5, expected int"),
+        ("gain = 8", "gain = true", r"gain in \[measure\] is True, expected int"),
+        ("rate_Hz = 200.0", 'rate_Hz = "fast"', r"rate_Hz in \[scan\] is 'fast', expected float"),
+        ("rate_Hz = 200.0", "rate_Hz = nan", r"rate_Hz in \[scan\] is nan"),
+        ("rate_Hz = 200.0", "rate_Hz = -1.0", r"expected 0.001 to 4e6"),
+        ("sample_bits = 24", "sample_bits = 12", "sample_bits is 12, expected 16, 24 or 32"),
+        ("[0, 1, 2, 3]", "[0, 4, 16]", "drive 16 does not exist"),
+        ("[0, 1, 2, 3]", "[0, 4, 4]", "drive 4 stands twice"),
+        ("[0, 1, 2, 3]", "[0, 4.5]", "expected a list of int"),
+        ("[scan]", "[sweep]", r"unknown table \[sweep\]"),
+        ("[drive]", "[drive", "not a TOML file"),
+        ("format = 1", "format = 2", "format is 2, this release reads format 1"),
+        ('"eitskin-16"', '"eitskin-99"', "hardware 'eitskin-99' is unknown; known are 'eitskin-16'"),
+    ],
+)
+def test_a_mistake_in_a_file_is_named(tmp_path, old, new, text):
+    assert old in TOML
+    file = tmp_path / "mine.toml"
+    file.write_text(TOML.replace(old, new))
+    with pytest.raises(ValueError, match=rf"mine\.toml: .*{text}"):
+        config_toml.load(file)
+
+
+def test_a_missing_table_is_named():
+    with pytest.raises(ValueError, match=r"the table \[drive\] is missing"):
+        config_toml.parse(TOML.replace("[drive]\nfrequency_Hz = 20000\ncurrent_uA = 1000\n", ""))
+
+
+def test_a_name_that_comes_with_the_package_needs_no_file(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert config_toml.load("paper") == PAPER
+    (tmp_path / "paper").write_text(TOML.replace("revision = 1", "revision = 5"))
+    assert config_toml.load("paper").revision == 5  # a file of that name comes first
+    with pytest.raises(OSError, match="nowhere"):
+        config_toml.load("nowhere.toml")
+    with pytest.raises(ValueError, match="'nowhere' does not come with the package"):
+        config_toml.named("nowhere")
+
+
+def test_the_blob_struct_and_the_field_list_agree():
+    assert sum(WIDTH[kind] for _, kind in BLOB_FIELDS) == BLOB.size + 4 == BLOB_BYTES
+
+
+def test_drives_go_to_a_list_and_back():
+    for mask in (1, 0x8000, 0xFFFF, 0x0111):
+        assert drives_from_list(drives_to_list(mask)) == mask

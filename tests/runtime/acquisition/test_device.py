@@ -1,0 +1,130 @@
+from dataclasses import replace
+
+import pytest
+
+from eitskin.acquisition import device as devices
+from eitskin.acquisition.device import Device, check_usable
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin.errors import HandshakeError, MismatchError, ProtocolError
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.wire.framing import encode
+from eitskin_proto.wire.messages import Hello
+
+
+class Line:
+    """A transport whose other side is a function of what was written."""
+
+    name = "test line"
+    line_bytes_per_s = 0
+
+    def __init__(self, answer):
+        self.answer, self.inbox, self.written = answer, [], []
+
+    def write(self, data):
+        self.written.append(data)
+        self.inbox += self.answer(data)
+
+    def read(self, timeout_s=None):
+        return self.inbox.pop(0) if self.inbox else b""
+
+    def cancel(self):
+        pass
+
+    def report(self):
+        return []
+
+    def close(self):
+        pass
+
+
+@pytest.fixture
+def hasty(monkeypatch):
+    monkeypatch.setattr(devices, "HANDSHAKE_S", 0.2)
+
+
+def test_a_device_introduces_itself_and_streams(virtual_skin):
+    with virtual_skin(rate_hz=100.0) as port:
+        line = SerialPort(port)
+        device = Device(line)
+        assert device.hello.serial_number == "VIRTUAL-0001"
+        assert device.configuration.startswith("paper/")
+        device.start()
+        frames = []
+        while len(frames) < 5:
+            frames += device.payloads(1.0)
+        assert device.deframer.corrupt == 0
+        device.stop()
+        line.close()
+
+
+def test_a_device_of_another_protocol_is_refused_with_found_expected_and_fix(virtual_skin):
+    with virtual_skin(faults=["foreign"]) as port:
+        line = SerialPort(port)
+        with pytest.raises(
+            MismatchError, match=rf"protocol_id: found 00000000f0e1d2c3, expected {PROTOCOL_ID}; .*flash"
+        ):
+            Device(line)
+        line.close()
+
+
+def test_another_major_version_is_refused(hello):
+    packed = bytearray(hello.pack())
+    packed[6] = 9
+    with pytest.raises(ProtocolError, match=r"speaks protocol 9\.0, expected 1\.x"):
+        Device(Line(lambda _: [encode(bytes(packed))]))
+
+
+def test_silence_is_named(hasty):
+    with pytest.raises(HandshakeError, match=r"did not answer within 0\.2 s"):
+        Device(Line(lambda _: []))
+
+
+def test_a_device_that_talks_nonsense_is_told_from_a_silent_one(hasty):
+    with pytest.raises(HandshakeError, match=r"sends \d+ bytes that are no packets.*baud"):
+        Device(Line(lambda _: [b"T: 23.5 C\r\n" * 3, b"\0more\0"]))
+
+
+def test_a_lost_request_is_repeated(hello, monkeypatch):
+    monkeypatch.setattr(devices, "RETRY_S", 0.01)
+    answers = iter([[], [], [encode(hello.pack())]])
+    line = Line(lambda _: next(answers))
+    assert Device(line).hello.serial_number == "TEST-1"
+    assert len(line.written) == 3
+
+
+def test_frames_of_an_older_stream_do_not_hide_the_hello(hello):
+    noise = [b"tail of a packet\0", encode(b"\x82" + bytes(40)), encode(hello.pack())]
+    assert Device(Line(lambda _: noise)).hello == hello
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"rows": 39, "drives": 0x0007}, r"39 rows of drives 0x0007, expected 104 or 208"),
+        ({"volts_per_count": 0.0}, r"found 0 V, expected more than 0"),
+        ({"volts_per_count": -1e-9}, r"expected more than 0"),
+        ({"volts_per_count": 1e300}, r"at most 1000 V"),
+        ({"sample_bytes": 5}, r"found 5, expected 2, 3 or 4"),
+        (
+            {"line_bytes_per_s": 11520},
+            r"200 frames/s of 456 bytes do not fit a line of 11520 bytes/s, which carries 25",
+        ),
+    ],
+)
+def test_a_device_whose_frames_cannot_be_used_is_refused(hello, change, text):
+    with pytest.raises(HandshakeError, match=text):
+        check_usable(replace(hello, **change), 0)
+
+
+def test_a_slow_line_of_ours_refuses_the_rate_and_says_the_largest(hello):
+    with pytest.raises(HandshakeError, match="raise --baud"):
+        check_usable(hello, 11520)
+    check_usable(hello, 200_000)
+
+
+def test_every_shortened_hello_is_refused(hello, hasty):
+    whole = hello.pack()
+    for length in range(1, len(whole), 9):
+        with pytest.raises((ProtocolError, HandshakeError)):
+            Device(Line(lambda _, length=length: [encode(whole[:length])]))
+    assert Hello.unpack(whole) == hello

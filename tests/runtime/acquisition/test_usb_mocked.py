@@ -1,0 +1,86 @@
+"""USB with nothing of ours replaced: real pyusb, real libusb, the commands as a user runs them; the bus is mocked."""
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from eitskin_tools.fault_injection.usb_skin import WRAPPER, MockedUsb, missing
+
+LACKING = missing()
+pytestmark = pytest.mark.skipif(bool(LACKING), reason=LACKING)
+
+
+def test_find_stream_timeout_stall_overflow_busy_unplug_and_return():
+    checks = Path(__file__).with_name("usb_mocked.py")
+    done = subprocess.run(
+        [WRAPPER, sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(checks)],
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout[-4000:] + done.stderr[-1000:]
+    assert "9 passed" in done.stdout
+
+
+@pytest.fixture(scope="module")
+def usb():
+    with MockedUsb("USB-9") as made:
+        yield made
+
+
+def command(usb, *words):
+    done = subprocess.run(
+        [sys.executable, "-m", "eitskin_tools.cli", *map(str, words), "--port", usb.port, "--json"],
+        env=usb.environment, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_doctor_lists_the_device_and_asks_it(usb):
+    found = command(usb, "doctor")
+    [listed] = found["usb"]
+    assert (listed["port"], listed["id"], listed["state"]) == ("usb:USB-9", "1209:0001", "usable")
+    assert (found["device"]["serial_number"], found["device"]["rows"]) == ("USB-9", 104)
+    assert found["device"]["answer_ms"] > 0
+    assert (found["configuration"]["name"], found["configuration"]["frequency_hz"]) == ("paper", 20_000)
+    assert any("flash write paper --port usb:USB-9" in problem for problem in found["problems"])
+
+
+def test_flashing_survives_that_the_device_leaves_the_bus_when_it_restarts(usb):
+    for generation, name in enumerate(("fast", "paper"), start=1):
+        assert command(usb, "flash", "write", name)["generation"] == generation
+        assert command(usb, "flash", "verify", name)["same"] is True
+    assert command(usb, "flash", "rollback")["configuration"] == "fast"
+    assert command(usb, "flash", "write", "paper")["generation"] == 3
+
+
+def test_a_reference_is_captured_and_the_runtime_streams_over_usb(usb, tmp_path, tiny_path):
+    reference = tmp_path / "flat.json"
+    assert command(usb, "reference", "--frames", 20, "--out", reference)["serial_number"] == "USB-9"
+    summary = command(
+        usb, "run", "--reference", reference, "--frames", 100, "--bundle", tiny_path,
+        "--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control",
+    )  # fmt: skip
+    assert (summary["serial_number"], summary["frames"], summary["corrupt"]) == ("USB-9", 100, 0)
+
+
+def test_the_runtime_goes_on_after_an_unplug(usb, tmp_path, tiny_path):
+    runtime = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", "run", "--port", usb.port, "--reconnect", "20", "--json",
+         "--bundle", str(tiny_path), "--reference-frames", "20", "--frames", "300",
+         "--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control"],
+        env=usb.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        while not runtime.stderr.readline().startswith("ready"):
+            assert runtime.poll() is None
+        usb.tell("unplug 0.2")
+        out, err = runtime.communicate(timeout=60)
+    finally:
+        runtime.kill()
+    assert runtime.returncode == 0, err
+    summary = json.loads(out)
+    assert (summary["frames"], summary["recoveries"], summary["corrupt"]) == (300, 1, 0)
+    assert summary["lost"] >= 20, "0.2 s at 200 frames/s"

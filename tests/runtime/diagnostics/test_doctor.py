@@ -1,0 +1,109 @@
+"""What the doctor finds on machines that have something wrong with them, and what it says to do."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from eitskin.acquisition import usb_port
+from eitskin.acquisition.usb_port import Found
+from eitskin.diagnostics import doctor
+from eitskin.errors import TransportError
+
+
+@pytest.fixture
+def machine(monkeypatch, tmp_path):
+    """Return a machine with nothing plugged in; a test adds to its lists."""
+    made = SimpleNamespace(ports=[], usb=[], denied=set(), adapters=tmp_path / "adapters")
+    monkeypatch.setattr(doctor.list_ports, "comports", lambda: made.ports)
+    monkeypatch.setattr(usb_port, "devices", lambda: made.usb)
+    monkeypatch.setattr(doctor, "ADAPTERS", made.adapters)
+    monkeypatch.setattr(doctor, "SYSTEM_RULES", (tmp_path / "rules.d",))
+    monkeypatch.setattr(doctor.os, "access", lambda path, mode: path not in made.denied)
+    return made
+
+
+class Info(SimpleNamespace):
+    def __lt__(self, other):
+        return self.device < other.device
+
+
+def serial(name, **more):
+    fields = {"device": f"/dev/{name}", "description": "UART", "vid": 0x0403, "pid": 0x6014, "serial_number": "FT1"}
+    return Info(**{**fields, **more})
+
+
+def todo(found, word):
+    return [problem for problem in found["problems"] if word in problem]
+
+
+def test_a_machine_without_any_skin_is_told_to_plug_one_in_or_start_a_virtual_one(machine):
+    found = doctor.examine()
+    assert (found["ports"], found["usb"]) == ([], [])
+    assert todo(found, "eitskin sim")
+
+
+def test_ports_are_listed_with_their_usb_ids_and_a_healthy_one_needs_nothing(machine):
+    machine.ports = [serial("ttyUSB1", serial_number=None), serial("ttyACM0", vid=None)]
+    found = doctor.examine()
+    assert [(port["port"], port["id"], port["state"]) for port in found["ports"]] == [
+        ("/dev/ttyACM0", "", "usable"), ("/dev/ttyUSB1", "0403:6014", "usable"),
+    ]  # fmt: skip
+    assert not todo(found, "tty")
+
+
+def test_a_port_that_may_not_be_opened_names_the_group(machine):
+    machine.ports, machine.denied = [serial("ttyUSB0")], {"/dev/ttyUSB0"}
+    found = doctor.examine()
+    assert found["ports"][0]["state"] == "no permission"
+    assert todo(found, "/dev/ttyUSB0: run 'sudo usermod -aG dialout $USER'")
+
+
+@pytest.mark.parametrize(("waits_ms", "problems"), [(16, 1), (1, 0)])
+def test_a_latency_timer_that_holds_bytes_back_is_a_problem_with_its_remedy(machine, waits_ms, problems):
+    machine.ports = [serial("ttyUSB0")]
+    timer = machine.adapters / "ttyUSB0" / "latency_timer"
+    timer.parent.mkdir(parents=True)
+    timer.write_text(f"{waits_ms}\n")
+    found = doctor.examine()
+    assert found["ports"][0]["state"] == f"usable, latency timer {waits_ms} ms"
+    assert len(todo(found, f"echo 1 | sudo tee {timer}")) == problems
+
+
+def test_usb_devices_are_listed_and_missing_permissions_name_the_rule(machine):
+    machine.usb = [Found("SKIN-1", "/dev/bus/usb/001/004", True), Found("", "/dev/bus/usb/001/005", False)]
+    found = doctor.examine()
+    assert [(one["port"], one["state"]) for one in found["usb"]] == [
+        ("usb:SKIN-1", "usable"),
+        ("usb:", "no permission"),
+    ]
+    assert todo(found, "/dev/bus/usb/001/005: run sudo cp")
+    assert not todo(found, "eitskin sim")
+
+
+def test_a_device_without_a_serial_number_cannot_be_told_from_another(machine):
+    machine.usb = [Found("", "/dev/bus/usb/001/005", True)]
+    assert todo(doctor.examine(), "two of them cannot be told apart")
+
+
+def test_a_machine_without_libusb_is_told_what_to_install(machine, monkeypatch):
+    def none():
+        raise TransportError("libusb is not installed: apt-get install libusb-1.0-0")
+
+    monkeypatch.setattr(usb_port, "devices", none)
+    assert todo(doctor.examine(), "apt-get install libusb-1.0-0")
+
+
+def test_a_device_is_greeted_and_what_it_lacks_is_said(virtual_skin):
+    with virtual_skin() as port:
+        found = doctor.greet(port)
+    assert (found["serial_number"], found["rows"], found["flags"]) == ("VIRTUAL-0001", 104, ["FACTORY"])
+    assert 0 < found["answer_ms"] < 1000
+    assert any("exclusive" in line for line in found["line"])
+    assert todo(found, f"'eitskin flash write paper --port {port}'")
+
+
+def test_a_device_that_answers_late_is_said_to(virtual_skin):
+    with virtual_skin(faults=["late@0:0.05"]) as port:
+        found = doctor.greet(port)
+    assert found["answer_ms"] >= 50
+    assert todo(found, "a latency timer")

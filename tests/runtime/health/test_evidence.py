@@ -1,0 +1,126 @@
+"""Frames that are looked at together say what they say one by one."""
+
+import numpy as np
+import pytest
+from tests.runtime.health.test_electrodes import NOISE, REFERENCE, consistency, detached, healthy
+
+from eitskin.health.drift import HOLD, Drift
+from eitskin.health.electrodes import WINDOW
+from eitskin.health.evidence import N_VOTES, PAIR_WRONG, Weigher
+from eitskin.health.imputation import rows_of
+from eitskin.health.monitor import DRIFT_TOGETHER, MOST_TOGETHER, TOGETHER, Health
+from eitskin_proto.sensor.table import N_ROWS, TABLE
+
+ALL = np.ones(16, dtype=np.bool_)
+NO_SCAN = np.zeros(N_ROWS, dtype=np.float32)
+
+
+def weigher():
+    known = consistency()
+    sigma = np.full(N_ROWS, NOISE)
+    return Weigher(known.mean, known.precision(), known.ratio_range, REFERENCE, sigma, known.thresholds)
+
+
+def stream():
+    """Return frames with a loose contact, a detached electrode and a short among them."""
+    frames = np.concatenate([healthy(11), detached(healthy(13, seed=1), 6), healthy(16, seed=2)])
+    frames[26:32, rows_of((9,))] += 0.2 * np.random.default_rng(2).standard_normal((6, 26)).astype(np.float32)
+    return frames
+
+
+@pytest.mark.parametrize("together", [2, 5, 40])
+def test_votes_do_not_depend_on_how_many_frames_are_weighed_together(together):
+    frames = stream()
+    alone, grouped = weigher(), weigher()
+    one_by_one = np.concatenate([alone.weigh(frame[None], frame[None], ALL) for frame in frames])
+    groups = [frames[first : first + together] for first in range(0, len(frames), together)]
+    at_once = np.concatenate([grouped.weigh(group, group, ALL) for group in groups])
+    assert one_by_one.shape == (len(frames), N_VOTES)
+    assert one_by_one[:, :48].any(axis=0).sum() >= 4  # the stream does say something
+    np.testing.assert_array_equal(at_once, one_by_one)
+
+
+def test_the_surprise_is_the_distance_of_an_electrodes_rows_given_the_others():
+    known, change = consistency(), healthy(1)[0]
+    logs = np.log1p(change.astype(np.float64))
+    surprise, total = weigher().surprise(change[None])
+    for electrode in (0, 7):
+        mine = rows_of((electrode,))
+        block = known.covariance[np.ix_(mine, ~mine)] @ np.linalg.inv(known.covariance[np.ix_(~mine, ~mine)])
+        left = known.covariance[np.ix_(mine, mine)] - block @ known.covariance[np.ix_(~mine, mine)]
+        apart = logs[mine] - block @ logs[~mine]
+        own = apart @ np.linalg.solve(left, apart)
+        rest = logs[~mine] @ np.linalg.solve(known.covariance[np.ix_(~mine, ~mine)], logs[~mine])
+        # The same number by the covariance instead of the precision; both are inverted once.
+        assert surprise[0, electrode] == pytest.approx((own / 26) / ((2 + rest) / 80), rel=1e-6)
+    whole = logs @ np.linalg.solve(known.covariance, logs)
+    assert total[0] == pytest.approx(whole / N_ROWS, rel=1e-6)
+
+
+def test_a_frame_that_is_passed_over_quickly_would_have_surprised_nowhere():
+    broken = detached(healthy(1), 6)[0]
+    weighs = weigher()
+    threshold = float(consistency().thresholds[0])
+    seen, quick = set(), 0
+    for share in np.linspace(0.0, 1.0, 201):  # from a sheet that is the reference to one that lacks an electrode
+        frame = (share * broken).astype(np.float32)[None]
+        surprise, total = weighs.surprise(frame)
+        votes = weighs.weigh(frame, frame, ALL)[0, :16]
+        assert votes.any() == (surprise.max() > threshold)
+        quick += float(total[0]) * N_ROWS * 80 / 52 < threshold
+        seen.add(bool(votes.any()))
+    assert seen == {False, True}
+    assert 0 < quick < 201
+    assert np.array_equal(weighs.evidence().surprise, surprise[0])
+
+
+def test_drift_is_the_same_one_by_one_and_together():
+    frames = np.expm1(0.1 + NOISE * np.random.default_rng(0).standard_normal((HOLD + 100, N_ROWS))).astype(np.float32)
+    alone, grouped = Drift(consistency()), Drift(consistency())
+    for frame in frames:
+        alone.look(frame, NO_SCAN, touched=False)
+    for first in range(0, len(frames), DRIFT_TOGETHER):
+        grouped.look(frames[first : first + DRIFT_TOGETHER], NO_SCAN, touched=False)
+    assert grouped.percent == pytest.approx(alone.percent, rel=1e-9)  # the same mean, summed in another order
+
+
+def test_a_stream_has_its_failure_named_within_20_frames():
+    health = Health(consistency())
+    health.use(REFERENCE, NOISE * np.abs(REFERENCE))
+    for number, frame in enumerate(np.concatenate([healthy(53), detached(healthy(20, seed=1), 6)])):
+        health.prepare(frame.copy())
+        health.put_aside(touched=True)
+        if health.due and health.look(NO_SCAN):
+            assert 53 + 10 <= number + 1 <= 53 + 20
+            break
+    assert health.watch.texts == ("6:detached:imputed",)
+    assert health.take_events() == ("electrode:6:detached:imputed",)
+    assert WINDOW + MOST_TOGETHER - 1 <= 20  # frames of evidence, and those that wait for the others
+
+
+def test_frames_are_looked_at_in_any_case_if_the_line_never_rests():
+    health = Health(consistency())
+    frame = healthy(1)[0]
+    must = []
+    for _ in range(MOST_TOGETHER):
+        health.prepare(frame.copy())
+        must.append(health.put_aside(touched=False))
+    assert must == [False] * TOGETHER + [True]
+    assert not health.look(NO_SCAN)
+    assert not health.due
+
+
+def test_a_short_is_seen_beneath_noise_that_reads_more_than_a_short_may():
+    rng, frames = np.random.default_rng(6), healthy(40)
+    rows = (TABLE == 7).any(axis=1)
+    frames[:, rows] = -0.9995 + 0.02 * rng.standard_normal((40, rows.sum())).astype(np.float32)
+    known = consistency()
+    seen = []
+    for sigma in (np.full(N_ROWS, NOISE), np.where(rows, 0.02, NOISE)):
+        precision = known.precision(np.maximum(sigma**2 - NOISE**2, 0.0))
+        weighing = Weigher(known.mean, precision, known.ratio_range, REFERENCE, sigma, known.thresholds)
+        votes = weighing.weigh(frames, frames, ALL)[:, PAIR_WRONG]
+        assert not np.delete(votes, 7, axis=1).any()
+        seen.append(float(votes[:, 7].mean()))
+    assert seen[0] < 0.3  # a device that is said to be quiet: sizes add up to 0.016, above 0.01
+    assert seen[1] > 0.6  # readings of either sign cancel, and what noise reads is taken off their sizes

@@ -1,0 +1,110 @@
+"""The pipeline goes on without an electrode: rows filled in before the gate, columns out of the projection, events."""
+
+import time
+
+import numpy as np
+import pytest
+
+from eitskin.errors import BundleError
+from eitskin.health.electrodes import HEALTHY
+from eitskin.health.imputation import rows_of
+from eitskin.health.monitor import health_of
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.engine import GeometryGraph, ProjectionEngine
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.reference.captured import Reference
+from eitskin_proto.wire.frames import Frame
+
+
+@pytest.fixture
+def watching(hello, counts):
+    bundle = load_bundle(default_path("units"))
+    pipeline = Pipeline(bundle, hello, budget_ns=10**10)  # with a budget it keeps every solver ready
+    pipeline.health = health_of(bundle, exclude=(5,))
+    if pipeline.health is None:
+        pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
+    pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 3e-12, 100, "TEST-1", 0xABCD, "paper", ""))
+    pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    return pipeline
+
+
+def go(pipeline, counts, sequence):
+    packed = Frame(sequence=sequence, device_us=sequence * 5000, counts=counts).pack()
+    done = pipeline.accept(packed, time.perf_counter_ns()) and pipeline.compute(True)
+    pipeline.note_health()
+    if pipeline.has_leisure_work:
+        pipeline.look_at_health()
+    return done
+
+
+def test_what_a_dead_electrode_reads_does_not_reach_the_gate(watching, counts):
+    dead = counts.copy()
+    dead[rows_of((5,))] = 7
+    assert go(watching, dead, 1)
+    change = watching.buffers.change[0]
+    assert np.abs(change[~rows_of((5,))]).max() < 1e-3
+    assert np.abs(change[rows_of((5,))]).max() < 0.9  # as measured they are at -1
+    assert watching.health.watch.texts == ("5:excluded:imputed",)
+
+
+def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
+    gate = watching.health.resting
+    assert gate is not None
+    assert not gate.due  # its threshold was set when the reference came
+    rng = np.random.default_rng(0)
+    for number in range(1, 21):
+        dead = np.rint(counts * (1.0 + 0.003 * rng.standard_normal(104))).astype(np.int32)
+        dead[rows_of((5,))] = rng.integers(-10_000, 10_000, 26)
+        assert go(watching, dead, number)
+        assert not watching.touched
+
+
+def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(watching, counts):
+    watching.health.exclude(())
+    watching.health.look(np.zeros(104, dtype=np.float32))
+    spread = np.abs(counts) * 3e-12
+    spread[[7, 60]] = np.abs(counts[[7, 60]]) * [0.5e-9, 0.1e-9]  # one is lost, one is weighed
+    watching.use_reference(Reference(counts * 1e-9, spread, 100, "TEST-1", 0xABCD, "paper", ""))
+    assert watching.normaliser.weak_count == 1
+    loud = counts.copy()
+    loud[[7, 60]] = counts[[7, 60]] * [3, 1.2]
+    assert go(watching, loud, 1)
+    change = watching.buffers.change[0]
+    assert abs(change[7]) < 0.02  # as measured it is 2
+    assert 0.0 < change[60] < 0.1  # as measured it is 0.2, twice its noise
+    assert not watching.touched
+
+
+def test_the_projection_has_no_column_of_a_missing_row(watching):
+    engine = next(one for one in watching.engines if isinstance(one, ProjectionEngine))
+    watching.buffers.map[:] = 0.0
+    watching.buffers.change[0] = rows_of((5,)).astype(np.float32)
+    engine.infer()
+    assert not watching.buffers.map.any()
+    watching.health.exclude(())
+    go(watching, np.full(104, 1000, dtype=np.int32), 1)
+    watching.buffers.change[0] = rows_of((5,)).astype(np.float32)
+    engine.infer()
+    assert watching.buffers.map.any()
+
+
+def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
+    go(watching, counts, 1)
+    watching.health.exclude((5, 9))
+    go(watching, counts, 2)
+    go(watching, counts, 3)
+    assert "electrode:9:excluded:imputed" in watching.events
+    watching.health.exclude(())
+    go(watching, counts, 4)
+    go(watching, counts, 5)
+    assert {"electrode:5:back", "electrode:9:back"} <= set(watching.events)
+    assert HEALTHY > 5  # by hand it does not take a second
+
+
+def test_a_bundle_without_healthy_frames_says_so(tiny):
+    assert tiny.consistency_arrays() is None
+    assert health_of(tiny) is None
+    with pytest.raises(BundleError, match="excluding electrodes is not available"):
+        health_of(tiny, exclude=(3,))
+    with pytest.raises(BundleError, match="compensating drift is not available"):
+        health_of(tiny, compensate_drift=True)

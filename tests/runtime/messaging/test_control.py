@@ -1,0 +1,279 @@
+import stat
+import time
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+import zmq
+
+import eitskin
+from eitskin.errors import ControlError, EndpointError
+from eitskin.messaging import control
+from eitskin.messaging.control import LARGEST_REQUEST, ControlServer, request
+from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
+from eitskin_proto.sensor.cloud import flat_cloud
+
+
+class Recorder:
+    """A runtime that only remembers what it was asked."""
+
+    def __init__(self):
+        self.clouds, self.stopped = [], False
+
+    def set_cloud(self, cloud, predicted=None, predicted_flat=None):
+        self.clouds.append((cloud, predicted, predicted_flat))
+        return len(self.clouds)
+
+    def recapture(self, frames):
+        return {"frames": frames, "weak_rows": []}
+
+    def exclude(self, electrodes):
+        if 15 in electrodes:
+            raise ValueError("15 is taken for missing here")
+        self.excluded = electrodes
+
+    def status(self):
+        return {"frames": 5}
+
+    def stop(self):
+        self.stopped = True
+
+
+@pytest.fixture
+def recorder():
+    return Recorder()
+
+
+@pytest.fixture
+def server(tmp_path, recorder):
+    server = ControlServer(f"ipc://{tmp_path}/control", recorder)
+    yield server
+    server.close()
+    server.close()
+
+
+@pytest.fixture
+def raw(server):
+    """Return a function that sends any bytes as a request and gives the answer."""
+    context = zmq.Context()
+
+    def ask(*parts):
+        socket = context.socket(zmq.REQ)
+        socket.linger = 0
+        socket.connect(server.endpoint)
+        socket.send_multipart(parts)
+        answer = msgpack.unpackb(socket.recv()) if socket.poll(5000) else None
+        socket.close()
+        return answer
+
+    yield ask
+    context.destroy(0)
+
+
+def test_only_the_owner_may_reach_the_control_socket(server):
+    mode = Path(server.endpoint.removeprefix("ipc://")).stat().st_mode
+    assert stat.S_IMODE(mode) == 0o600
+
+
+def test_the_default_folder_is_private_and_a_shared_one_is_refused(tmp_path, monkeypatch):
+    from eitskin.messaging.endpoints import default_control, runtime_folder
+
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert stat.S_IMODE(runtime_folder().stat().st_mode) == 0o700
+    assert default_control() == f"ipc://{tmp_path}/eitskin/control"
+    (tmp_path / "eitskin").chmod(0o755)
+    with pytest.raises(EndpointError, match="no folder of ours alone"):
+        runtime_folder()
+    (tmp_path / "eitskin").rmdir()
+    (tmp_path / "eitskin").symlink_to("/tmp")
+    with pytest.raises(EndpointError):
+        runtime_folder()
+
+
+def test_a_cloud_with_predictions_arrives_as_it_was_sent(server, recorder):
+    rng = np.random.default_rng(0)
+    cloud, predicted, flat = flat_cloud() + rng.normal(size=(3, 30, 45)), rng.normal(size=104), rng.normal(size=104)
+    assert eitskin.send_cloud(server.endpoint, cloud, predicted, flat) == 1
+    got, got_predicted, got_flat = recorder.clouds[0]
+    assert np.array_equal(got, cloud.astype(np.float32))
+    assert np.array_equal(got_predicted, predicted)
+    assert np.array_equal(got_flat, flat)
+    assert eitskin.send_cloud(server.endpoint, cloud) == 2
+    assert recorder.clouds[1][1:] == (None, None)
+
+
+def test_bad_clouds_are_value_errors_before_anything_is_sent(server, recorder):
+    cloud = flat_cloud()
+    cloud[0, 1, 2] = np.nan
+    with pytest.raises(ValueError, match=r"cloud\[0, 1, 2\] is nan, expected a finite number"):
+        eitskin.send_cloud(server.endpoint, cloud)
+    with pytest.raises(ValueError, match=r"\(30, 45, 3\)"):
+        eitskin.send_cloud(server.endpoint, np.zeros((30, 45, 3)))
+    with pytest.raises(ValueError, match="1000 mm"):
+        eitskin.send_cloud(server.endpoint, flat_cloud() * 1e6)
+    with pytest.raises(ValueError, match=r"predicted\[3\] is inf"):
+        eitskin.send_cloud(server.endpoint, flat_cloud(), np.where(np.arange(104) == 3, np.inf, 1.0))
+    assert recorder.clouds == []
+
+
+def test_commands_are_answered(server, recorder):
+    assert request(server.endpoint, "status") == {"frames": 5}
+    assert request(server.endpoint, "reference", frames=7)["frames"] == 7
+    request(server.endpoint, "stop")
+    assert recorder.stopped
+
+
+@pytest.mark.parametrize(
+    "fields",
+    [
+        {}, {"command": 5}, {"command": "exec"}, {"command": "__class__"}, {"command": "cloud"},
+        {"command": "cloud", "cloud": "text"}, {"command": "cloud", "cloud": b"short"},
+        {"command": "cloud", "cloud": []},
+        {"command": "cloud", "cloud": bytes(16200), "predicted": bytes(5)}, {"command": "reference", "frames": 1},
+        {"command": "reference", "frames": 10**9}, {"command": "reference", "frames": True},
+        {"command": "reference", "frames": "7"},
+    ],
+)  # fmt: skip
+def test_requests_that_make_no_sense_are_answered_with_what_is_wrong(server, raw, recorder, fields):
+    answer = raw(msgpack.packb(fields))
+    assert answer["ok"] is False
+    assert answer["error"]
+    assert recorder.clouds == []
+    assert raw(msgpack.packb({"command": "status"}))["ok"] is True
+
+
+def test_random_and_hostile_bytes_are_answered_and_the_server_lives_on(server, raw, recorder):
+    rng = np.random.default_rng(4)
+    hostile = [b"", b"\x91" * 20000, b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xd6\xff\0\0\0\0",
+               b"\x81\x01\x02", b"\x81\xa7command" + b"\x81" * 2000, b"cposix\nsystem\n(S'true'\ntR."]  # fmt: skip
+    hostile += [rng.integers(0, 256, size, dtype=np.uint8).tobytes() for size in rng.integers(0, 300, 100)]
+    valid = msgpack.packb({"command": "cloud", "cloud": bytes(16200)})
+    for _ in range(100):
+        damaged = bytearray(valid)
+        damaged[int(rng.integers(0, 25))] ^= 1 << int(rng.integers(0, 8))
+        hostile.append(bytes(damaged))
+    for message in hostile:
+        answer = raw(message)
+        assert isinstance(answer, dict)
+    assert raw(b"a", b"b")["ok"] is False
+    assert raw(msgpack.packb({"command": "status"})) == {"ok": True, "frames": 5}
+    assert server.refused > 100
+
+
+def test_a_message_over_the_limit_takes_no_memory_and_no_answer(server, raw):
+    assert raw(bytes(LARGEST_REQUEST - 100))["ok"] is False
+    context = zmq.Context()
+    socket = context.socket(zmq.REQ)
+    socket.linger = 0
+    socket.connect(server.endpoint)
+    socket.send(bytes(LARGEST_REQUEST + 1))
+    assert not socket.poll(300)
+    context.destroy(0)
+    assert raw(msgpack.packb({"command": "status"}))["ok"] is True
+
+
+def test_a_client_that_vanishes_before_its_answer_disturbs_nobody(server, raw):
+    for _ in range(20):
+        context = zmq.Context()
+        socket = context.socket(zmq.DEALER)
+        socket.linger = 0
+        socket.connect(server.endpoint)
+        socket.send_multipart([b"", msgpack.packb({"command": "status"})])
+        context.destroy(0)
+    assert raw(msgpack.packb({"command": "status"}))["ok"] is True
+
+
+def test_a_fault_in_the_runtime_is_an_answer_not_an_end(server, raw, recorder, monkeypatch):
+    monkeypatch.setattr(recorder, "status", lambda: 1 / 0)
+    assert raw(msgpack.packb({"command": "status"})) == {
+        "ok": False,
+        "error": "the runtime failed at this request: ZeroDivisionError",
+    }
+    assert raw(msgpack.packb({"command": "reference", "frames": 5}))["ok"] is True
+
+
+def test_a_runtime_that_is_not_there_is_named(tmp_path):
+    with pytest.raises(ControlError, match="is the runtime running"):
+        request(f"ipc://{tmp_path}/nobody", "status", timeout_s=0.1)
+    with pytest.raises(EndpointError):
+        request("nothing", "status", timeout_s=0.1)
+
+
+def test_tcp_control_needs_keys_even_on_loopback(recorder, tmp_path):
+    with pytest.raises(EndpointError, match="--curve-keys"):
+        ControlServer("tcp://127.0.0.1:*", recorder)
+    make_keys(tmp_path / "k")
+    make_keys(tmp_path / "other")
+    server = ControlServer("tcp://127.0.0.1:*", recorder, load_server_keys(tmp_path / "k"))
+    try:
+        trusted = load_client_keys(tmp_path / "k/server.key", tmp_path / "k/client.key_secret")
+        stranger = load_client_keys(tmp_path / "k/server.key", tmp_path / "other/client.key_secret")
+        assert request(server.endpoint, "status", keys=trusted) == {"frames": 5}
+        for keys in (stranger, None):
+            with pytest.raises(ControlError, match="no answer"):
+                request(server.endpoint, "stop", keys=keys, timeout_s=0.3)
+        assert not recorder.stopped
+    finally:
+        server.close()
+
+
+def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, running, tmp_path):
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+        control = runtime.control.endpoint
+        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", timeout_s=5) as frames:
+            assert next(frames).cloud == 0
+            assert eitskin.send_cloud(control, flat_cloud() + 5.0) == 1
+            assert next(frame for frame in frames if frame.cloud == 1 and frame.touched).solver == "vd2t"
+            with pytest.raises(ControlError, match="line"):
+                request(control, "cloud", cloud=bytes(16200))
+            status = request(control, "status")
+            assert status["cloud"] == 1
+            # a starved machine may overflow the line; nothing that came whole while frames were read is kept back
+            assert status["withheld"] == status["withheld_by_reason"]["stale"]
+            # the touch that is held now becomes the new zero
+            assert request(control, "reference", frames=20)["weak_rows"] == []
+            assert not next(frame for frame in frames if "reference" in frame.events).touched
+        request(control, "stop")
+        runtime.thread.join(5)
+        assert not runtime.thread.is_alive()
+        assert runtime.error is None
+
+
+def test_frames_that_nobody_takes_are_judged_but_not_computed(virtual_skin, running, tmp_path):
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
+        time.sleep(0.8)
+        assert runtime.skin.statistics.solvers == {"none": runtime.skin.statistics.frames}
+        assert runtime.skin.statistics.skipped["inference:no_subscriber"] > 20
+        with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=5) as frames:
+            assert next(frames).solver == "vd2t"
+
+
+def test_a_flood_of_connections_is_cut_off_and_honest_clients_are_answered(server, recorder, monkeypatch):
+    import socket
+
+    monkeypatch.setattr(control, "MOST_CONNECTIONS", 20)
+    path = server.endpoint.removeprefix("ipc://")
+    flood = []
+    end = time.perf_counter() + 5
+    while not server.resets and time.perf_counter() < end:
+        client = socket.socket(socket.AF_UNIX)
+        try:
+            client.connect(path)
+        except OSError:
+            client.close()  # the listener is just being replaced
+        else:
+            flood.append(client)
+    for client in flood:
+        client.close()
+    assert server.resets >= 1
+    assert len(flood) < 5000  # cut off long before 20,000 files, even where the server's thread waits for its turn
+    assert request(server.endpoint, "status") == {"frames": 5}
+
+
+def test_closing_takes_no_longer_than_the_sockets_do(tmp_path, recorder):
+    server = ControlServer(f"ipc://{tmp_path}/again", recorder)
+    start = time.perf_counter()
+    server.close()
+    assert time.perf_counter() - start < 1.0  # waiting for a file that nobody removes took 2 s
+    assert not (tmp_path / "again").exists()

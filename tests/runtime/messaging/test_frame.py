@@ -1,0 +1,167 @@
+import contextlib
+import math
+import struct
+import time
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+
+from eitskin.errors import FrameError
+from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, FramePacker, unpack_frame
+
+
+@pytest.fixture
+def packer():
+    return FramePacker(configuration="paper/0000abcd", bundle="0123456789abcdef", serial_number="S-1", run="cafe0001")
+
+
+def filled(packer, **numbers):
+    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2}
+    values |= {"weak_rows": 1, "map_seq": 7}
+    values |= {name: 10 + index for index, name in enumerate(COUNTS)}
+    values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
+    values |= {"touched": TOUCHED[True], "drift": math.nan} | numbers
+    packer.put_numbers(tuple(values[name] for name in NUMBERS))
+    packer.put_map(np.linspace(0, 1, 1350, dtype="<f4").tobytes())
+    packer.put_texts("vd2t", ("geometry:cloud_unchanged",), ("lost", "overrun"))
+    return bytes(packer.message())
+
+
+def test_a_packed_frame_comes_back_field_by_field(packer):
+    frame = unpack_frame(filled(packer), received_ns=9000)
+    assert np.array_equal(frame.map, np.linspace(0, 1, 1350, dtype=np.float32).reshape(30, 45))
+    assert (frame.sequence, frame.number, frame.device_us, frame.age_us) == (7, 3, 2**33, 400)
+    assert frame.touched
+    assert frame.gate_logit == -1.5
+    assert frame.host_ns == {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
+    assert frame.counts == {"lost": 10, "corrupt": 11, "withheld": 12, "overrun": 13}
+    assert (frame.solver, frame.skipped, frame.events) == ("vd2t", ("geometry:cloud_unchanged",), ("lost", "overrun"))
+    assert (frame.configuration, frame.bundle, frame.cloud, frame.weak_rows) == (
+        "paper/0000abcd",
+        "0123456789abcdef",
+        2,
+        1,
+    )
+    assert frame.same_host
+    assert frame.latency_s == pytest.approx(8000e-9)
+    assert frame.stages_us() == {name: 1.0 for name in (*STAGES[1:],)} | {"deliver": 2.0}
+
+
+def test_numbers_put_together_are_those_put_one_by_one(packer):
+    together = filled(packer, drift=0.25)
+    for name in reversed(NUMBERS):
+        packer.put(name, TOUCHED[False] if name == "touched" else 0)
+    assert bytes(packer.message()) != together
+    values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2, "weak_rows": 1}
+    values |= {"map_seq": 7, "drift": 0.25, "touched": TOUCHED[True]}
+    values |= {name: 10 + index for index, name in enumerate(COUNTS)}
+    values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
+    for name, value in values.items():
+        packer.put(name, value)
+    assert bytes(packer.message()) == together
+
+
+def test_any_messagepack_reader_sees_one_plain_map(packer):
+    fields = msgpack.unpackb(filled(packer))
+    assert fields["v"] == 1
+    assert fields["shape"] == [30, 45]
+    assert len(fields["map"]) == MAP_BYTES
+    assert set(fields["host_ns"]) == set(STAGES)
+
+
+def test_the_map_of_a_frame_cannot_be_written(packer):
+    frame = unpack_frame(filled(packer), 0)
+    with pytest.raises(ValueError, match="read-only"):
+        frame.map[0, 0] = 1.0
+
+
+def test_the_next_frame_overwrites_everything_that_changes(packer):
+    filled(packer)
+    packer.put("touched", TOUCHED[False])
+    packer.put_map(bytes(MAP_BYTES))
+    packer.put_texts("none", ("inference:untouched",), ())
+    packer.put("seq", 8)
+    frame = unpack_frame(bytes(packer.message()), 0)
+    assert (frame.sequence, frame.touched, frame.solver, frame.events) == (8, False, "none", ())
+    assert not frame.map.any()
+
+
+def test_age_counts_from_the_scan_and_grows(packer):
+    now = time.perf_counter_ns()
+    frame = unpack_frame(filled(packer, publish=now, age_us=2_000_000), now)
+    first = frame.age_s
+    assert 2.0 <= first < 3.0
+    time.sleep(0.002)
+    assert frame.age_s > first + 0.001
+
+
+def test_every_shortened_message_is_rejected(packer):
+    message = filled(packer)
+    assert unpack_frame(message, 0).sequence == 7
+    for length in [*range(0, len(message), 97), *range(len(message) - 200, len(message))]:
+        with pytest.raises(FrameError):
+            unpack_frame(message[:length], 0)
+
+
+def test_no_flipped_bit_outside_the_values_raises_anything_but_frame_error(packer):
+    message = filled(packer)
+    head = message.index(b"\xc5" + struct.pack(">H", MAP_BYTES))
+    for at in [*range(head + 3), *range(len(message) - 250, len(message))]:
+        for bit in range(8):
+            damaged = bytearray(message)
+            damaged[at] ^= 1 << bit
+            with contextlib.suppress(FrameError):  # a flipped digit of a counter is still a frame
+                unpack_frame(bytes(damaged), 0)
+
+
+def test_random_bytes_are_never_a_frame_and_never_another_error():
+    rng = np.random.default_rng(1)
+    for length in rng.integers(0, 400, 2000):
+        with pytest.raises(FrameError):
+            unpack_frame(rng.integers(0, 256, length, dtype=np.uint8).tobytes(), 0)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [
+        ("v", 2), ("shape", [45, 30]), ("map", b"\0" * 5399), ("map", "text"), ("touched", 1), ("seq", -1),
+        ("seq", True), ("host_ns", {"read": 1}), ("counts", []), ("events", "overrun"), ("events", [1]),
+        ("solver", None), ("solver", "x" * 200), ("gate_logit", "high"),
+        ("map", np.full(1350, math.nan, "<f4").tobytes()),
+        ("map", np.full(1350, math.inf, "<f4").tobytes()),
+    ],
+)  # fmt: skip
+def test_a_publisher_that_lies_about_one_field_is_rejected(packer, field, value):
+    fields = msgpack.unpackb(filled(packer))
+    with pytest.raises(FrameError):
+        unpack_frame(msgpack.packb(fields | {field: value}), 0)
+
+
+def test_a_message_that_is_nested_or_huge_or_claims_gigabytes_is_rejected():
+    hostile = [
+        b"\x91" * 5000,
+        b"\xdf\xff\xff\xff\xff",
+        b"\xc6\xff\xff\xff\xff",
+        b"\xdd\x7f\xff\xff\xff",
+        bytes(20000),
+        b"\xd4\x05\x00",
+    ]
+    for message in hostile:
+        with pytest.raises(FrameError):
+            unpack_frame(message, 0)
+
+
+def test_a_later_runtime_may_add_fields(packer):
+    fields = msgpack.unpackb(filled(packer))
+    assert unpack_frame(msgpack.packb(fields | {"pressure": 1.0}), 0).sequence == 7
+
+
+def test_the_specification_lists_exactly_the_published_fields(packer):
+    specification = Path(__file__).parents[3] / "firmware_proto" / "SPEC.md"
+    if not specification.exists():
+        pytest.skip("the source tree was removed to test the installed wheel")
+    section = specification.read_text().partition("## 7. The published frame")[2].partition("Control requests")[0]
+    listed = [line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")][1:]
+    assert listed == list(msgpack.unpackb(filled(packer)))

@@ -1,0 +1,147 @@
+import hashlib
+import io
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from eitskin.errors import BundleError, MismatchError
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+
+
+def parts_of(path):
+    with zipfile.ZipFile(path) as archive:
+        return {name: archive.read(name) for name in archive.namelist()}
+
+
+def write(path, parts, manifest=None, *, checksums=False):
+    entries = dict(parts)
+    if manifest is not None:
+        entries["manifest.json"] = json.dumps(manifest).encode()
+    if checksums:
+        known = json.loads(entries["manifest.json"])
+        for name in known["files"]:
+            known["files"][name]["sha256"] = hashlib.sha256(entries[name]).hexdigest()
+        entries["manifest.json"] = json.dumps(known).encode()
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in entries.items():
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.fixture
+def parts(tiny_path):
+    return parts_of(tiny_path)
+
+
+@pytest.fixture
+def manifest(parts):
+    return json.loads(parts["manifest.json"])
+
+
+def test_a_bundle_is_read_whole_and_its_id_is_its_manifest(tiny_path, parts):
+    bundle = load_bundle(tiny_path)
+    assert bundle.id == hashlib.sha256(parts["manifest.json"]).hexdigest()[:16]
+    assert bundle.tikhonov().shape == (1350, 104)
+    assert bundle.bias_width == 8
+    assert bundle.uses_prediction
+    assert bundle.labels == "area"
+    assert set(bundle.gate_arrays()) >= {"w1", "threshold"}
+
+
+@pytest.mark.parametrize("name", ["geometry.onnx", "head.onnx", "head_int8.onnx", "tikhonov.npy", "gate.npz"])
+def test_one_changed_byte_in_any_file_is_found_and_named(tmp_path, parts, name):
+    damaged = bytearray(parts[name])
+    damaged[len(damaged) // 2] ^= 1
+    path = write(tmp_path / "b.eitskin", parts | {name: bytes(damaged)})
+    with pytest.raises(BundleError, match=rf"{name}.*found.*expected.*eitskin export"):
+        load_bundle(path)
+
+
+@pytest.mark.parametrize(("key", "expected"), [("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID), ("version", 1)])
+def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
+    tmp_path, parts, manifest, key, expected
+):
+    path = write(tmp_path / "b.eitskin", parts, manifest | {key: "feedfeedfeedfeed"})
+    with pytest.raises(MismatchError) as caught:
+        load_bundle(path)
+    text = str(caught.value)
+    assert key in text
+    assert "found feedfeedfeedfeed" in text
+    assert f"expected {expected}" in text
+    assert "eitskin export" in text
+
+
+def test_a_graph_whose_metadata_names_another_grid_is_refused(tmp_path, tiny, parts):
+    from eitskin.model.engine import GeometryGraph
+
+    model = parts["geometry.onnx"].replace(GRID_ID.encode(), b"feedfeedfeedfeed")
+    path = write(tmp_path / "b.eitskin", parts | {"geometry.onnx": model}, checksums=True)
+    with pytest.raises(MismatchError, match="feedfeedfeedfeed"):
+        GeometryGraph(load_bundle(path))
+
+
+def test_files_that_are_no_bundles_are_refused_in_one_line(tmp_path, parts):
+    missing = tmp_path / "none.eitskin"
+    text = tmp_path / "text.eitskin"
+    text.write_text("hello")
+    empty = write(tmp_path / "empty.eitskin", {})
+    no_json = write(tmp_path / "nojson.eitskin", parts | {"manifest.json": b"{"})
+    other = write(tmp_path / "other.eitskin", parts, {"format": "zip"})
+    for path in (missing, text, empty, no_json, other, tmp_path):
+        with pytest.raises(BundleError) as caught:
+            load_bundle(path)
+        assert str(path) in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+
+def test_every_shortened_bundle_is_refused(tmp_path, tiny_path):
+    whole = tiny_path.read_bytes()
+    path = tmp_path / "short.eitskin"
+    for length in range(0, len(whole), 499):
+        path.write_bytes(whole[:length])
+        with pytest.raises(BundleError):
+            load_bundle(path)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"files": []}, {"files": {"head.onnx": {}}}, {"head": None}, {"head": {"inputs": ["dv"], "bias": 0}},
+        {"head": {"inputs": ["dv"], "bias": True}}, {"labels": "pressure"}, {"files": {}},
+        {"files": {"absent.bin": {"sha256": "0"}}},
+    ],
+)  # fmt: skip
+def test_a_malformed_manifest_is_refused(tmp_path, parts, manifest, change):
+    with pytest.raises(BundleError):
+        load_bundle(write(tmp_path / "b.eitskin", parts, manifest | change))
+
+
+def test_a_pickled_array_is_refused_not_executed(tmp_path, parts):
+    class Bomb:
+        def __reduce__(self):
+            return (exec, ("raise SystemExit('executed')",))
+
+    stream = io.BytesIO()
+    np.save(stream, np.array([Bomb()], dtype=object), allow_pickle=True)
+    bundle = load_bundle(write(tmp_path / "b.eitskin", parts | {"tikhonov.npy": stream.getvalue()}, checksums=True))
+    with pytest.raises(BundleError, match="pickle"):
+        bundle.tikhonov()
+
+
+@pytest.mark.parametrize("matrix", [np.zeros((104, 1350), np.float32), np.full((1350, 104), np.nan, np.float32)])
+def test_a_projection_of_the_wrong_shape_or_with_nan_is_refused(tmp_path, parts, matrix):
+    stream = io.BytesIO()
+    np.save(stream, matrix)
+    bundle = load_bundle(write(tmp_path / "b.eitskin", parts | {"tikhonov.npy": stream.getvalue()}, checksums=True))
+    with pytest.raises(BundleError, match=r"tikhonov\.npy"):
+        bundle.tikhonov()
+
+
+def test_labels_choose_the_shipped_bundle_and_unknown_ones_are_refused():
+    assert default_path("area").name == "free.eitskin"
+    assert default_path("units").name == "units.eitskin"
+    with pytest.raises(ValueError, match="'pressure'"):
+        default_path("pressure")

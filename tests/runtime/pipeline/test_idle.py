@@ -1,0 +1,134 @@
+"""Idle acquisition: few drives while nothing touches, whole scans as soon as something does."""
+
+import io
+import time
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin.acquisition.device import Device
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin.errors import BundleError, HandshakeError
+from eitskin.pipeline.idle import RETRY_NS, IdleGate, IdleMode
+from eitskin.skin import Skin
+from eitskin_proto.wire import config_toml
+from eitskin_proto.wire.codes import Mode
+from eitskin_proto.wire.scan_rows import table_rows
+
+DRIVES = config_toml.named("paper").idle_drives
+"""Of configuration "paper"."""
+
+
+def watching(bundle, drives=DRIVES):
+    """Return the bundle with an idle gate that adds |dV| over the drives' rows, as its gate does over all."""
+    rows = len(table_rows(False, drives))
+    weights = np.zeros((2 * rows, 2 * rows), np.float32)
+    weights[np.arange(rows), np.arange(rows)] = 1.0
+    weights[np.arange(rows), np.arange(rows, 2 * rows)] = -1.0
+    arrays = dict(bundle.gate_arrays()) | {
+        "idle_drives": np.array([drives], np.uint16),
+        "idle_mean": np.zeros(2 * rows, np.float32),
+        "idle_scale": np.ones(2 * rows, np.float32),
+        "idle_w1": weights,
+        "idle_b1": np.zeros(2 * rows, np.float32),
+        "idle_w2": np.full(2 * rows, 1 / rows, np.float32),
+        "idle_b2": np.zeros(1, np.float32),
+        "idle_threshold": np.array([0.02], np.float32),
+    }
+    stream = io.BytesIO()
+    np.savez(stream, **arrays)
+    return replace(bundle, files={**bundle.files, "gate.npz": stream.getvalue()})
+
+
+@pytest.fixture
+def watchful(tiny):
+    return watching(tiny)
+
+
+def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, watchful):
+    with (
+        virtual_skin(touches=[[2.0, 3.0, 0.3]], rate_hz=100.0) as port,
+        Skin(port, bundle=watchful, idle_after_s=0.3) as skin,
+    ):
+        skin.capture_reference(10)
+        frames = []
+        for frame in skin.frames(timeout_s=30.0):
+            frames.append(frame)
+            if skin.pipeline.idle and any(seen.map.any() for seen in frames):
+                break  # it has been idle, awake, and is idle again
+        assert skin.pipeline.withheld["partial"] == 0
+    idle = ["acquisition:idle" in frame.skipped for frame in frames]
+    changes = [index for index in range(1, len(frames)) if idle[index] != idle[index - 1]]
+    assert [idle[index] for index in changes] == [True, False, True]
+    asleep, awake, again = changes
+    assert "idle" in frames[asleep].events
+    assert "idle" in frames[again].events
+    assert "awake" in frames[awake].events
+    assert not any(frame.touched for frame in frames[: awake - 1])
+    assert frames[awake - 1].touched  # the idle frame that tripped; it has no map
+    assert (frames[awake - 1].solver, frames[awake].solver) == ("none", "vd2t")
+    assert frames[awake].map.any()
+    spans_us = np.diff([frame.device_us for frame in frames[asleep + 1 : awake - 1]])
+    assert np.median(spans_us) == 50_000  # 20 scans a second
+    waited_us = frames[awake].device_us - frames[awake - 1].device_us
+    assert waited_us < 200_000  # a scan after the request; the rest is how busy this machine is
+
+
+def test_a_host_finds_whole_scans_whatever_the_one_before_left(virtual_skin, watchful):
+    with virtual_skin(rate_hz=100.0) as port:
+        line = SerialPort(port)
+        device = Device(line)
+        device.start()
+        device.ask_mode(Mode.IDLE)
+        time.sleep(0.3)
+        line.close()  # killed while the device idled
+        with Skin(port, bundle=watchful) as skin:
+            skin.capture_reference(5)
+            assert skin.pipeline.withheld["partial"] == 0
+            assert not skin.pipeline.idle
+
+
+def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):
+    import threading
+
+    with virtual_skin(rate_hz=100.0) as port, Skin(port, bundle=watchful, idle_after_s=0.1) as skin:
+        skin.capture_reference(5)
+        answers = []
+        asking = threading.Thread(target=lambda: answers.append(skin.recapture(20)))
+        for frame in skin.frames(timeout_s=10.0):
+            if "acquisition:idle" in frame.skipped and not asking.ident:
+                asking.start()
+            if "reference" in frame.events:
+                break
+        asking.join(5)
+        assert answers == [{"frames": 20, "weak_rows": []}]
+
+
+def test_a_bundle_without_an_idle_gate_and_other_drives_are_refused(virtual_skin, tiny, watchful, hello):
+    with pytest.raises(BundleError, match="no idle gate"):
+        IdleGate(tiny.gate_arrays(), replace(hello, idle_drives=DRIVES))
+    with pytest.raises(HandshakeError, match=r"needs scans of the drives \[0, .*; configuration paper has \[1\]"):
+        IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=2))
+    with pytest.raises(HandshakeError, match="has no idle mode"):
+        IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=0))
+    with pytest.raises(HandshakeError, match="has 208 rows a scan"):
+        IdleGate(watchful.gate_arrays(), replace(hello, idle_drives=DRIVES, rows=208))
+    with virtual_skin() as port, pytest.raises(ValueError, match="idle_after_s is 0"):
+        Skin(port, bundle=watchful, idle_after_s=0)
+
+
+def test_a_mode_is_asked_for_once_and_again_if_nothing_happens():
+    mode, ms = IdleMode(1.0), 1_000_000
+    assert mode.step(0, touched=False, idle=False) is None
+    assert mode.step(999 * ms, touched=False, idle=False) is None
+    assert mode.step(1000 * ms, touched=False, idle=False) == Mode.IDLE
+    assert mode.step(1010 * ms, touched=False, idle=False) is None  # under way
+    assert mode.step(1000 * ms + RETRY_NS, touched=False, idle=False) == Mode.IDLE
+    assert mode.step(1500 * ms, touched=False, idle=True) is None
+    assert mode.step(1550 * ms, touched=True, idle=True) == Mode.ACTIVE  # at once
+    assert mode.step(1560 * ms, touched=True, idle=True) is None
+    assert mode.step(1570 * ms, touched=True, idle=False) is None
+    assert mode.step(2569 * ms, touched=False, idle=False) is None
+    assert mode.step(2571 * ms, touched=False, idle=False) == Mode.IDLE
+    assert mode.switches == 4

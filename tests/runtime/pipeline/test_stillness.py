@@ -1,0 +1,227 @@
+"""Frames between which only noise lies: how often they are recognised, and what they cost a subscriber."""
+
+import time
+import tracemalloc
+
+import numpy as np
+import pytest
+
+import eitskin
+from eitskin.errors import FrameError
+from eitskin.messaging.frame import MAP_BYTES, FramePacker, MapMissing, unpack_frame
+from eitskin.messaging.publish import Publisher
+from eitskin.pipeline.stillness import LARGEST_SPREAD, REFRESH_FRAMES, Stillness
+
+VOLTS = 1e-3 * np.geomspace(1, 0.01, 104) * np.where(np.arange(104) % 2, -1, 1)
+SPREAD = 0.003 * np.abs(VOLTS)
+
+
+@pytest.fixture
+def stillness():
+    found = Stillness()
+    found.use(VOLTS, SPREAD, 100_000)
+    return found
+
+
+def noise(rng, count):
+    return (0.003 * rng.standard_normal((count, 104))).astype(np.float32)
+
+
+def test_noise_alone_is_still_and_is_taken_for_a_change_as_rarely_as_stated(stillness):
+    rng = np.random.default_rng(0)
+    kept, frames = noise(rng, 400), noise(rng, 400 * 50)
+    wrong = 0
+    for index, start in enumerate(kept):
+        stillness.keep(start)
+        wrong += sum(not stillness.still(frame) for frame in frames[50 * index : 50 * (index + 1)])
+    # 1 in 741 for independent pairs; a kept frame is shared by 50 pairs, so the count scatters more than Poisson
+    assert wrong < 20_000 / 741 * 4
+
+
+def test_a_spread_of_few_frames_is_allowed_for():
+    rng = np.random.default_rng(3)
+    answers = []
+    for _ in range(100):
+        found = Stillness()
+        found.use(VOLTS, np.abs(VOLTS) * noise(rng, 10).std(axis=0, ddof=1), 10)
+        found.keep(noise(rng, 1)[0])
+        answers += [found.still(frame) for frame in noise(rng, 20)]
+    assert np.mean(answers) > 0.97  # ten frames' spread without the allowance: less than 0.8
+    found.use(VOLTS, SPREAD, 5)
+    found.keep(np.zeros(104, np.float32))
+    assert not found.still(np.zeros(104, np.float32))
+
+
+def test_a_row_that_flips_between_two_steps_of_the_converter_is_still():
+    step = np.abs(VOLTS[-1]) / 50
+    found = Stillness()
+    found.use(VOLTS, np.where(np.arange(104) == 103, 0.0, SPREAD), 100, step)  # it rested on one step in the reference
+    change = np.zeros(104, np.float32)
+    found.keep(change)
+    change[103] = 1 / 50
+    assert found.still(change)
+    found.use(VOLTS, np.where(np.arange(104) == 103, 0.0, SPREAD), 100)
+    found.keep(np.zeros(104, np.float32))
+    assert not found.still(change)
+
+
+def test_a_change_of_three_sigmas_a_row_is_seen_at_once_and_one_of_a_third_is_not(stillness):
+    rng = np.random.default_rng(1)
+    direction = np.where(rng.random(104) < 0.5, -1, 1).astype(np.float32)
+    stillness.keep(noise(rng, 1)[0])
+    assert not any(stillness.still(frame + 0.009 * direction) for frame in noise(rng, 30))
+    assert sum(stillness.still(frame + 0.001 * direction) for frame in noise(rng, 30)) >= 28
+
+
+def test_a_change_that_grows_slowly_adds_up_until_it_is_seen(stillness):
+    rng = np.random.default_rng(2)
+    stillness.keep(noise(rng, 1)[0])
+    seen = [stillness.still(frame + 1e-4 * step) for step, frame in enumerate(noise(rng, 90))]
+    assert all(seen[:10])
+    assert not any(seen[60:])  # by then 6e-3, two sigmas
+
+
+def test_a_map_is_computed_anew_now_and_then_whatever_happens(stillness):
+    zero = np.zeros(104, np.float32)
+    assert not stillness.still(zero)  # nothing is kept yet
+    stillness.keep(zero)
+    answers = [stillness.still(zero) for _ in range(REFRESH_FRAMES)]
+    assert answers == [True] * (REFRESH_FRAMES - 1) + [False]
+    stillness.keep(zero)
+    stillness.forget()
+    assert not stillness.still(zero)
+
+
+def test_a_reference_that_scattered_wildly_does_not_hide_touches():
+    found = Stillness()
+    found.use(VOLTS, 0.05 * np.abs(VOLTS), 100)
+    found.keep(np.zeros(104, np.float32))
+    assert not found.still(np.full(104, 3 * LARGEST_SPREAD, np.float32))
+
+
+def test_weak_rows_say_nothing():
+    volts = VOLTS.copy()
+    volts[7] = 0.0
+    found = Stillness()
+    found.use(volts, SPREAD, 100)
+    found.keep(np.zeros(104, np.float32))
+    change = np.zeros(104, np.float32)
+    change[7] = 1e6
+    assert found.still(change)
+
+
+def test_comparing_makes_no_array(stillness):
+    change = np.zeros(104, np.float32)
+    stillness.keep(change)
+    for _ in range(5):
+        stillness.still(change)
+    tracemalloc.start()
+    stillness.still(change)
+    tracemalloc.reset_peak()
+    before = tracemalloc.get_traced_memory()[0]
+    stillness.still(change)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    assert peak - before < 400  # an array of 104 float32 takes 528
+
+
+@pytest.fixture
+def packer():
+    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r")
+    packer.put_texts("vd2t", (), ())
+    return packer
+
+
+def whole(packer, number, value):
+    packer.put("n", number)
+    packer.put("seq", number)
+    packer.put("map_seq", number)
+    packer.put_map(np.full(1350, value, "<f4").tobytes())
+    return bytes(packer.message())
+
+
+def short(packer, number, map_number):
+    packer.put("n", number)
+    packer.put("seq", number)
+    packer.put("map_seq", map_number)
+    return bytes(packer.short_message())
+
+
+def test_a_short_message_lacks_the_map_and_nothing_else(packer):
+    import msgpack
+
+    full = whole(packer, 3, 0.5)
+    brief = bytes(packer.short_message())
+    fields = msgpack.unpackb(full)
+    assert len(full) - len(brief) == MAP_BYTES + len(b"\xa3map\xc5..\xa5shape\x92..")
+    assert msgpack.unpackb(brief) == {key: value for key, value in fields.items() if key not in ("map", "shape")}
+
+
+def test_a_short_message_means_the_map_of_the_frame_that_it_names(packer):
+    known = unpack_frame(whole(packer, 3, 0.5), 0)
+    frame = unpack_frame(short(packer, 4, 3), 0, known)
+    assert frame.map is known.map
+    assert (frame.sequence, frame.map_sequence) == (4, 3)
+    again = unpack_frame(short(packer, 5, 3), 0, frame)
+    assert again.map is known.map
+    for missing in (None, unpack_frame(whole(packer, 2, 0.1), 0)):
+        with pytest.raises(MapMissing, match="frame 5 has the map of frame 3"):
+            unpack_frame(short(packer, 5, 3), 0, missing)
+    assert issubclass(MapMissing, FrameError)
+
+
+def wait_for(publisher, condition):
+    end = time.perf_counter() + 5
+    while not condition() and time.perf_counter() < end:
+        publisher.look()
+        time.sleep(0.002)
+    assert condition()
+
+
+def test_short_frames_are_sent_only_while_every_subscriber_agrees(tmp_path):
+    publisher = Publisher(f"ipc://{tmp_path}/frames")
+    try:
+        with eitskin.subscribe(publisher.endpoint, skip_unchanged=True):
+            wait_for(publisher, lambda: publisher.takes_short)
+            publisher.joined = False
+            with eitskin.subscribe(publisher.endpoint, skip_unchanged=True):
+                wait_for(publisher, lambda: publisher.joined)  # the newcomer has no map yet
+                assert publisher.takes_short
+            with eitskin.subscribe(publisher.endpoint):
+                wait_for(publisher, lambda: not publisher.takes_short)
+            wait_for(publisher, lambda: publisher.takes_short)
+            with eitskin.subscribe(publisher.endpoint, region_mm=(0, 0, 10, 10)):
+                wait_for(publisher, lambda: not publisher.takes_short)
+        wait_for(publisher, lambda: not publisher.wanted)
+    finally:
+        publisher.close()
+
+
+def test_a_resting_touch_is_computed_once_and_published_short(virtual_skin, running, tmp_path):
+    options = {"touches": [[0.2, 60, 0.3]], "noise": 1e-3}
+    with virtual_skin(**options) as port, running(port, tmp_path, skip_unchanged=True) as runtime:
+        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=5) as frames:
+            taken = [frame for frame, _ in zip(frames, range(150), strict=False)]
+            assert frames.mapless == frames.lost == 0
+        touched = [frame for frame in taken if frame.touched]
+        reused = [frame for frame in touched if "inference:unchanged" in frame.skipped]
+        assert len(reused) > 0.8 * len(touched) > 50
+        assert all(frame.map.any() and frame.solver == "vd2t" for frame in touched)
+        assert sum("map:unchanged" in frame.skipped for frame in reused) > 0.9 * len(reused)
+        by_sequence = {frame.sequence: frame for frame in taken}
+        for frame in reused:
+            if frame.map_sequence in by_sequence:
+                assert np.array_equal(frame.map, by_sequence[frame.map_sequence].map)
+                assert frame.sequence - frame.map_sequence < REFRESH_FRAMES
+        with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=5) as plain:  # one who did not agree
+            assert next(plain).map.any()
+
+
+def test_a_moving_touch_is_computed_every_frame(virtual_skin, running, tmp_path):
+    touches = [[0.02 * step, 0.02 * step + 0.02, 0.2 + 0.05 * (step % 4)] for step in range(300)]
+    options = {"touches": touches, "noise": 1e-4, "rate_hz": 40.0}
+    with virtual_skin(**options) as port, running(port, tmp_path, skip_unchanged=True) as runtime:
+        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=5) as frames:
+            taken = [frame for frame, _ in zip(frames, range(40), strict=False)]
+        touched = [frame for frame in taken if frame.touched]
+        assert len({frame.map_sequence for frame in touched}) >= len(touched) - 2

@@ -1,0 +1,53 @@
+import numpy as np
+import pytest
+
+from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
+
+
+def test_change_is_the_relative_change_of_the_shared_definition(counts):
+    normaliser, out = Normaliser(2e-9), np.zeros(104, np.float32)
+    reference = counts * 1.9e-9
+    normaliser.use(reference)
+    normaliser.load(counts)
+    assert normaliser.change_into(out)
+    # float64 until the end: the last digit of float32, of dV + 1, differs at most
+    assert np.allclose(out, relative_change(counts * 2e-9, reference), rtol=0, atol=1.2e-7)
+
+
+def test_reciprocal_pairs_of_a_full_scan_are_averaged(counts):
+    full = np.zeros(208, np.int32)
+    full[ROW_IN_FULL] = counts + 10
+    full[RECIPROCAL_IN_FULL] = counts - 10
+    normaliser = Normaliser(1e-9)
+    normaliser.load(full)
+    assert np.allclose(normaliser.voltages(), counts * 1e-9, rtol=1e-12)
+
+
+def test_full_scale_counts_do_not_wrap_when_they_are_averaged():
+    normaliser = Normaliser(1.0)
+    normaliser.load(np.full(208, 2**31 - 1, np.int32))
+    assert np.all(normaliser.voltages() == 2**31 - 1)
+
+
+def test_weak_rows_change_by_nothing_whatever_they_read(counts):
+    normaliser, out = Normaliser(1e-9), np.zeros(104, np.float32)
+    reference = counts * 1e-9
+    reference[[3, 40]] = [0.0, 1e-12]
+    normaliser.use(reference)
+    assert normaliser.weak_count == 2
+    normaliser.load(np.full(104, 10**9, np.int32))
+    assert normaliser.change_into(out)
+    assert out[3] == out[40] == 0.0
+    assert np.count_nonzero(out) == 102
+
+
+@pytest.mark.parametrize("volts_per_count", [np.nan, np.inf, 1e6])
+def test_what_is_not_plausible_is_reported_and_leaves_the_output_alone(counts, volts_per_count):
+    normaliser, out = Normaliser(1e-9), np.full(104, 7, np.float32)
+    normaliser.use(counts * 1e-9)
+    normaliser.use_scale(volts_per_count)
+    normaliser.load(counts)
+    assert not normaliser.change_into(out)
+    assert np.all(out == 7)

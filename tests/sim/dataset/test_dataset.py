@@ -1,0 +1,218 @@
+"""Data sets: the same bits whoever makes them, resumable, and refused when they are not what they say."""
+
+import json
+import os
+import shutil
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_sim.dataset import cluster as cluster_module
+from eitskin_sim.dataset.generate import DataSetError, generate
+from eitskin_sim.dataset.plan import make_plan
+from eitskin_sim.dataset.reader import DataSet, load
+from eitskin_sim.dataset.shards import make_shard, shard_job
+from eitskin_sim.unit_grid.units import UnitGenerator
+
+PLAN = make_plan("paper", 0, deformations=2, touch_sets=20)
+FREE_PLAN = make_plan("free", 0, deformations=3, per_deformation=10, kept=0)
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a small data set, made by one worker."""
+    out = tmp_path_factory.mktemp("data") / "paper"
+    seen: list[tuple[int, int]] = []
+    generate(PLAN, out, workers=1, progress=lambda done, total: seen.append((done, total)))
+    assert seen == [(0, 40), (20, 40), (40, 40)]
+    return out
+
+
+@pytest.fixture
+def copy(folder: Path, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(folder, tmp_path / "copy"))
+
+
+@pytest.fixture(scope="module")
+def data(folder: Path) -> DataSet:
+    return load(folder)
+
+
+def files(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in sorted(folder.iterdir())}
+
+
+def test_a_data_set_comes_back_with_all_that_training_needs(data: DataSet) -> None:
+    assert data.voltages_V.shape == (40, 104)
+    assert data.voltages_V.dtype == np.float32
+    assert data.deformation.tolist() == [0] * 20 + [1] * 20
+    assert data.touch_set.tolist() == list(range(20)) * 2
+    assert data.clouds.shape == (2, 3, 30, 45)
+    assert data.bends == PLAN.bends
+    assert data.labels_kind == "units"
+    assert len(data.rows(touches="train")) == 36
+    assert len(data.rows(touches="validation")) == 4
+    assert len(data.rows(deformations="kept", touches="all")) == 0
+    assert not set(data.touch_set[data.rows(touches="train")]) & set(data.touch_set[data.rows(touches="validation")])
+
+
+def test_labels_are_1_where_a_pixels_centre_is_touched(data: DataSet) -> None:
+    labels = data.labels(np.array([0, 27]))
+    assert labels.shape == (2, 30, 45)
+    assert labels[0, 0, 0] == 1.0
+    assert labels[0].sum() == 9.0
+    assert np.array_equal(data.label_table_u8()[7].reshape(30, 45), 255 * labels[1])
+
+
+# A finer mesh of the untouched sheet multiplies each deformation; ratios to it are the generator's own, to float32.
+def test_voltages_are_the_generators_over_a_finer_untouched_sheet(data: DataSet) -> None:
+    generator = UnitGenerator(PLAN.bends[1])
+    expected = generator.voltages(data.units[[3]])[0] / generator.untouched_V
+    assert data.voltages_V[23] / data.untouched_V[1] == pytest.approx(expected, rel=3e-7)
+    assert data.untouched_V[1] == pytest.approx(generator.untouched_V, rel=5e-3)
+    assert data.untouched_V[0] == pytest.approx(data.reference_V, rel=1e-12)
+    assert np.abs(data.untouched_V[1] / data.reference_V - 1.0).max() > 0.05
+
+
+def test_an_interrupted_run_goes_on_and_ends_the_same(folder: Path, copy: Path) -> None:
+    (copy / "index.json").unlink()
+    (copy / "deformation-0001.npz").unlink()
+    with pytest.raises(ProtocolError, match=r"no finished data set: index\.json is missing"):
+        load(copy)
+    done: list[int] = []
+    generate(PLAN, copy, workers=1, progress=lambda now, total: done.append(now))
+    assert done == [20, 40]
+    assert files(copy) == files(folder)
+
+
+def test_a_finished_data_set_is_not_made_again(copy: Path) -> None:
+    before = {path.name: path.stat().st_mtime_ns for path in copy.glob("*.npz")}
+    generate(PLAN, copy)
+    assert {path.name: path.stat().st_mtime_ns for path in copy.glob("*.npz")} == before
+
+
+def test_a_folder_with_something_else_in_it_is_left_alone(copy: Path, tmp_path: Path) -> None:
+    with pytest.raises(DataSetError, match="holds another data set"):
+        generate(make_plan("paper", 1, deformations=2, touch_sets=20), copy)
+    strange = tmp_path / "letters"
+    strange.mkdir()
+    (strange / "dear.txt").write_text("x")
+    with pytest.raises(DataSetError, match="not empty and holds no data set"):
+        generate(PLAN, strange)
+    assert [path.name for path in strange.iterdir()] == ["dear.txt"]
+
+
+def test_a_file_that_changed_is_refused(copy: Path) -> None:
+    path = copy / "deformation-0001.npz"
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 1
+    path.write_bytes(bytes(content))
+    with pytest.raises(MismatchError, match=r"deformation-0001.npz: sha256: found .* make it again"):
+        load(copy)
+
+
+@pytest.mark.parametrize(("name", "value"), [("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID), ("version", 1)])
+def test_a_foreign_data_set_is_refused_by_name(copy: Path, name: str, value: object) -> None:
+    index = json.loads((copy / "index.json").read_text())
+    index[name] = "0123"
+    (copy / "index.json").write_text(json.dumps(index))
+    with pytest.raises(MismatchError, match=f"{name}: found 0123, expected {value}"):
+        load(copy)
+
+
+def test_garbage_instead_of_an_index_is_refused(copy: Path) -> None:
+    for garbage in (b"{", b"\xff\xfe", b"[]"):
+        (copy / "index.json").write_bytes(garbage)
+        with pytest.raises(ProtocolError):
+            load(copy)
+
+
+def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> None:
+    plan = make_plan("free", 2, deformations=1, per_deformation=12, kept=0)
+    index = generate(plan, tmp_path / "free", workers=1)
+    data = load(tmp_path / "free")
+    assert index["labels"] == data.labels_kind == "area"
+    assert len(data.voltages_V) == 12
+    labels = data.labels(np.arange(12))
+    assert labels[5] == pytest.approx(data.free.areas(int(data.touch_set[5])), abs=1e-6)
+    assert 0.0 < labels.mean() < 0.3
+    table = data.label_table_u8()[data.touch_set].reshape(-1, 30, 45)
+    assert np.abs(table / 255.0 - labels).max() <= 0.5 / 255 + 1e-6
+
+
+@pytest.fixture
+def cluster() -> Iterator[Any]:
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", dashboard_address=None
+    ) as running:
+        yield running
+
+
+@pytest.mark.filterwarnings("ignore")  # Dask tells of the worker that this test kills
+def test_a_cluster_that_loses_a_worker_half_way_makes_the_same_files(
+    cluster: Any, folder: Path, tmp_path: Path
+) -> None:
+    victim = next(iter(cluster.workers.values())).pid
+    timer = threading.Timer(0.7, os.kill, (victim, signal.SIGKILL))
+    timer.start()
+    generate(PLAN, tmp_path / "cluster", scheduler=cluster.scheduler_address)
+    timer.join()
+    assert victim not in [nanny.pid for nanny in cluster.workers.values()]
+    assert files(tmp_path / "cluster") == files(folder)
+
+
+@pytest.fixture(scope="module")
+def free_folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of a small free set: two shards, of two deformations and of one."""
+    out = tmp_path_factory.mktemp("data") / "free"
+    generate(FREE_PLAN, out, workers=1)
+    return out
+
+
+@pytest.mark.filterwarnings("ignore")  # Dask tells of the worker that this test kills
+def test_the_free_set_survives_the_loss_of_a_worker_too(cluster: Any, free_folder: Path, tmp_path: Path) -> None:
+    victim = next(iter(cluster.workers.values())).pid
+
+    def lose(done: int, total: int) -> None:
+        if done == 0:
+            timer.start()
+
+    timer = threading.Timer(0.5, os.kill, (victim, signal.SIGKILL))
+    generate(FREE_PLAN, tmp_path / "cluster", scheduler=cluster.scheduler_address, progress=lose)
+    timer.join()
+    assert victim not in [nanny.pid for nanny in cluster.workers.values()]
+    assert files(tmp_path / "cluster") == files(free_folder)
+
+
+# A pool is shared: what one deformation shows must not depend on which of the others were made already, nor by whom.
+def test_a_free_set_that_was_interrupted_goes_on_with_two_workers_and_ends_the_same(
+    free_folder: Path, tmp_path: Path
+) -> None:
+    copy = Path(shutil.copytree(free_folder, tmp_path / "copy"))
+    for name in ("index.json", "touches.npz", "deformation-0001.npz", "deformation-0002.npz"):
+        (copy / name).unlink()
+    generate(FREE_PLAN, copy, workers=2)
+    assert files(copy) == files(free_folder)
+    assert load(copy).voltages_V.shape == (30, 104)
+
+
+def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(cluster_module, "CONNECT_S", 0.5)
+    with pytest.raises(SkinError, match=r"no Dask scheduler answers at tcp://127\.0\.0\.1:9"):
+        generate(PLAN, tmp_path / "nobody", scheduler="tcp://127.0.0.1:9")
+
+
+def test_a_job_is_plain_values() -> None:
+    job = shard_job(PLAN, [1])
+    plain = {**job, "shown": [sets.tolist() for sets in job["shown"]]}
+    assert json.loads(json.dumps(plain))["bends"][0]["angle_deg"] == 180.0
+    assert callable(make_shard)

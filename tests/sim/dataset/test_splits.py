@@ -1,0 +1,139 @@
+"""Splits: by touch set and by deformation, so that nothing that is tested was ever learned from."""
+
+import numpy as np
+import pytest
+
+from eitskin_sim.dataset.plan import Plan, make_plan
+from eitskin_sim.dataset.shards import free_sets, unit_sets
+from eitskin_sim.scene.family import BOUNDS, draw, paper_bend, paper_bends
+from eitskin_sim.scene.folds import check_bend
+from eitskin_sim.scene.parts import Bend, Sheet
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    return make_plan("units", 5, deformations=6, touch_sets=400, per_deformation=60, kept=2)
+
+
+def test_a_tenth_of_the_touch_sets_is_held_out(plan: Plan) -> None:
+    assert plan.validation().sum() == 40
+    assert np.array_equal(plan.validation(), plan.validation())
+
+
+def test_bends_kept_apart_show_only_touch_sets_that_were_held_out(plan: Plan) -> None:
+    held = plan.validation()
+    for number, split in enumerate(plan.splits):
+        shown = plan.shown(number)
+        assert len(np.unique(shown)) == len(shown)
+        if split == "train":
+            assert len(shown) == 60
+            assert 0 < held[shown].sum() < 20
+        else:
+            assert held[shown].all()
+
+
+def test_no_bend_is_in_two_splits_and_family_b_is_never_trained_on(plan: Plan) -> None:
+    assert plan.splits == ("train",) * 6 + ("kept",) * 2 + ("other",) * 2
+    trained = {bend for bend, split in zip(plan.bends, plan.splits, strict=True) if split == "train"}
+    flat = {Bend()}
+    for bend, split in zip(plan.bends, plan.splits, strict=True):
+        if split != "train":
+            assert bend not in trained - flat
+        assert bool(bend.bumps_mm) == (split == "other") or bend == Bend()
+
+
+def test_every_sample_of_the_free_set_has_a_touch_set_of_its_own() -> None:
+    plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
+    shown = [plan.shown(number) for number in range(9)]
+    assert np.array_equal(np.concatenate(shown), np.arange(plan.touch_sets))
+    assert plan.counts == tuple(len(own) for own in shown) == (50,) * 9
+    held = plan.validation()
+    assert [int(held[own].sum()) for own in shown] == [5] * 5 + [50] * 4
+    assert all(held[own[-5:]].all() for own in shown)
+
+
+def test_deformations_that_are_made_together_are_of_one_group_and_one_split() -> None:
+    plan = make_plan("free", 1, deformations=5, per_deformation=50, kept=2)
+    for shard in plan.shards():
+        assert len(shard) <= plan.group
+        assert len({plan.splits[number] for number in shard}) == 1
+    assert sorted(number for shard in plan.shards() for number in shard) == list(range(9))
+
+
+def test_a_touch_that_is_held_out_is_in_no_set_that_is_learned_from() -> None:
+    plan = make_plan("free", 3, deformations=3, per_deformation=80, kept=1)
+    table, held = free_sets(plan), plan.validation()
+    assert len(table) == plan.touch_sets == len(held)
+
+    def pieces(numbers: np.ndarray) -> set[bytes]:
+        return {piece.tobytes() for number in numbers for piece in table.of(int(number))}
+
+    learned, apart = pieces(np.flatnonzero(~held)), pieces(np.flatnonzero(held))
+    assert len(learned) > 50
+    assert len(apart) > 50
+    assert not learned & apart
+
+
+def test_the_papers_set_shows_everything_at_every_bend() -> None:
+    plan = make_plan("paper")
+    assert sum(len(plan.shown(number)) for number in range(len(plan.bends))) == 102_590
+    assert plan.bends == paper_bends()
+
+
+def test_sizes_that_cannot_be_are_refused_with_their_bounds() -> None:
+    with pytest.raises(ValueError, match="found 10260, expected 10 to 10259"):
+        make_plan("paper", touch_sets=10_260)
+    with pytest.raises(ValueError, match="shown at a deformation: found 500, expected 1 to 400"):
+        make_plan("units", touch_sets=400, per_deformation=500)
+    with pytest.raises(ValueError, match="set 'mm' is unknown; expected one of paper, units, free"):
+        make_plan("mm")
+    with pytest.raises(ValueError, match="touch sets: found 90, expected none for the free set"):
+        make_plan("free", touch_sets=90)
+    with pytest.raises(ValueError, match=r"share of near touches: found 1\.2, expected 0 to 1"):
+        make_plan("free", near=1.2)
+    with pytest.raises(ValueError, match="only the free set"):
+        make_plan("units", near=0.5)
+    with pytest.raises(ValueError, match="seed is -1"):
+        make_plan("paper", -1)
+
+
+def test_plans_of_one_seed_agree_and_of_two_differ(plan: Plan) -> None:
+    again = make_plan("units", 5, deformations=6, touch_sets=400, per_deformation=60, kept=2)
+    other = make_plan("units", 6, deformations=6, touch_sets=400, per_deformation=60, kept=2)
+    assert again == plan
+    assert again.digest == plan.digest != other.digest
+    assert len(unit_sets(plan)) == 400
+    assert len(free_sets(make_plan("free", 5, deformations=1, per_deformation=12, kept=0))) == 12
+
+
+def test_paper_family_is_the_published_phantoms_bends() -> None:
+    bend = paper_bend(5 / 9)
+    assert bend.angle_deg == pytest.approx(100.0)
+    assert bend.stretch_along == pytest.approx(1.061373, abs=1e-6)
+    assert bend.stretch_across == pytest.approx(0.985219, abs=1e-6)
+    assert bend.nonuniformity == pytest.approx(0.05556, abs=1e-5)
+    assert paper_bends()[0] == Bend()
+    with pytest.raises(ValueError, match=r"q is 1\.5"):
+        paper_bend(1.5)
+
+
+def test_family_a_draws_all_parameters_apart_some_scaled_and_some_flat() -> None:
+    bends = draw("A", 16, 11)
+    assert bends[:3] == draw("A", 3, 11)
+    for name, (low, high) in BOUNDS.items():
+        values = np.array([getattr(bend, name) for bend in bends])
+        assert np.all((values >= low) & (values <= high))
+        assert values.std() > 0.08 * (high - low)
+    table = np.array([[getattr(bend, name) for name in BOUNDS] for bend in bends])
+    away = np.abs(np.corrcoef(table, rowvar=False) - np.eye(len(BOUNDS)))
+    assert away.max() < 0.8  # 16 independent draws: 0.26 rms, 0.75 at three sigma; one common parameter gives 1
+    check_bend(bends[0], Sheet())
+
+
+def test_family_b_has_two_bumps_of_6_mm() -> None:
+    for bend in draw("B", 3, 2):
+        if bend != Bend():
+            assert len(bend.bumps_mm) == 2
+            assert all(abs(bump[2]) <= 6.0 and 12.0 <= bump[3] <= 25.0 for bump in bend.bumps_mm)
+    with pytest.raises(ValueError, match="family 'C' is unknown"):
+        draw("C", 1, 0)  # type: ignore[arg-type]

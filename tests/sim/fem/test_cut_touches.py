@@ -1,0 +1,62 @@
+"""Cut elements of the free generator: between the untouched sheet and the touch, whatever the border does."""
+
+import numpy as np
+import pytest
+
+from eitskin_sim.fem.cut_blocks import cut_blocks
+from eitskin_sim.fem.cut_touches import find_cuts
+from eitskin_sim.freeform.mesh import free_mesh, free_system
+from eitskin_sim.freeform.patterns import touch_pool
+from eitskin_sim.freeform.sheet import _tensors
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.touch_table import FreeTouches, gather
+
+SIZE_MM = 4.0
+
+
+@pytest.fixture(scope="module")
+def pool() -> FreeTouches:
+    return touch_pool(400, np.random.default_rng(3))
+
+
+def relative(blocks: np.ndarray, untouched: np.ndarray) -> np.ndarray:
+    """Return the (n, 8) eigenvalues of blocks relative to untouched ones; a constant potential is left out."""
+    root = np.linalg.inv(np.linalg.cholesky(untouched[:, 1:, 1:]))
+    return np.linalg.eigvalsh(root @ blocks[:, 1:, 1:] @ np.swapaxes(root, 1, 2))
+
+
+# Less than the sheet or more than the touch would be no conductor: voltages of the wrong sign came from that.
+# The upper bound holds up to the quadrature of 6 x 6 cells, 0.4 % on the steepest functions.
+@pytest.mark.parametrize("bend", draw("B", 3, 8))
+def test_a_cut_element_conducts_no_less_than_the_sheet_and_no_more_than_the_touch(
+    bend: object, pool: FreeTouches
+) -> None:
+    system = free_system(bend, SIZE_MM)  # type: ignore[arg-type]
+    cuts = find_cuts(pool, np.arange(len(pool)), system.mesh)
+    element = cuts.element[: cuts.n_cut]
+    blocks = cut_blocks(cuts.integrals, element, _tensors(bend, system), system.stiffness)  # type: ignore[arg-type]
+    found = relative(blocks, system.stiffness[element])
+    assert len(found) > 5_000
+    assert found.min() > 1.0 - 1e-8
+    assert (found.max(axis=1) / cuts.sigma[: cuts.n_cut]).max() < 1.02
+    assert (found.max(axis=1) / cuts.sigma[: cuts.n_cut]).min() < 0.9
+
+
+def test_a_touch_as_conductive_as_the_sheet_changes_no_block(pool: FreeTouches) -> None:
+    bend = draw("A", 1, 8)[0]
+    system = free_system(bend, SIZE_MM)
+    pieces = pool.pieces.copy()
+    pieces[:, 6] = 1.0
+    cuts = find_cuts(FreeTouches(pieces, pool.first), np.arange(50), system.mesh)
+    element = cuts.element[: cuts.n_cut]
+    blocks = cut_blocks(cuts.integrals, element, _tensors(bend, system), system.stiffness)
+    assert np.abs(blocks - system.stiffness[element]).max() < 1e-12 * np.abs(system.stiffness).max()
+
+
+def test_shares_of_cut_and_covered_elements_add_up_to_the_area() -> None:
+    grid = free_mesh(SIZE_MM)
+    piece = np.array([[0.0, 61.3, 44.7, 23.0, 11.0, 33.0, 50.0]])
+    cuts = find_cuts(gather([piece]), np.array([0]), grid.mesh)
+    areas = grid.mesh.sizes_mm[cuts.element].prod(axis=1)
+    # cells at the four corners are cut by one straight line each, not two
+    assert (cuts.share * areas).sum() == pytest.approx(23.0 * 11.0, rel=2e-3)

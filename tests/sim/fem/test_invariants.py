@@ -1,0 +1,225 @@
+"""What must hold for any sheet, bend and touch: scaling, the two mirror planes, reciprocity, and linearity.
+
+Every property is drawn by hypothesis and stands on physics alone; none compares with stored numbers. The counter-cases
+at the end show that the tolerances would notice a violation.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import Phase, assume, example, given, settings
+from hypothesis import strategies as st
+
+from eitskin_proto.sensor.grid import UNIT_SHAPE
+from eitskin_proto.sensor.table import TABLE
+from eitskin_sim.evaluation.harness import Case, Sheet, solve_tikhonov
+from eitskin_sim.fem.forward import reciprocity_error
+from eitskin_sim.fem.jacobian import scene_jacobian
+from eitskin_sim.fem.solve import factorise_scene, solve_scene
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Touch
+from eitskin_sim.scene.parts import Sheet as Layer
+from eitskin_sim.scene.shapes import Disc, Rect
+from eitskin_sim.solvers.l1 import l1_image
+from eitskin_sim.solvers.operators import build_operators, linear_data
+from eitskin_sim.solvers.tikhonov import tikhonov_matrix
+
+COARSE_MM = 6.0
+"""Invariants hold on any mesh; this one takes 30 ms."""
+
+FEW = settings(max_examples=6, deadline=None, derandomize=True, phases=(Phase.explicit, Phase.generate))
+"""Each example solves; derandomised, so that every run is the same, and not shrunk, which would solve hundreds more."""
+
+MANY = settings(max_examples=50, deadline=None, derandomize=True)
+"""Each example is a product of small matrices."""
+
+sizes = st.floats(1e-3, 1e3)
+contacts = st.sampled_from(["patch", "edge"])
+bends = st.builds(
+    Bend,
+    angle_deg=st.floats(0.0, 300.0),
+    axis_deg=st.floats(-90.0, 90.0),
+    twist_deg=st.floats(-40.0, 40.0),
+    stretch_along=st.floats(0.8, 1.5),
+    stretch_across=st.floats(0.8, 1.3),
+    nonuniformity=st.floats(-0.2, 0.2),
+)
+conductivities = st.floats(1e-4, 1e6)
+
+
+@st.composite
+def touches(draw, discs: bool = True):
+    """Up to three rectangles and discs of any contrast, on the sheet, border and contacts included."""
+    found = []
+    for _ in range(draw(st.integers(0, 3))):
+        x, y = draw(st.floats(0.0, 138.0)), draw(st.floats(0.0, 88.0))
+        shape = Disc(x + 6.0, y + 6.0, 6.0) if discs and draw(st.booleans()) else Rect(x, y, x + 12.0, y + 12.0)
+        # Beyond 100 the kinks of an element that a disc cuts are dropped or kept by rounding (FLOOR): 1e-4 of V.
+        found.append(Touch((shape,), draw(st.floats(1e-2, 1e2) if isinstance(shape, Disc) else conductivities)))
+    return tuple(found)
+
+
+scenes = st.builds(
+    Scene, electrodes=st.builds(Electrodes, contacts), bend=bends, touches=touches(), element_size_mm=st.just(COARSE_MM)
+)
+
+
+def scaled(scene: Scene, factor: float) -> Scene:
+    """Return a scene that conducts ``factor`` times as well everywhere, its contacts too."""
+    electrodes = scene.electrodes
+    return replace(
+        scene,
+        sheet=replace(scene.sheet, conductivity_S_per_m=factor * scene.sheet.conductivity_S_per_m),
+        electrodes=replace(electrodes, contact_impedance_ohm_m2=electrodes.contact_impedance_ohm_m2 / factor),
+        touches=tuple(replace(t, conductivity_S_per_m=factor * t.conductivity_S_per_m) for t in scene.touches),
+    )
+
+
+@FEW
+@given(scenes, sizes, sizes)
+def test_voltages_scale_with_current_over_conductivity(scene, factor, current):
+    found = solve_scene(replace(scaled(scene, factor), current_A=current)).voltages
+    # Only rounding differs: every entry of the system is multiplied by one number. The factorisation keeps 1e-9.
+    np.testing.assert_allclose(found, solve_scene(scene).voltages * current / factor, rtol=1e-8)
+
+
+@FEW
+@given(scenes)
+def test_drive_and_measure_can_be_swapped_on_any_sheet(scene):
+    # 1e-12 holds at contrasts up to 50; at 1e10 between touches rounding in the stiffest element reaches the weak rows.
+    assert reciprocity_error(factorise_scene(scene)) < 1e-8
+
+
+def mirrored_row(along_x: bool):
+    """Return (104, 2) the drive and measure that each row becomes in a mirror.
+
+    Electrode k, at arc length 12.5 + 31.25 k, goes to 4 - k where x is mirrored and to 12 - k where y is, modulo 16;
+    a pair (k, k + 1) goes to (4 - k - 1, 4 - k) turned round, twice in each row, so the sign stays.
+    """
+    return ((3 if along_x else 11) - TABLE.astype(int)) % 16
+
+
+def mirror(shape, along_x: bool):
+    """Return a rectangle or disc on the other side of a mirror plane of the 150 x 100 sheet."""
+    if isinstance(shape, Disc):
+        return replace(shape, x_mm=150.0 - shape.x_mm) if along_x else replace(shape, y_mm=100.0 - shape.y_mm)
+    x0, y0, x1, y1 = shape.bounds_mm
+    return Rect(150.0 - x1, y0, 150.0 - x0, y1) if along_x else Rect(x0, 100.0 - y1, x1, 100.0 - y0)
+
+
+# This disc is 12 mm high, and mirrored 12 mm and a rounding: both are twelve elements of 1 mm.
+OF_WHOLE_ELEMENTS = (Touch(shapes=(Disc(x_mm=6.0107, y_mm=26.0314, radius_mm=6.0),), conductivity_S_per_m=1.5),)
+
+
+@FEW
+@given(touches(), contacts, st.floats(0.8, 1.5), st.floats(0.8, 1.3), st.booleans())
+@example(OF_WHOLE_ELEMENTS, "edge", 1.3, 0.9, False)
+def test_a_mirrored_sheet_gives_mirrored_voltages_in_both_planes(pressed, contact, along, across, along_x):
+    bend = Bend(angle_deg=90.0, stretch_along=along, stretch_across=across)  # the same on either side of both planes
+    here = Scene(electrodes=Electrodes(contact), bend=bend, touches=pressed, element_size_mm=COARSE_MM)
+    other = tuple(replace(t, shapes=tuple(mirror(s, along_x) for s in t.shapes)) for t in pressed)
+    one, two = factorise_scene(here).differences(), factorise_scene(replace(here, touches=other)).differences()
+    rows = mirrored_row(along_x)
+    # Meshes are mirror images but for rounding of their lines; points of cut elements may fall on the other side of it.
+    np.testing.assert_allclose(two[rows[:, 0], rows[:, 1]], one[TABLE[:, 0], TABLE[:, 1]], rtol=1e-6)
+
+
+@FEW
+@given(touches(discs=False), bends)  # the mesh follows rectangles; in cut elements this holds up to their own error
+def test_more_conductivity_anywhere_lowers_the_resistance_between_any_two_electrodes(pressed, bend):
+    assume(pressed)
+    before = Scene(bend=bend, touches=pressed, element_size_mm=COARSE_MM)
+    better = tuple(replace(t, conductivity_S_per_m=2.0 * t.conductivity_S_per_m) for t in pressed)
+    less, more = (np.diag(factorise_scene(s).differences()) for s in (before, replace(before, touches=better)))
+    # Contrasts of 1e10 within a scene leave 1e-9 of rounding; what is tested changes by whole per cents.
+    assert np.all(more <= less * (1.0 + 1e-7))
+
+
+@pytest.fixture(scope="module")
+def linear():
+    scene = Scene(bend=Bend(angle_deg=120.0, stretch_along=1.1), element_size_mm=COARSE_MM)
+    voltages, slope = scene_jacobian(scene, UNIT_SHAPE, COARSE_MM)
+    return scene, voltages, slope
+
+
+@FEW
+@given(st.integers(0, 125), st.sampled_from([1e-2, 1e-3]))
+def test_small_changes_of_conductivity_follow_the_jacobian_to_second_order(linear, unit, size):
+    scene, _, slope = linear
+    column, row = unit % 14, unit // 14
+    box = Rect(column * 150 / 14, row * 100 / 9, (column + 1) * 150 / 14, (row + 1) * 100 / 9)
+    touched = replace(scene, touches=(Touch((box,), 1.0 + size),))
+    change = (
+        scene_jacobian(touched, UNIT_SHAPE, COARSE_MM)[0]
+        - scene_jacobian(replace(scene, touches=(Touch((box,), 1.0),)), UNIT_SHAPE, COARSE_MM)[0]
+    )
+    # Contrast c acts like 2 (c - 1) / (c + 1): the second order is half the change. The other mesh adds per mille.
+    error = np.linalg.norm(change - size * slope[:, unit]) / np.linalg.norm(size * slope[:, unit])
+    assert error < size + 0.02
+
+
+@FEW
+@given(st.floats(0.2, 5.0))
+def test_relative_change_of_all_pixels_together_is_that_of_the_sheet(linear, factor):
+    # V is homogeneous of degree -1 in conductivity and contact admittance together: without contacts' share, Euler's
+    # theorem makes the Jacobian's rows sum to -V. Contacts of 1e-4 ohm m2 take the rest, under one per cent.
+    _, voltages, slope = linear
+    np.testing.assert_allclose(factor * slope.sum(axis=1), -factor * voltages, rtol=0.01)
+
+
+@pytest.fixture(scope="module")
+def operators():
+    return build_operators(cells="units")
+
+
+data = st.integers(0, 2**32 - 1).map(lambda seed: np.random.default_rng(seed).standard_normal(104))
+
+
+@MANY
+@given(data, data, st.floats(-1e3, 1e3), st.floats(-1e3, 1e3))
+def test_tikhonov_is_linear_before_it_is_clipped(operators, one, two, a, b):
+    matrix = tikhonov_matrix(operators.relative_jacobian)
+    together, apart = matrix @ (a * one + b * two), a * (matrix @ one) + b * (matrix @ two)
+    scale = np.abs(matrix) @ (abs(a) * np.abs(one) + abs(b) * np.abs(two))
+    assert np.all(np.abs(together - apart) <= 1e-12 * scale + 1e-300)
+
+
+@MANY
+@given(data, st.floats(1e-6, 1e6))
+def test_l1_without_an_upper_bound_scales_with_its_data(operators, one, factor):
+    # The penalty is relative to the data and the lower bound is 0, so the problem is homogeneous of degree one.
+    A = operators.relative_jacobian
+    np.testing.assert_allclose(
+        l1_image(A, factor * one, iterations=40),
+        factor * l1_image(A, one, iterations=40),
+        rtol=1e-6,
+        atol=1e-9 * factor,
+    )
+
+
+@MANY
+@given(data, st.floats(1e-3, 1e3))
+def test_a_common_gain_of_frame_and_reference_changes_no_classical_map(operators, noise, gain):
+    voltages = operators.untouched_voltages
+    touched = voltages * (1.0 + 0.1 * np.tanh(noise))
+    sheet = Sheet(np.zeros((3, 30, 45)), voltages, {"units": operators})
+    plain, amplified = (
+        solve_tikhonov(Case(g * touched, g * voltages, g * voltages, sheet, "units")) for g in (1.0, gain)
+    )
+    np.testing.assert_allclose(amplified, plain, atol=1e-9)
+    np.testing.assert_allclose(linear_data(gain * touched, gain * voltages), touched / voltages - 1.0, atol=1e-12)
+
+
+def test_these_tolerances_notice_a_sheet_that_is_not_symmetric():
+    scene = Scene(touches=(Touch((Rect(20.0, 30.0, 32.0, 42.0),)),), element_size_mm=COARSE_MM)
+    moved = replace(scene, touches=(Touch((Rect(118.01, 30.0, 130.01, 42.0),)),))  # mirrored, and 0.01 mm off
+    rows = mirrored_row(True)
+    one, two = factorise_scene(scene).differences(), factorise_scene(moved).differences()
+    worst = np.abs(two[rows[:, 0], rows[:, 1]] / one[TABLE[:, 0], TABLE[:, 1]] - 1.0).max()
+    assert worst > 1e-5
+
+
+def test_these_tolerances_notice_contacts_that_do_not_scale():
+    scene = Scene(element_size_mm=COARSE_MM)
+    half = replace(scene, sheet=Layer(conductivity_S_per_m=2.0))  # the contacts stay as they were
+    assert np.abs(2.0 * solve_scene(half).voltages / solve_scene(scene).voltages - 1.0).max() > 1e-5

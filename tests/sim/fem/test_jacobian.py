@@ -1,0 +1,65 @@
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_OF_PIXEL, UNIT_SHAPE
+from eitskin_sim.fem.forward import assemble
+from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian, pixel_jacobian, scene_jacobian, unit_jacobian
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Rect
+
+BEND = Bend(angle_deg=120, axis_deg=30, twist_deg=20, stretch_along=1.1)
+
+
+@pytest.mark.parametrize("contact", ["patch", "edge"])
+@pytest.mark.parametrize("shape", [GRID_SHAPE, UNIT_SHAPE])
+def test_jacobian_is_the_derivative_by_central_differences(contact: str, shape: tuple[int, int]) -> None:
+    sheet, electrodes = Sheet(), Electrodes(contact)
+    mesh = cell_mesh(sheet, electrodes, shape, 9.0)
+    system = assemble(mesh, sheet, electrodes, bend_metric(BEND, sheet))
+    cells = cell_of_element(mesh, shape)
+    sigma = np.where(cells % 7 == 0, 20.0, 1.0)  # touches all over, one under a contact
+    found = jacobian(system.factorise(sigma), sigma, cells, shape[0] * shape[1])
+    columns = shape[1]
+    for cell in (0, 3 * columns // 14, columns // 2, (shape[0] // 2) * columns + columns // 3, shape[0] * columns - 1):
+        step = 1e-3 * sigma[cells == cell][0]
+        high, low = (system.factorise(sigma + sign * step * (cells == cell)).voltages() for sign in (1.0, -1.0))
+        difference = (high - low) / (2 * step)
+        # Central differences with a step of 1e-3 are off by about 1e-6 of the largest.
+        np.testing.assert_allclose(found[:, cell], difference, atol=5e-6 * np.abs(difference).max())
+
+
+def test_uniform_change_of_conductivity_scales_voltages_with_edge_contacts_of_no_impedance() -> None:
+    scene = Scene(electrodes=Electrodes("edge", contact_impedance_ohm_m2=1e-9))
+    # V is proportional to 1 / sigma, so the relative Jacobian sums to -1 over the pixels.
+    np.testing.assert_allclose(pixel_jacobian(scene, 6.0).sum(axis=1), -1.0, atol=1e-3)
+
+
+def test_units_and_pixels_tell_of_the_same_places() -> None:
+    pixels, units = pixel_jacobian(Scene()), unit_jacobian(Scene())
+    gathered = np.zeros_like(units)
+    np.add.at(gathered.T, UNIT_OF_PIXEL.ravel(), pixels.T)
+    # A unit's pixels cover it but for a rim of up to half a pixel.
+    assert np.corrcoef(gathered.ravel(), units.ravel())[0, 1] > 0.95
+
+
+def test_coarse_jacobian_is_within_its_stated_error() -> None:
+    coarse, fine = unit_jacobian(Scene(bend=BEND)), unit_jacobian(Scene(bend=BEND), 1.5)
+    assert np.linalg.norm(coarse - fine) < 1.5e-3 * np.linalg.norm(fine)
+
+
+def test_scene_with_touches_and_current_has_its_own_jacobian() -> None:
+    touch = (Touch((Rect(60.0, 40.0, 78.0, 60.0),)),)
+    voltages, found = scene_jacobian(Scene(touches=touch, current_A=2.0), UNIT_SHAPE, 6.0)
+    other, base = scene_jacobian(Scene(touches=touch), UNIT_SHAPE, 6.0)
+    np.testing.assert_allclose(voltages, 2.0 * other)
+    np.testing.assert_allclose(found, 2.0 * base)
+    untouched = scene_jacobian(Scene(), UNIT_SHAPE, 6.0)[1]
+    inside = 4 * UNIT_SHAPE[1] + 6
+    assert np.abs(base[:, inside]).max() < 0.05 * np.abs(untouched[:, inside]).max()
+
+
+def test_mesh_without_the_grid_is_refused() -> None:
+    mesh = cell_mesh(Sheet(), Electrodes(), UNIT_SHAPE, 6.0)
+    with pytest.raises(ValueError, match="it must be within 1e-06"):
+        cell_of_element(mesh, GRID_SHAPE)

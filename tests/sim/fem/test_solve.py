@@ -1,0 +1,70 @@
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_sim.scene.scene import parse_scene
+from eitskin_tools.cli import main
+
+
+def write(path: Path, scene: object) -> str:
+    path.write_text(json.dumps(scene))
+    return str(path)
+
+
+def test_simulate_writes_voltages_with_their_scene_and_ids(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    described = {"touches": [{"disc_mm": [60, 40, 8]}], "current_A": 0.5, "element_size_mm": 3}
+    scene, out = write(tmp_path / "scene.json", described), tmp_path / "V.npz"
+    assert main(["simulate", scene, "--out", str(out), "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    with np.load(out) as file:
+        voltages, full = file["voltages"], file["voltages208"]
+        assert (voltages.dtype, voltages.shape, full.shape) == (np.float64, (104,), (208,))
+        assert (str(file["protocol_id"]), str(file["grid_id"])) == (PROTOCOL_ID, GRID_ID)
+        assert parse_scene(json.loads(str(file["scene"]))) == parse_scene(described)
+    np.testing.assert_array_equal(voltages, full[ROW_IN_FULL])
+    np.testing.assert_allclose(voltages, full[RECIPROCAL_IN_FULL], rtol=1e-12)
+    assert report["largest_V"] == pytest.approx(np.abs(voltages).max())
+
+
+def test_element_size_of_the_command_line_overrides_the_scene(tmp_path: Path) -> None:
+    scene = write(tmp_path / "scene.json", {"current_A": 1, "element_size_mm": 1.5})
+    found = []
+    for size in ("6", "4"):
+        out = tmp_path / f"{size}.npz"
+        assert main(["simulate", scene, "--out", str(out), "--element-size-mm", size]) == 0
+        with np.load(out) as file:
+            found.append(file["voltages"])
+    np.testing.assert_allclose(found[0], found[1], rtol=3e-3)
+    assert not np.array_equal(found[0], found[1])
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        ({"touches": [{"rect_mm": [0, 0, 200, 10]}]}, "outside the sheet: x = 200 mm; it must be from 0 to 150"),
+        ({"electrodes": {"size_mm": 40}}, "must be at least 40 mm"),
+        ({"sheet": {"conductivity_S_per_m": -1}}, "is -1; it must be above 0"),
+        ({"bend": {"angle_deg": 370}}, "folds the sheet"),
+        ({"touches": [{"disc_mm": [50, 50, 0.4]}]}, "smaller than an element"),
+    ],
+)
+def test_bad_scene_is_one_line_exit_one_and_no_file(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: object, says: str
+) -> None:
+    out = tmp_path / "V.npz"
+    assert main(["simulate", write(tmp_path / "scene.json", scene), "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert says in error
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
+
+
+def test_missing_scene_or_folder_is_one_line_and_exit_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["simulate", str(tmp_path / "none.json"), "--out", str(tmp_path / "V.npz")]) == 1
+    scene = write(tmp_path / "scene.json", {"element_size_mm": 6})
+    assert main(["simulate", scene, "--out", str(tmp_path / "no" / "V.npz")]) == 1
+    assert capsys.readouterr().err.count("\n") == 2

@@ -1,0 +1,123 @@
+"""Failing electrodes as circuits: closed forms, symmetry, and the forward model with one contact worn out."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
+from eitskin_sim.fem.forward import Factor, System, assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.measurement.consistency import rows_of
+from eitskin_sim.measurement.faults import CONTACT_OHM, Detached, Noisy, Shorted, Swapped, measure, response_of
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet
+
+IDEAL = {"compliance_ohm": np.inf, "input_ohm": np.inf}
+
+
+@cache
+def coarse() -> System:
+    scene = Scene(element_size_mm=4.5)
+    return assemble(scene_mesh(scene), Sheet(), Electrodes(), bend_metric(scene.bend, scene.sheet))
+
+
+@cache
+def healthy() -> np.ndarray:
+    return response_of(coarse().factorise())
+
+
+def of_pair(electrode: int, table: np.ndarray = FULL_TABLE) -> np.ndarray:
+    return np.asarray((table == electrode).any(axis=1))
+
+
+def test_without_a_fault_the_rows_are_those_of_the_forward_model() -> None:
+    direct = coarse().factorise().voltages(FULL_TABLE)
+    # The weakest row is 500 times smaller than the largest, and is a difference of potentials here.
+    np.testing.assert_allclose(measure(healthy()), direct, atol=1e-10 * np.abs(direct).max())
+
+
+def test_a_series_resistance_is_invisible_to_ideal_electronics() -> None:
+    worn = measure(healthy(), (Detached(4, 1e6),), **IDEAL)
+    np.testing.assert_allclose(worn, measure(healthy(), **IDEAL), atol=1e-7 * np.abs(worn).max())
+    real, before = measure(healthy(), (Detached(4, 1e6),)), measure(healthy())
+    driven, sensed = np.isin(FULL_TABLE[:, 0], (3, 4)), np.isin(FULL_TABLE[:, 1], (3, 4))
+    assert np.abs(real[driven]).max() < 0.01 * np.abs(before[driven]).max()  # the source is at its compliance
+    assert np.median(np.abs(real[sensed])) > 2.0 * np.median(
+        np.abs(before[sensed])
+    )  # a floating wire is near mid potential
+
+
+def test_a_worn_contact_of_the_forward_model_is_a_series_resistance() -> None:
+    system, factor = coarse(), 1e3
+    sigma = np.full(system.mesh.n_elements, system.background)
+    density = system.contacts.density(sigma[system.contacts.element])
+    density[system.contacts.electrode == 4] /= factor
+    worn = Factor(system, sigma[:, None, None] * system.stiffness, density).voltages(FULL_TABLE)
+    circuit = measure(healthy(), (Detached(4, factor),), **IDEAL)
+    # A worn contact also stops shunting the current below it, which a resistance in its wire does not show: 2 % of the
+    # rows beside it, nothing elsewhere.
+    apart = ~(of_pair(3) | of_pair(4))
+    np.testing.assert_allclose(worn[apart], circuit[apart], rtol=5e-3, atol=2e-4 * np.abs(worn).max())
+    np.testing.assert_allclose(worn, circuit, rtol=0.05, atol=5e-3 * np.abs(worn).max())
+
+
+def test_a_short_reads_nothing_and_drives_nothing() -> None:
+    rows = measure(healthy(), (Shorted(7, 8),), **IDEAL)
+    assert np.abs(rows[of_pair(7)]).max() < 1e-3 * np.abs(rows).max()
+
+
+def test_a_short_equals_the_textbook_with_a_current_between_the_wires() -> None:
+    ohm, drive, sense = healthy(), 2, 11
+    current, short = np.zeros(16), np.zeros(16)
+    current[[drive, drive + 1]], short[[7, 8]] = (1.0, -1.0), (1.0, -1.0)
+    through = -(short @ ohm @ current) / (short @ ohm @ short + 0.1)
+    potential = ohm @ (current + through * short)
+    row = int(np.flatnonzero(((drive, sense) == FULL_TABLE).all(axis=1))[0])
+    found = measure(ohm, (Shorted(7, 8),), **IDEAL)[row]
+    assert found == pytest.approx(potential[sense] - potential[sense + 1], rel=1e-9)
+
+
+def test_swapped_neighbours_turn_their_pair_round() -> None:
+    rows, before = measure(healthy(), (Swapped(9, 10),)), measure(healthy())
+    far = of_pair(9) & ~of_pair(8) & ~of_pair(10)
+    np.testing.assert_allclose(rows[far], -before[far], rtol=1e-8)
+    untouched = ~rows_of((9, 10))[:, None].any(axis=1)
+    np.testing.assert_allclose(rows[ROW_IN_FULL][untouched], before[ROW_IN_FULL][untouched], rtol=1e-9)
+
+
+@pytest.mark.parametrize("fault", [Shorted(3, 4), Swapped(2, 9)])
+def test_reciprocity_survives_passive_faults(fault: Shorted | Swapped) -> None:
+    rows = measure(healthy(), (fault,), **IDEAL)
+    np.testing.assert_allclose(rows[ROW_IN_FULL], rows[RECIPROCAL_IN_FULL], atol=1e-9 * np.abs(rows).max())
+
+
+def test_reciprocity_breaks_at_a_detached_electrode_and_nowhere_else() -> None:
+    rows = measure(healthy(), (Detached(5),))
+    gap = np.abs(rows[ROW_IN_FULL] - rows[RECIPROCAL_IN_FULL]) / np.abs(rows).max()
+    involved = rows_of((5,))
+    assert gap[~involved].max() < 1e-9
+    assert np.median(gap[involved]) > 1e-3
+
+
+def test_noise_falls_on_the_rows_of_its_electrode_alone() -> None:
+    rng = np.random.default_rng(0)
+    frames = np.array([measure(healthy(), (Noisy(12, 0.03),), table=TABLE, rng=rng) for _ in range(300)])
+    spread = frames.std(axis=0) / np.sqrt(np.mean(measure(healthy(), table=TABLE) ** 2))
+    involved = rows_of((12,))
+    assert spread[~involved].max() < 1e-12
+    senses = involved & np.isin(TABLE[:, 1], (11, 12))
+    # 300 frames: a standard deviation is known to 4 %, and the largest of 26 to three times that.
+    np.testing.assert_allclose(spread[senses], 0.03, rtol=0.2)
+
+
+@pytest.mark.parametrize("fault", [Detached(16), Shorted(3, 3), Swapped(-1, 2), Noisy(4)])
+def test_a_fault_that_makes_no_sense_is_refused(fault: object) -> None:
+    with pytest.raises(ValueError, match=r"electrodes|rng"):
+        measure(healthy(), (fault,))  # type: ignore[arg-type]
+
+
+def test_a_contact_twice_as_bad_is_no_fault() -> None:
+    before, after = measure(healthy()), measure(healthy(), (Detached(5, 2.0),))
+    assert 0.02 * np.abs(np.diag(healthy())).max() > CONTACT_OHM
+    np.testing.assert_allclose(after, before, rtol=1e-3, atol=1e-5 * np.abs(before).max())

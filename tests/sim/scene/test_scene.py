@@ -1,0 +1,130 @@
+import json
+from pathlib import Path
+
+import pytest
+
+from eitskin_sim.scene.scene import SceneError, load_scene, parse_phantoms, parse_scene, scene_json
+from eitskin_sim.scene.shapes import Disc, Polygon, Rect
+
+
+def test_empty_object_is_the_papers_flat_sheet() -> None:
+    scene = parse_scene({})
+    assert scene.sheet.size_mm == (150.0, 100.0)
+    assert scene.sheet.thickness_mm == 2.0
+    assert scene.electrodes.contact == "patch"
+    assert scene.electrodes.arc_length_mm[:2] == (12.5, 43.75)
+    assert scene.bend.stretch_along == 1.0
+    assert scene.touches == ()
+    assert (scene.current_A, scene.element_size_mm) == (1.0, 1.5)
+
+
+def test_every_shape_is_read() -> None:
+    scene = parse_scene(
+        {
+            "touches": [
+                {"rect_mm": [1, 2, 13, 14], "conductivity_S_per_m": 20},
+                {"disc_mm": [50, 40, 5]},
+                {"polygon_mm": [[60, 60], [80, 60], [70, 80], [60, 60]]},
+                {"units": [[0, 0], [13, 8]]},
+            ]
+        }
+    )
+    rect, disc, polygon, units = scene.touches
+    assert rect.shapes == (Rect(1, 2, 13, 14),)
+    assert (rect.conductivity_S_per_m, disc.conductivity_S_per_m) == (20, 50)
+    assert disc.shapes == (Disc(50, 40, 5),)
+    assert polygon.shapes == (Polygon(((60, 60), (80, 60), (70, 80))),)
+    assert units.shapes[1].bounds_mm == pytest.approx((150 * 13 / 14, 100 * 8 / 9, 150, 100))
+
+
+def test_scene_survives_its_own_json() -> None:
+    scene = parse_scene(
+        {"touches": [{"disc_mm": [50, 40, 5]}], "bend": {"angle_deg": 40, "bumps_mm": [[50, 50, 3, 20]]}}
+    )
+    assert parse_scene(json.loads(scene_json(scene))) == scene
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        ({"bends": {}}, "unknown key 'bends'"),
+        ({"bend": {"angle": 3}}, "unknown key 'angle'"),
+        ({"touches": [{"rect_mm": [0, 0, 10, 10], "disc_mm": [5, 5, 5]}]}, "expected one of"),
+        ({"touches": [{"rect_mm": [145, 0, 155, 10]}]}, "x = 155 mm; it must be from 0 to 150"),
+        ({"touches": [{"disc_mm": [3, 50, 5]}]}, "x = -2 mm"),
+        ({"touches": [{"rect_mm": [10, 10, 10.5, 30]}]}, "0.5 mm wide; element_size_mm is 1.5"),
+        ({"touches": [{"disc_mm": [50, 50, 0.5]}]}, "1 mm wide"),
+        ({"touches": [{"rect_mm": [10, 10, 5, 30]}]}, "x1 must be above x0"),
+        ({"touches": [{"polygon_mm": [[0, 0], [20, 20], [20, 0], [0, 20]]}]}, "crosses or touches itself"),
+        ({"touches": [{"units": [[14, 0]]}]}, "column must be an integer from 0 to 13"),
+        ({"touches": [{"rect_mm": [0, 0, 10, 10], "conductivity_S_per_m": -1}]}, "is -1; it must be above 0"),
+        ({"touches": {"rect_mm": [0, 0, 10, 10]}}, "expected a list"),
+        ({"sheet": {"conductivity_S_per_m": 0}}, "is 0; it must be above 0"),
+        ({"sheet": {"size_mm": [150]}}, "has 1 numbers; it must have 2"),
+        ({"sheet": {"thickness_mm": True}}, "expected a number"),
+        ({"electrodes": {"contact": "pin"}}, "must be 'patch' or 'edge'"),
+        ({"electrodes": {"size_mm": 32}}, "overlap: their centres are 31.25 mm apart; they must be at least 32"),
+        (
+            {"electrodes": {"arc_length_mm": [12.5 + 31.25 * k for k in range(15)] + [450.1]}},
+            "electrodes 14 and 15 overlap",
+        ),
+        ({"electrodes": {"arc_length_mm": [1 + 31.25 * k for k in range(16)]}}, "at least 2 mm from every corner"),
+        ({"electrodes": {"arc_length_mm": [500 - 31.25 * k - 1 for k in range(16)]}}, "counter-clockwise"),
+        ({"electrodes": {"arc_length_mm": [12.5 + 33 * k for k in range(16)]}}, "below 500"),
+        ({"bend": {"skew": 1.5}}, "is 1.5; it must be at most 1"),
+        ({"bend": {"angle_deg": 400}}, "folds the sheet through itself"),
+        ({"bend": {"stretch_along": -1}}, "is -1; it must be at least 0.2"),
+        ({"bend": {"stretch_across": 6}}, "is 6; it must be at most 5"),
+        ({"bend": {"stretch_along": 4, "stretch_across": 0.5}}, "ratio is 8, it must be from 0.2 to 5"),
+        ({"bend": {"nonuniformity": 1.1}}, "is 1.1; it must be below stretch_along = 1"),
+        ({"bend": {"bumps_mm": [[75, 50, 6, 0]]}}, r"\(sigma\) is 0; it must be above 0"),
+        ({"bend": {"bumps_mm": [[75, 50, 6]]}}, "has 3 numbers; it must have 4"),
+        ({"electrodes": {"arc_length_mm": [12.5] * 15}}, "has 15 numbers; it must have 16"),
+        ({"electrodes": {"contact_impedance_ohm_m2": 0}}, "is 0; it must be above 0"),
+        ({"electrodes": {"size_mm": 60}}, "is 60; it must be at most 50"),
+        ({"touches": [{"polygon_mm": [[20, 20], [60, 20], [60, 60], [40, 20], [20, 60]]}]}, "or touches itself"),
+        ({"touches": [{"polygon_mm": [[20, 20], [60, 20], [40, 20], [40, 60]]}]}, "or touches itself"),
+        ({"touches": [{"polygon_mm": [[20, 20], [40, 40], [60, 20], [60, 60], [40, 40], [20, 60]]}]}, "touches itself"),
+        ({"touches": [{"polygon_mm": [[20, 20], [60, 60]]}]}, "has 2 corners; it must have at least 3"),
+        ({"touches": [{"units": []}]}, "is empty; name at least one unit"),
+        ({"touches": [{"units": [[3.5, 3]]}]}, r"is \[3\.5, 3\]; column must be an integer"),
+        ({"touches": [{"conductivity_S_per_m": 50}]}, "no shape"),
+        ({"element_size_mm": 0}, "is 0; it must be above 0"),
+        ({"element_size_mm": 60}, "it must be at most 12.5"),
+        ({"current_A": float("nan")}, "must be finite"),
+        ([], "expected an object"),
+    ],
+)
+def test_bad_scene_is_refused_with_what_was_found_and_the_bound(scene: object, says: str) -> None:
+    with pytest.raises(SceneError, match=says):
+        parse_scene(scene)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"bend": {}, "bend": {}}', "stands twice"),
+        ('{"current_A": NaN}', "NaN"),
+        ("{", "is not JSON"),
+        ("[" * 100_000, "is not"),
+    ],
+)
+def test_bad_json_is_refused(tmp_path: Path, text: str, says: str) -> None:
+    path = tmp_path / "scene.json"
+    path.write_text(text)
+    with pytest.raises(SceneError, match=says):
+        load_scene(path)
+
+
+def test_patches_that_meet_in_a_corner_are_refused_though_their_centres_are_far_enough_apart() -> None:
+    positions = [150 - 2.5, 150 + 2.5] + [180.0 + 21 * k for k in range(14)]
+    with pytest.raises(SceneError, match=r"overlap in a corner by 3\.5 x 3\.5 mm"):
+        parse_scene({"electrodes": {"arc_length_mm": positions}})
+    parse_scene({"electrodes": {"arc_length_mm": positions, "contact": "edge"}})
+
+
+def test_phantoms_keep_name_and_truth() -> None:
+    (phantom,) = parse_phantoms([{"name": "a", "truth": "units", "scene": {"touches": [{"units": [[3, 4]]}]}}])
+    assert (phantom.name, phantom.truth) == ("a", "units")
+    with pytest.raises(SceneError, match="'units' or 'area'"):
+        parse_phantoms([{"truth": "pixels"}])

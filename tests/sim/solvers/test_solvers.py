@@ -1,0 +1,210 @@
+"""Classical solvers against closed forms: normal equations, optimality conditions, a likelihood that must rise."""
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
+from eitskin_sim.solvers import bounded, sbl
+from eitskin_sim.solvers.bounded import bounded_minimum, inverse
+from eitskin_sim.solvers.l1 import l1_image
+from eitskin_sim.solvers.operators import SATURATED, build_operators, linear_data, log_data
+from eitskin_sim.solvers.sbl import bounded_map, learn, sbl_image, windows_of
+from eitskin_sim.solvers.tikhonov import tikhonov_matrix
+
+
+def problem(rows=20, cells=30, seed=0):
+    rng = np.random.default_rng(seed)
+    return rng.standard_normal((rows, cells)), rng.standard_normal(rows)
+
+
+@pytest.fixture(scope="module")
+def units():
+    return build_operators(cells="units")
+
+
+@pytest.mark.parametrize("power", [0.0, 0.5, 1.0])
+def test_tikhonov_solves_the_stacked_least_squares(power):
+    operator, data = problem()
+    weight = np.linalg.norm(operator, axis=0) ** power
+    strength = 1e-3 * np.linalg.norm(operator / weight, 2) ** 2
+    stacked = np.concatenate([operator, np.sqrt(strength) * np.diag(weight)])
+    expected = np.linalg.lstsq(stacked, np.concatenate([data, np.zeros(30)]), rcond=None)[0]
+    # Two solvers of a system with a condition of 1e3: twelve digits.
+    assert np.allclose(tikhonov_matrix(operator, 1e-3, power) @ data, expected, rtol=1e-10, atol=1e-12)
+
+
+def test_tikhonov_of_orthonormal_rows_is_the_transpose_shrunk():
+    operator = np.linalg.qr(np.random.default_rng(1).standard_normal((30, 20)))[0].T
+    assert np.allclose(tikhonov_matrix(operator, 0.25, 0.0), operator.T / 1.25, atol=1e-12)
+
+
+@pytest.mark.parametrize("factor", [0.0, -1.0, float("nan")])
+def test_tikhonov_without_regularisation_is_refused(factor):
+    with pytest.raises(ValueError, match="above 0"):
+        tikhonov_matrix(np.eye(3), factor)
+
+
+@pytest.mark.parametrize("upper", [np.inf, 0.3])
+@pytest.mark.parametrize("factor", [0.5, 0.1, 0.01])
+def test_l1_meets_its_optimality_conditions(factor, upper):
+    operator, data = problem()
+    image = l1_image(operator, data, factor=factor, upper=upper, iterations=20_000)
+    slope = operator.T @ (operator @ image - data) + factor * np.abs(operator.T @ data).max()
+    free = (image > 0.0) & (image < upper)
+    assert np.abs(slope[free]).max(initial=0.0) < 1e-6
+    assert slope[image == 0.0].min(initial=0.0) > -1e-6
+    assert slope[image == upper].max(initial=0.0) < 1e-6
+    assert image.min() >= 0.0
+    assert image.max() <= upper
+
+
+def test_l1_of_an_orthonormal_operator_is_soft_thresholding():
+    data = np.array([3.0, -2.0, 0.5, 0.05])
+    assert np.allclose(l1_image(np.eye(4), data, factor=0.1), np.maximum(data - 0.3, 0.0), atol=1e-12)
+
+
+def test_l1_at_full_penalty_leaves_nothing_and_one_step_below_leaves_something():
+    operator, data = problem()
+    largest = np.abs(operator.T @ data).max() / (operator.T @ data).max()  # the penalty counts both signs
+    assert not l1_image(operator, data, factor=1.0).any()
+    assert l1_image(operator, data, factor=0.9 / largest).any()
+
+
+def test_l1_steps_never_end_above_the_start():
+    operator, data = problem(seed=3)
+
+    def cost(image):
+        penalty = 0.05 * np.abs(operator.T @ data).max()
+        return 0.5 * np.sum((operator @ image - data) ** 2) + penalty * image.sum()
+
+    costs = [cost(l1_image(operator, data, factor=0.05, iterations=n)) for n in (0, 5, 50, 400, 4000)]
+    assert np.all(np.diff(costs) <= 1e-9)
+
+
+def test_windows_cover_every_cell_of_the_grid():
+    cells = windows_of((9, 14))
+    assert cells.shape == (8 * 13, 4)
+    assert cells[0].tolist() == [0, 1, 14, 15]
+    assert np.array_equal(np.unique(cells), np.arange(126))
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_likelihood_rises_with_every_step_without_coupling(seed):
+    operator, data = problem(20, 30, seed)
+    found = learn(operator, data, (5, 6), coupling=0.0, iterations=30, tolerance=0.0)
+    steps = np.diff(found.log_likelihood)
+    assert len(steps) == 30
+    assert steps.min() > -1e-8 * np.abs(found.log_likelihood).max()
+
+
+def test_posterior_mean_is_the_regularised_least_squares_under_the_learned_prior():
+    operator, data = problem()
+    found = learn(operator, data, (5, 6))
+    precision = operator.T @ operator / found.noise_variance + np.linalg.inv(found.covariance)
+    expected = np.linalg.solve(precision, operator.T @ data / found.noise_variance)
+    assert np.allclose(found.mean, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_traces_of_windows_are_those_of_the_dense_formula():
+    operator, _ = problem(20, 30)
+    cells, block = windows_of((5, 6)), np.linalg.inv(np.eye(4) + 0.3)
+    gram = operator.T @ operator
+    expected = [np.trace(block @ gram[np.ix_(window, window)]) for window in cells]
+    assert np.allclose(sbl._window_traces(operator, cells, block), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize("upper", [np.inf, 0.2])
+def test_bounded_map_meets_its_optimality_conditions(upper):
+    operator, data = problem(30, 20)
+    rng = np.random.default_rng(7)
+    root = rng.standard_normal((20, 20))
+    covariance = root @ root.T / 20 + 0.1 * np.eye(20)
+    image = bounded_map(operator, data, covariance, 0.5, upper)
+    slope = operator.T @ (operator @ image - data) / 0.5 + np.linalg.solve(covariance, image)
+    free = (image > 0.0) & (image < upper)
+    assert free.any()
+    assert np.abs(slope[free]).max() < 1e-6  # the covariance's floor of 1e-9 is in it
+    assert slope[image == 0.0].min(initial=0.0) > -1e-6
+    assert slope[image == upper].max(initial=0.0) < 1e-6
+
+
+@pytest.mark.parametrize("rounds", [1, 25])
+@pytest.mark.parametrize("upper", [np.inf, 1.0, 0.05])
+@pytest.mark.parametrize("seed", range(6))
+def test_bounded_minimum_is_found_by_either_way_of_changing_cells(monkeypatch, seed, upper, rounds):
+    rng = np.random.default_rng(seed)
+    root = rng.standard_normal((40, 40)) * np.exp(rng.uniform(-3, 3, 40))  # scales of cells differ 400-fold
+    hessian, linear = root.T @ root + 1e-3 * np.eye(40), root.T @ rng.standard_normal(40)
+    monkeypatch.setattr(bounded, "ROUNDS", rounds)
+    image = bounded_minimum(hessian, linear, upper)
+    size = np.sqrt(np.diag(hessian))
+    slope = (hessian @ image - linear) / size  # in units where every cell is worth the same
+    free = (image > 0.0) & (image < upper)
+    assert np.abs(slope[free]).max(initial=0.0) < 1e-8 * np.abs(linear / size).max()
+    assert slope[image == 0.0].min(initial=0.0) > -1e-8
+    assert slope[image == upper].max(initial=0.0) < 1e-8
+
+
+def test_bounded_minimum_of_separate_cells_is_clipping():
+    assert np.allclose(bounded_minimum(np.diag([1.0, 4.0, 2.0]), np.array([-1.0, 2.0, 9.0]), 3.0), [0.0, 0.5, 3.0])
+
+
+def test_quadratic_that_is_not_positive_definite_is_refused():
+    with pytest.raises(ValueError, match="diagonal falls to -1"):
+        bounded_minimum(np.diag([1.0, -1.0]), np.ones(2))
+    with pytest.raises(ValueError, match="not positive definite at row 2"):
+        inverse(np.array([[1.0, 2.0], [2.0, 1.0]]))
+    with pytest.raises(ValueError, match="must be above 0"):
+        bounded_minimum(np.eye(2), np.ones(2), 0.0)
+
+
+def test_inverse_is_the_inverse():
+    root = np.random.default_rng(0).standard_normal((30, 30))
+    matrix = root @ root.T + np.eye(30)
+    assert np.allclose(inverse(matrix) @ matrix, np.eye(30), atol=1e-10)
+
+
+def test_no_data_gives_an_empty_image_and_a_wrong_grid_is_refused():
+    operator, data = problem()
+    assert not sbl_image(operator, np.zeros(20), (5, 6)).any()
+    with pytest.raises(ValueError, match="30 cells, the grid 4 x 6"):
+        sbl_image(operator, data, (4, 6))
+
+
+@pytest.mark.parametrize("unit", [0, 60, 125, 13])
+def test_every_solver_finds_a_faint_touch_where_it_is(units, unit):
+    # A change too small to saturate is what the operators linearise: data made of one column has one answer.
+    data = 0.5 * units.relative_jacobian[:, unit]
+    for image in (
+        l1_image(units.relative_jacobian, data, upper=SATURATED),
+        sbl_image(units.relative_jacobian, data, units.shape, upper=SATURATED),
+    ):
+        assert int(np.argmax(image)) == unit
+    tikhonov = tikhonov_matrix(units.relative_jacobian, 1e-8) @ data
+    assert int(np.argmax(tikhonov)) == unit
+
+
+def test_pixels_add_up_to_the_whole_sheet_as_units_do(units):
+    # Raising the conductivity everywhere is one change, however the sheet is cut up.
+    pixels = build_operators(cells="pixels")
+    whole = pixels.relative_jacobian.sum(axis=1)
+    assert np.allclose(whole, units.relative_jacobian.sum(axis=1), rtol=5e-3)
+    # V goes as 1 / sigma but for the contact impedance, which takes a few thousandths.
+    assert np.allclose(whole, -1.0, atol=5e-3)
+
+
+def test_units_are_drawn_on_their_pixels(units):
+    values = np.arange(126, dtype=np.float64)
+    assert np.array_equal(units.to_map(values), UNIT_OF_PIXEL)
+
+
+def test_data_of_the_reference_itself_is_zero_and_logarithms_are_cut_off():
+    reference = -np.linspace(1.0, 2.0, 104)
+    assert np.abs(linear_data(reference, reference)).max() < 1e-15
+    assert np.abs(log_data(reference, reference)).max() < 1e-15
+    assert np.allclose(log_data(-1e-9 * reference, reference), np.log(1e-3))
+
+
+def test_unknown_cells_are_refused():
+    with pytest.raises(ValueError, match="'voxels'"):
+        build_operators(cells="voxels")

@@ -1,0 +1,300 @@
+"""Raw scans, in any pose and without order, become the ordered cloud."""
+
+import json
+import struct
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+
+from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_proto.sensor.grid import GRID_SHAPE, pixel_centres_mm
+from eitskin_sim.scene import bend as bends
+from eitskin_sim.scene.scene import Bend, Sheet
+from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
+from eitskin_sim.surface.point_files import ScanFileError, read_points
+from eitskin_tools import cli
+
+SHEET = Sheet()
+
+
+class Raw:
+    """A scan of a bend as a scanner would give it, with the pose that nobody tells."""
+
+    def __init__(self, bend, count=20_000, *, noise_mm=0.1, outliers=0.01, holes=(), seed=0):
+        rng = np.random.default_rng(seed)
+        self.bend = bend
+        xy = rng.uniform((0.0, 0.0), SHEET.size_mm, (count, 2))
+        for x, y, radius in holes:
+            xy = xy[np.hypot(xy[:, 0] - x, xy[:, 1] - y) > radius]
+        points = bends.surface(bend, SHEET, xy) + noise_mm * rng.standard_normal((len(xy), 3))
+        stray = rng.choice(len(points), int(outliers * len(points)), replace=False)
+        points[stray] = rng.uniform(points.min(axis=0) - 20, points.max(axis=0) + 20, (len(stray), 3))
+        turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        self.turn = turn * np.sign(np.linalg.det(turn))
+        self.shift = rng.uniform(-300, 300, 3)
+        self.points = rng.permutation(self.to_scan(points))
+
+    def to_scan(self, points):
+        return points @ self.turn.T + self.shift
+
+    def corner(self, x=0.0, y=0.0):
+        return tuple(self.to_scan(bends.surface(self.bend, SHEET, np.array([[x, y]])))[0] + (3.0, -4.0, 2.0))
+
+    def off_and_along(self, result):
+        """(1350,) mm off the true surface, and (1350, 2) flat mm between each point's foot and its pixel's centre."""
+        in_scan = (result.cloud_mm.reshape(3, -1).T - result.translation_mm) @ result.rotation
+        points = (in_scan - self.shift) @ self.turn
+        flat = np.stack(np.meshgrid(np.linspace(0, 150, 76), np.linspace(0, 100, 51)), -1).reshape(-1, 2)
+        foot = flat[cKDTree(bends.surface(self.bend, SHEET, flat)).query(points)[1]]
+        for _ in range(4):  # Gauss-Newton to the foot of the perpendicular
+            here = bends.surface(self.bend, SHEET, foot)
+            sides = [(bends.surface(self.bend, SHEET, foot + step) - here) / 1e-4 for step in ((1e-4, 0), (0, 1e-4))]
+            slope = np.stack(sides, axis=-1)
+            gram = np.swapaxes(slope, 1, 2) @ slope
+            right = np.einsum("nij,ni->nj", slope, points - here)
+            foot = foot + np.linalg.solve(gram, right[..., None])[..., 0]
+        off = np.linalg.norm(points - bends.surface(self.bend, SHEET, foot), axis=1)
+        return off, foot - pixel_centres_mm().reshape(-1, 2)
+
+
+BENDS = {
+    "flat": Bend(),
+    "half a turn, stretched": Bend(angle_deg=180, stretch_along=1.19, stretch_across=0.957),
+    "300 degrees on a slanted axis": Bend(angle_deg=300, axis_deg=15),
+    "skewed": Bend(angle_deg=150, axis_deg=25, skew=0.6, stretch_along=1.1),
+    "twisted": Bend(angle_deg=120, axis_deg=-20, skew=-0.4, twist_deg=25, stretch_along=1.1),
+    "rolled the other way": Bend(angle_deg=90, axis_deg=90),
+    "bumps": Bend(angle_deg=90, axis_deg=10, twist_deg=-20, bumps_mm=((40, 60, 6, 15), (110, 40, -6, 12))),
+}
+
+
+@pytest.mark.parametrize("bend", BENDS.values(), ids=BENDS.keys())
+def test_cloud_lies_on_the_true_surface_within_a_twentieth_of_a_millimetre(bend):
+    raw = Raw(bend, 30_000)
+    result = ordered_cloud.organise(raw.points, raw.corner())
+    off, _ = raw.off_and_along(result)
+    assert np.sqrt(np.mean(off**2)) < 0.05
+    assert result.noise_mm == pytest.approx(0.1, rel=0.15)
+    assert result.outliers == pytest.approx(0.01 * result.points, rel=0.2)
+
+
+@pytest.mark.parametrize("name", ["flat", "half a turn, stretched", "300 degrees on a slanted axis", "skewed"])
+def test_evenly_stretched_sheet_gets_every_point_at_its_pixel(name):
+    # Arc length is material there. What is left is the outline: 30,000 points place a side within about 0.2 mm.
+    raw = Raw(BENDS[name], 30_000)
+    _, along = raw.off_and_along(ordered_cloud.organise(raw.points, raw.corner()))
+    assert np.sqrt(np.mean(along**2)) < 0.25
+
+
+def test_pose_and_order_of_the_points_do_not_change_the_cloud():
+    raw = Raw(BENDS["skewed"], 20_000)
+    first = ordered_cloud.organise(raw.points, raw.corner())
+    rng = np.random.default_rng(5)
+    turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+    turn *= np.sign(np.linalg.det(turn))
+    moved = rng.permutation(raw.points) @ turn.T + 50.0
+    second = ordered_cloud.organise(moved, tuple(np.array(raw.corner()) @ turn.T + 50.0))
+    # The points fall into other cubes: the same surface, from the same noise, within that noise.
+    assert np.abs(first.cloud_mm - second.cloud_mm).max() < 0.5
+    assert np.sqrt(np.mean((first.cloud_mm - second.cloud_mm) ** 2)) < 0.1
+
+
+def test_rotation_and_translation_carry_the_scan_onto_the_cloud():
+    raw = Raw(BENDS["twisted"], 20_000, outliers=0.0)
+    result = ordered_cloud.organise(raw.points, raw.corner())
+    assert np.allclose(result.rotation @ result.rotation.T, np.eye(3), atol=1e-9)
+    assert np.linalg.det(result.rotation) == pytest.approx(1.0, abs=1e-9)
+    moved = raw.points @ result.rotation.T + result.translation_mm
+    gap = cKDTree(moved).query(result.cloud_mm.reshape(3, -1).T)[0]
+    assert np.median(gap) < 0.6  # 20,000 points on 15,000 mm^2 are 0.87 mm apart
+    assert np.allclose(align_cloud(result.cloud_mm), result.cloud_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize(("x", "y", "flips"), [(0, 0, ""), (150, 0, "x"), (0, 100, "y"), (150, 100, "xy")])
+def test_corner_hint_decides_between_all_four_ways_to_lay_the_grid(x, y, flips):
+    raw = Raw(BENDS["skewed"], 20_000)
+    straight = ordered_cloud.organise(raw.points, raw.corner())
+    turned = ordered_cloud.organise(raw.points, raw.corner(x, y))
+    expected = straight.cloud_mm
+    expected = expected[:, :, ::-1] if "x" in flips else expected
+    expected = expected[:, ::-1, :] if "y" in flips else expected
+    assert turned.corner == "given"
+    assert np.allclose(turned.cloud_mm, align_cloud(expected), atol=1e-6)
+
+
+def test_without_a_hint_the_scanner_frame_decides_and_the_result_says_so():
+    raw = Raw(BENDS["skewed"], 20_000)
+    tilted = (raw.points - raw.shift) @ raw.turn  # back in the sheet's own frame, then tilted by 40 degrees
+    angle = np.deg2rad(40)
+    tilt = np.array([[1, 0, 0], [0, np.cos(angle), -np.sin(angle)], [0, np.sin(angle), np.cos(angle)]])
+    result = ordered_cloud.organise(tilted @ tilt.T)
+    hinted = ordered_cloud.organise(raw.points, raw.corner())
+    assert result.corner == "scanner frame"
+    assert np.sqrt(np.mean((result.cloud_mm - hinted.cloud_mm) ** 2)) < 0.1
+
+
+def test_corner_hint_in_the_middle_is_refused_with_both_distances():
+    raw = Raw(BENDS["flat"], 5_000)
+    with pytest.raises(ordered_cloud.ScanError, match="two nearest corners"):
+        ordered_cloud.organise(raw.points, raw.corner(75, 50))
+
+
+def test_holes_up_to_15_mm_are_filled_even_at_the_border():
+    raw = Raw(Bend(angle_deg=120), 40_000, holes=((50, 50, 7.3), (0, 60, 7.0), (150, 100, 6.0), (100, 0, 5.0)))
+    result = ordered_cloud.organise(raw.points, raw.corner())
+    off, along = raw.off_and_along(result)
+    assert 10.0 < result.largest_hole_mm < 16.0
+    assert np.sqrt(np.mean(off**2)) < 0.05
+    assert np.sqrt(np.mean(along**2)) < 0.25
+
+
+@pytest.mark.parametrize("radius", [9.0, 14.0])
+def test_larger_hole_is_refused_with_its_size(radius):
+    raw = Raw(Bend(angle_deg=60), 40_000, holes=((80, 40, radius),))
+    with pytest.raises(ordered_cloud.ScanError, match=r"hole of (\d+\.\d) mm; at most 15 mm") as caught:
+        ordered_cloud.organise(raw.points, raw.corner())
+    size = float(str(caught.value).split("hole of ")[1].split(" mm")[0])
+    assert size == pytest.approx(2 * radius, abs=2.0)  # pixels of 1.5 mm
+
+
+def test_part_of_the_sheet_is_refused_with_its_size():
+    raw = Raw(Bend(), 30_000)
+    local = (raw.points - raw.shift) @ raw.turn
+    with pytest.raises(ordered_cloud.ScanError, match=r"expected 105 to 225 mm"):
+        ordered_cloud.organise(local[local[:, 0] < 80])
+
+
+def test_scan_in_metres_or_of_nothing_is_refused():
+    raw = Raw(Bend(), 5_000)
+    with pytest.raises(ordered_cloud.ScanError, match="millimetres"):
+        ordered_cloud.organise(raw.points / 1000)
+    with pytest.raises(ordered_cloud.ScanError, match="at least 1500"):
+        ordered_cloud.organise(raw.points[:100])
+    with pytest.raises(ordered_cloud.ScanError, match="shape"):
+        ordered_cloud.organise(raw.points[:, :2])
+    rng = np.random.default_rng(1)
+    with pytest.raises(ordered_cloud.ScanError, match=r"does not show the sheet|expected"):
+        ordered_cloud.organise(rng.uniform(0, 100, (5_000, 3)))
+
+
+def test_arc_length_makes_an_uneven_drawing_even():
+    # A cylinder drawn with crowded lines: after redrawing, neighbours along a row are equally far apart.
+    u, v = np.linspace(0, 1, 34) ** 1.3, np.linspace(0, 1, 23) ** 0.8
+    angle, y = np.meshgrid(np.pi * u, 100 * v)
+    even = smooth_surface.by_arc_length(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)]))
+    steps = np.linalg.norm(np.diff(even, axis=2), axis=0)
+    assert even.shape == (3, *GRID_SHAPE)
+    assert np.ptp(steps) < 0.01 * steps.mean()
+    assert steps.mean() == pytest.approx(2 * 48 * np.sin(np.pi / 90), rel=1e-3)
+    assert smooth_surface.side_lengths_mm(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)])) == pytest.approx(
+        (48 * np.pi, 100.0), rel=1e-4
+    )
+
+
+def test_thin_plate_fit_reproduces_a_plane_exactly_and_a_bump_closely():
+    rng = np.random.default_rng(3)
+    places = rng.uniform((0, 0), (150, 100), (30_000, 2)).T
+    plane = np.stack([places[0], places[1], 0.3 * places[0] - 0.2 * places[1] + 7.0])
+    fitted = smooth_surface.fit_surface(places, plane, (150.0, 100.0))
+    x, y = np.meshgrid(*(np.linspace(0, s, n) for s, n in zip((150, 100), smooth_surface.NODES, strict=True)))
+    assert np.abs(fitted - [x, y, 0.3 * x - 0.2 * y + 7.0]).max() < 1e-6
+
+    def bump(u, v):
+        return 6.0 * np.exp(-((u - 75) ** 2 + (v - 50) ** 2) / (2 * 12.0**2))
+
+    raised = smooth_surface.fit_surface(places, np.stack([places[0], places[1], bump(*places)]), (150.0, 100.0))
+    assert np.abs(raised[2] - bump(x, y)).max() < 0.05
+
+
+def write_ply(path, points, form):
+    header = f"ply\nformat {form} 1.0\ncomment made by hand\nelement vertex {len(points)}\n"
+    header += "property float x\nproperty double y\nproperty float z\nproperty uchar red\nelement face 1\n"
+    header += "property list uchar int vertex_indices\nend_header\n"
+    if form == "ascii":
+        body = "".join(f"{x:.6f} {y:.6f} {z:.6f} 200\n" for x, y, z in points) + "3 0 1 2\n"
+        path.write_bytes((header + body).encode())
+        return
+    order = "<" if "little" in form else ">"
+    rows = b"".join(struct.pack(f"{order}fdfB", x, y, z, 200) for x, y, z in points)
+    path.write_bytes(header.encode() + rows + struct.pack(f"{order}B3i", 3, 0, 1, 2))
+
+
+@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_files_of_all_three_forms_hold_the_same_points(tmp_path, form):
+    points = np.random.default_rng(0).uniform(-200, 200, (50, 3))
+    write_ply(tmp_path / "scan.ply", points, form)
+    assert np.allclose(read_points(tmp_path / "scan.ply"), points, atol=2e-5)  # float32 of 200 mm
+
+
+def test_text_and_array_files_are_read(tmp_path):
+    points = np.random.default_rng(0).uniform(-200, 200, (50, 6))
+    np.save(tmp_path / "scan.npy", points.astype(np.float32))
+    assert np.allclose(read_points(tmp_path / "scan.npy"), points[:, :3], atol=2e-5)
+    np.savetxt(tmp_path / "scan.xyz", points, delimiter=",", header="x y z nx ny nz")
+    assert np.allclose(read_points(tmp_path / "scan.xyz"), points[:, :3])
+
+
+BROKEN = {
+    "empty.ply": b"",
+    "no_end.ply": b"ply\nformat ascii 1.0\nelement vertex 3\n",
+    "short.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+    b"end_header\n1 2 3\n",
+    "cut.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
+    b"property float z\nend_header\n\0\0\0\0",
+    "no_z.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nend_header\n1 2\n",
+    "words.xyz": b"1 2 3\nfour five six\n",
+    "ragged.xyz": b"1 2 3\n4 5\n",
+    "binary.xyz": b"\xff\xfe\x00\x01",
+    "pickle.npy": b"\x93NUMPY\x01\x00v\x00",
+    "scan.obj": b"v 1 2 3\n",
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys):
+    (tmp_path / name).write_bytes(BROKEN[name])
+    with pytest.raises(ScanFileError, match=name.replace(".", r"\.")):
+        read_points(tmp_path / name)
+    assert cli.main(["scan", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert len(captured.err.strip().splitlines()) == 1
+    assert not (tmp_path / "cloud.npz").exists()
+
+
+def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
+    raw = Raw(BENDS["half a turn, stretched"], 8_000)
+    np.save(tmp_path / "scan.npy", raw.points)
+    corner = [f"{value:.2f}" for value in raw.corner()]
+    words = ["scan", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz"), "--json", "--corner", *corner]
+    assert cli.main(words) == 0
+    report = json.loads(capsys.readouterr().out)
+    cloud = ordered_cloud.load_cloud(tmp_path / "cloud.npz")
+    assert cloud.shape == (3, *GRID_SHAPE)
+    assert report["points"] == 8_000
+    assert report["corner"] == "given"
+    assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)
+
+
+def test_file_that_is_no_cloud_is_refused(tmp_path):
+    np.savez(tmp_path / "other.npz", cloud=np.zeros((3, 30, 45)))
+    (tmp_path / "junk.npz").write_bytes(b"not a zip")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "other.npz").read_bytes()[:400])
+    for name in ("other.npz", "junk.npz", "cut.npz"):
+        with pytest.raises(ordered_cloud.ScanError, match="eitskin scan"):
+            ordered_cloud.load_cloud(tmp_path / name)
+
+
+# A closed form loses half of the digits only where two eigenvalues meet, which a sheet's neighbourhoods never do.
+def test_normals_in_closed_form_are_lapacks() -> None:
+    rng = np.random.default_rng(3)
+    steps = rng.normal(size=(200, 30, 3)) * [4.0, rng.uniform(2.0, 4.0), 0.3]
+    turn = np.linalg.qr(rng.normal(size=(200, 3, 3)))[0]
+    steps = steps @ turn
+    steps[0, :, 2] = 0.0  # flat without any noise
+    moments = np.swapaxes(steps, 1, 2) @ steps
+    exact = np.linalg.eigh(moments)[1][:, :, 0]
+    found = unroll._least_axis(moments)
+    assert np.linalg.norm(found, axis=1) == pytest.approx(np.ones(200), abs=1e-12)
+    assert np.abs(np.sum(found * exact, axis=1)) == pytest.approx(np.ones(200), abs=1e-9)

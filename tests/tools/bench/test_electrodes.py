@@ -1,0 +1,170 @@
+"""Failing electrodes from the circuit to the report: the benchmark's streams, and ``eitskin doctor --electrodes``."""
+
+import json
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.diagnostics.electrode_checkup import ADVICE, Recording, check_up, load_recording
+from eitskin.errors import BadReference
+from eitskin.health.imputation import Consistency
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin_proto.sensor.table import TABLE
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure
+from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.parts import Bend, Scene, Touch
+from eitskin_sim.scene.shapes import Rect
+from eitskin_tools.bench.electrodes import detection, drift
+from eitskin_tools.bench.electrodes import gate as gate_bench
+from eitskin_tools.bench.electrodes.accuracy import lost_sets
+from eitskin_tools.bench.skip import scenes
+from eitskin_tools.cli import main
+
+
+@cache
+def consistency() -> Consistency:
+    arrays = load_bundle(default_path("units")).consistency_arrays()
+    if arrays is None:
+        pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
+    return Consistency.of(arrays)
+
+
+@cache
+def flat() -> np.ndarray:
+    return detection.flat_response()
+
+
+@cache
+def moving() -> detection.Stream:
+    return detection.stream("A", 3, 3, covering=True)
+
+
+def frames(fault: Fault | None, count: int = 40, current_A: float = 1e-3) -> np.ndarray:
+    """Return (count, 104) V of a sheet that bends and is touched, on an electrode too."""
+    rng, clean = np.random.default_rng(1), measure(flat(), table=TABLE)
+    faults = () if fault is None else (fault,)
+    shown = [measure(moving().at(frame), faults, table=TABLE, rng=rng) for frame in range(count)]
+    return current_A * np.array([add_noise(volts, clean, "N2", 50.0, rng) for volts in shown])
+
+
+@pytest.mark.parametrize(
+    ("fault", "states"),
+    [
+        (None, {}),
+        (Detached(5), {5: "detached"}),
+        (Shorted(8, 9), {8: "shorted", 9: "shorted"}),
+        (Swapped(12, 13), {12: "swapped", 13: "swapped"}),
+    ],
+)
+def test_doctor_tells_a_failure_without_any_reference(fault: Fault | None, states: dict[int, str]) -> None:
+    found = check_up(Recording(frames(fault), None), consistency())
+    assert {one["electrode"]: one["state"] for one in found["electrodes"] if one["state"] != "well"} == states
+    assert len(found["electrodes"]) == 16
+    assert all(one["to_do"] == ADVICE[one["state"]] for one in found["electrodes"])
+
+
+def test_a_row_that_differs_from_its_reciprocal_is_reported() -> None:
+    gap = np.full(104, 0.003)
+    gap[(TABLE == 4).any(axis=1) | (TABLE == 3).any(axis=1)] = 0.2
+    found = check_up(Recording(frames(None), gap), consistency())
+    assert [one["electrode"] for one in found["electrodes"] if one["state"] == "not reciprocal"] == [4]
+
+
+def test_doctor_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    consistency()
+    path = tmp_path / "recorded.npy"
+    np.save(path, frames(Detached(5)))
+    bundle = str(default_path("units"))
+    assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["electrodes"][5]["state"] == "detached"
+    assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle]) == 0
+    assert "electrode  5  detached" in capsys.readouterr().out
+
+
+def test_doctor_asks_for_frames(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--electrodes"]) == 2
+    assert "--port PORT or --recorded" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("shape", [(3, 104), (40, 103), (104,)])
+def test_frames_of_another_shape_are_refused(shape: tuple[int, ...], tmp_path: Path) -> None:
+    path = tmp_path / "wrong.npy"
+    np.save(path, np.zeros(shape))
+    with pytest.raises(BadReference, match="104"):
+        load_recording(path)
+
+
+def test_moving_streams_name_failures_in_time_and_nothing_else() -> None:
+    healthy = detection.false_alarms(consistency(), flat(), [moving()], "N2", 50.0)
+    assert sum(row["named"] for row in healthy) == 0
+    each = [row for row in healthy if row["what"] == "false alarms"]
+    assert sum(row["frames"] for row in each) == 2 * moving().frames, "104 rows and 208"
+    together = [row for row in healthy if row["what"] == "false alarms together"]
+    assert [row["frames"] for row in together] == [moving().frames] * 2
+    assert together[0]["interval_95"][1] == pytest.approx(3.0e6 / moving().frames, rel=0.01)
+    rows = detection.detection(consistency(), flat(), [moving()], "N2", 50.0, electrodes=(2, 9))
+    assert {row["what"] for row in rows} == set(detection.FAILURES)
+    for row in rows:
+        assert row["named_in_time"] == 1.0, row
+
+
+def test_what_counts_as_named_rightly() -> None:
+    assert detection.expected(Shorted(15, 0)) == {(15, "shorted"), (0, "shorted")}
+    assert detection.expected(Noisy(3)) == {(3, "noisy")}
+    assert detection.expected(Detached(7), reciprocal=True) == {(7, "not reciprocal")}
+
+
+def test_intervals_of_events_and_of_shares_are_the_exact_ones() -> None:
+    # Poisson: P(0 | mean) = 0.05 at the upper end of none; P(>= n | low) = P(<= n | high) = 0.025 otherwise
+    assert detection.events_interval(0) == (0.0, pytest.approx(-np.log(0.05)))
+    low, high = detection.events_interval(2)
+    assert 1.0 - np.exp(-low) * (1.0 + low) == pytest.approx(0.025)
+    assert np.exp(-high) * (1.0 + high + high**2 / 2.0) == pytest.approx(0.025)
+    assert drift.share_interval(0, 10)[1] == pytest.approx(1.0 - 0.05**0.1, abs=1e-4)
+    low, high = drift.share_interval(1, 10)
+    assert 1.0 - (1.0 - low) ** 10 == pytest.approx(0.025, abs=2e-3)  # printed with four digits
+    assert (1.0 - high) ** 10 + 10 * high * (1.0 - high) ** 9 == pytest.approx(0.025, abs=2e-3)
+    assert drift.share_interval(10, 10)[1] == 1.0
+
+
+def squares(bend: Bend) -> np.ndarray:
+    """Return (3, 104) log(V / V0) of 10 mm squares of the weakest contrast, in the middle of the sheet."""
+    found = []
+    for x in (60.0, 75.0, 90.0):
+        touch = Touch((Rect(x - 5.0, 45.0, x + 5.0, 55.0),), conductivity_S_per_m=20.0)
+        scene = Scene(bend=bend, touches=(touch,), element_size_mm=detection.ELEMENT_MM)
+        found.append(factorise_scene(scene).voltages())
+    return np.log(np.array(found) / measure(flat(), table=TABLE))
+
+
+def test_the_gate_keeps_its_rate_without_electrodes_and_would_not_with_the_networks_rows(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    bent = scenes.bends_of("A", 1)[0]
+    few = {gate_bench.UNTOUCHED: np.concatenate([scenes.still("A", 5), scenes.still("B", 5)])}
+    few |= dict.fromkeys(gate_bench.TOUCHES, np.concatenate([squares(Bend()), squares(bent)]))
+    monkeypatch.setattr(
+        gate_bench, "_logs", lambda bends, probed: few
+    )  # the bench's own touches take ten times as long
+    gate = load_bundle(default_path("units")).gate_arrays()
+    if gate is None:
+        pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
+    rows = gate_bench.honest(dict(gate), consistency(), ("N2",), 50.0, most_sets=1)
+    assert [row["lost"] for row in rows] == [0, 1, 1, 2, 2, 3, 3]
+    runtime = [row for row in rows if row["lost"] and "runtime" in row["rows"]]
+    shared = [row for row in rows if row["lost"] and "runtime" not in row["rows"]]
+    # 480 frames of one electrode gone: at a true 1 % five trip it; frames of a bend trip it together, hence the room
+    assert all(row["false_alarms"] < 0.06 for row in runtime)
+    assert all(row["false_alarms"] > 0.1 for row in shared)
+    assert rows[0]["missed 10 mm, middle"] == 0.0
+    assert runtime[0]["missed 10 mm, middle"] < 0.1
+
+
+def test_sets_of_lost_electrodes_are_all_single_ones_and_the_same_draws() -> None:
+    assert lost_sets(1) == [(electrode,) for electrode in range(16)]
+    assert lost_sets(2, 5) == lost_sets(2, 5)
+    assert len(set(lost_sets(3, 9))) == 9

@@ -1,0 +1,122 @@
+"""The benchmarks' own correctness: variants compute the same map, shares are shares. No time is judged here."""
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin.model.bundle import load_bundle
+from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin_tools.bench.footprint import bench as footprint
+from eitskin_tools.bench.frame import bench as frame
+from eitskin_tools.bench.frame import line_floor
+from eitskin_tools.bench.frame.variants import streamed_bytes, variants
+from eitskin_tools.errors import UsageError
+
+BUNDLE = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
+
+
+def test_the_unsplit_graph_gives_the_map_of_the_split_ones() -> None:
+    pytest.importorskip("onnx", reason="joining the graphs needs the extra 'train'")
+    bundle = load_bundle(BUNDLE)
+    ways, _ = variants(bundle, seed=3)
+    buffers = Buffers(bundle.bias_width)
+    buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    buffers.change[:] = 0.1 * np.random.default_rng(3).standard_normal((1, 104))
+    engines(bundle, buffers)[0].infer()
+    for name in ("unsplit", "onnxruntime-default"):
+        (found,) = ways[name]()  # type: ignore[misc]
+        assert found == pytest.approx(buffers.map, abs=1e-5)  # float32 through another order of sums
+    assert np.ptp(buffers.map) > 1e-3, "a constant map would agree with anything"
+
+
+def test_a_variant_that_cannot_be_had_is_named_with_its_reason() -> None:
+    _, missing = variants(load_bundle(BUNDLE))
+    assert "recipe" in missing["torch-eager"]  # the tiny bundle was made by hand, not trained
+
+
+def test_inference_reports_every_variant_against_ours() -> None:
+    found = frame.inference(BUNDLE, 10)
+    assert found["ours"] == "vd2t"
+    assert found["ratios"]["vd2t"] == 1.0
+    assert set(found["ratios"]) == set(found["inference_us"]) >= {"vd2t", "vd2t-int8", "tikhonov", "bandwidth"}
+    assert found["head_bytes"] == streamed_bytes(load_bundle(BUNDLE))
+    for times in found["inference_us"].values():
+        assert 0 < times["paced"]["p50"] <= times["paced"]["max"]
+        assert 0 < times["warm_cpu"]["p50"] <= times["warm_cpu"]["max"]
+    assert found["torch_over_int8_cpu"] is None  # the tiny bundle names no architecture for torch
+
+
+def test_too_few_frames_for_a_percentile_are_bad_usage() -> None:
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    frame.add_arguments(parser)
+    with pytest.raises(UsageError, match="percentiles"):
+        frame.run(parser.parse_args(["--frames", "5"]))
+
+
+def test_a_core_that_is_not_ours_is_bad_usage() -> None:
+    import argparse
+
+    parser = argparse.ArgumentParser()
+    frame.add_arguments(parser)
+    with pytest.raises(UsageError, match="--core 4096 is not one of this process's CPUs"):
+        frame.run(parser.parse_args(["--core", "4096"]))
+
+
+def test_every_packet_crosses_the_bare_line_once_and_takes_time() -> None:
+    core = min(os.sched_getaffinity(0))
+    found = line_floor.floor_ns(500.0, 50, core)
+    assert len(found) == 50
+    assert (found > 10_000).all(), "two processes were woken in less than 10 us"
+
+
+def test_footprint_measures_fresh_interpreters(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
+    import argparse
+
+    rows = {name: footprint.ROWS[name] for name in ("python", "runtime")}
+    monkeypatch.setattr(footprint, "ROWS", {**rows, "broken": "import no_such_module"})
+    parser = argparse.ArgumentParser()
+    footprint.add_arguments(parser)
+    assert footprint.run(parser.parse_args(["--json", "--repeats", "1", "--bundle", str(BUNDLE)])) == 0
+    found = json.loads(capsys.readouterr().out)
+    python, runtime = found["rows"]
+    assert runtime["rss_mb"] > python["rss_mb"] > 1
+    assert runtime["load_ms"] > python["load_ms"]
+    assert "no_such_module" in found["summary"]["missing"]["broken"]
+
+
+def test_installed_size_counts_the_runtime_with_what_it_needs() -> None:
+    names: set[str] = set()
+    footprint._collect("eitskin", names)
+    assert {"eitskin", "numpy", "onnxruntime", "pyzmq"} <= names
+    assert not names & {"torch", "scipy", "pytest"}
+    assert footprint._installed_mb("python") is None
+
+
+def test_memory_that_stays_says_so_and_memory_that_grows_is_seen() -> None:
+    from eitskin_tools.bench.memory import bench as memory
+
+    def samples(growth: float) -> list[dict[str, float]]:
+        return [{"time_s": t, "rss_mb": 70 + growth * t, "threads": 5, "files": 30 + t % 2} for t in range(100)]
+
+    flat, leaking = memory.summary(samples(0.0)), memory.summary(samples(0.001))
+    assert flat["mb_per_hour"] == pytest.approx(0.0, abs=1e-6)
+    assert leaking["mb_per_hour"] == pytest.approx(3.6, rel=1e-3)
+    assert leaking["rss_mb"] == {"first": 70.03, "last": 70.1, "max": 70.1}
+    assert flat["files"] == [30, 31]
+
+
+def test_memory_looks_at_a_living_process() -> None:
+    import os
+
+    from eitskin_tools.bench.memory import bench as memory
+
+    found = memory.look(os.getpid())
+    assert found["rss_mb"] > 10
+    assert found["files"] >= 3
+    assert found["threads"] >= 1

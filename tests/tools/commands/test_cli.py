@@ -1,0 +1,61 @@
+"""The command line's contract: what is listed, what is imported when, and what exit status and stderr say."""
+
+import subprocess
+import sys
+
+import pytest
+
+from eitskin_tools import cli
+
+
+def eitskin(*words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "eitskin_tools.cli", *words], capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def test_help_lists_every_subcommand_and_imports_none_of_them() -> None:
+    done = eitskin("--help")
+    assert done.returncode == 0
+    listed = [line.split()[0] for line in done.stdout.splitlines() if line[:4].isspace() and line[4:5].isalpha()]
+    assert listed == list(cli.COMMANDS)
+
+
+@pytest.mark.parametrize("name", cli.COMMANDS)
+def test_every_subcommand_explains_itself(name: str) -> None:
+    done = eitskin(name, "--help")
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith(f"usage: eitskin {name}")
+
+
+def test_no_command_is_bad_usage() -> None:
+    done = eitskin()
+    assert done.returncode == 2
+    assert "name a command" in done.stderr
+
+
+def test_an_unknown_command_is_bad_usage() -> None:
+    assert eitskin("reconstruct").returncode == 2
+
+
+def test_version_prints_the_ids_that_artefacts_carry() -> None:
+    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+
+    assert {PROTOCOL_ID, GRID_ID} <= set(eitskin("--version").stdout.split())
+
+
+def test_a_failure_is_one_line_on_stderr_and_exit_1() -> None:
+    done = eitskin("simulate", "/nowhere/scene.json", "--out", "/nowhere/v.npz")
+    assert done.returncode == 1
+    assert done.stdout == ""
+    assert done.stderr.count("\n") == 1
+    assert "/nowhere/scene.json" in done.stderr
+
+
+def test_importing_the_runtime_pulls_in_neither_torch_nor_scipy() -> None:
+    code = (
+        "import sys, eitskin; eitskin.subscribe; eitskin.Skin; "
+        "print([name for name in ('torch', 'scipy') if name in sys.modules])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.strip() == "[]"

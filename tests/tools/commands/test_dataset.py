@@ -1,0 +1,58 @@
+"""``eitskin dataset`` and ``eitskin bench``: usage, refusals and one object on stdout."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from eitskin_tools import cli
+from eitskin_tools.commands.offline.bench import BENCHMARKS, available
+
+
+def test_bad_usage_is_exit_2_with_the_value(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--workers", "0"]) == 2
+    assert "--workers is 0; it must be at least 1" in capsys.readouterr().err
+    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--scheduler", "here"]) == 2
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["dataset", "--set", "mm", "--out", str(tmp_path / "d")])
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_folder_with_other_things_is_exit_1_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "letter.txt").write_text("x")
+    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path)]) == 1
+    said = capsys.readouterr()
+    assert said.out == ""
+    assert said.err.count("\n") == 1
+    assert "is not empty and holds no data set" in said.err
+
+
+def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert cli.main(["dataset", "--set", "paper", "--touch-sets", "99999", "--out", str(tmp_path / "d")]) == 1
+    assert "found 99999, expected 10 to 10259" in capsys.readouterr().err
+    assert not (tmp_path / "d").exists()
+
+
+def test_a_small_set_is_written_and_reported_as_one_object(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    words = ["dataset", "--set", "paper", "--bends", "1", "--touch-sets", "15", "--out", str(tmp_path / "d"), "--json"]
+    assert cli.main(words) == 0
+    said = capsys.readouterr()
+    report = json.loads(said.out)
+    assert report["samples"] == report["made"] == 15
+    assert report["deformations"] == {"train": 1, "kept": 0, "other": 0}
+    assert "15 of 15 samples" in said.err
+    assert cli.main(words) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert (again["digest"], again["made"]) == (report["digest"], 0)
+
+
+def test_bench_lists_what_is_installed_and_each_explains_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    assert set(available()) <= set(BENCHMARKS)
+    assert "dataset" in available()
+    with pytest.raises(SystemExit, match="0"):
+        cli.main(["bench", "dataset", "--help"])
+    assert "--checked" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="2"):
+        cli.main(["bench"])
+    assert cli.main(["bench", "dataset", "--bends", "0"]) == 2
+    assert "--bends must be at least 1" in capsys.readouterr().err

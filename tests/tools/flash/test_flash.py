@@ -1,0 +1,141 @@
+"""``eitskin flash`` as a command, on the C core in memory and on the virtual skin's pseudo-terminal."""
+
+import json
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from eitskin_proto.wire import config_toml
+from eitskin_tools import cli
+from eitskin_tools.commands.live import flash
+from eitskin_tools.emulator.device_core import HostDevice
+from eitskin_tools.emulator.firmware import missing_tools
+
+FAST = config_toml.named("fast")
+
+
+@pytest.fixture
+def device(monkeypatch):
+    missing = missing_tools("host")
+    if missing:
+        pytest.skip(f"the C core needs {', '.join(missing)}: apt-get install build-essential")
+    made = HostDevice()
+    made.run(1000)
+    monkeypatch.setattr(flash, "open_line", lambda port, baud: made)
+    return made
+
+
+def run(capsys, *words):
+    status = cli.main(["flash", *words])
+    out, err = capsys.readouterr()
+    return status, out, err
+
+
+def report(capsys, *words):
+    status, out, err = run(capsys, *words, "--port", "host", "--json")
+    assert err == "" or "/" in err, err
+    return status, json.loads(out)
+
+
+def test_show_write_verify_diff_and_rollback_tell_one_story(device, capsys):
+    status, shown = report(capsys, "show")
+    assert (status, shown["active"]["name"], shown["active"]["generation"], shown["other"]) == (0, "paper", 0, None)
+    assert shown["flags"] == ["FACTORY"]
+    assert report(capsys, "write", "full208")[0] == 0
+    status, written = report(capsys, "write", "fast")
+    assert (status, written["generation"], written["digest"]) == (0, 2, f"{FAST.digest:08x}")
+    assert report(capsys, "verify", "fast") == (
+        0,
+        {"action": "verify", "differences": [], "configuration": "fast", "digest": f"{FAST.digest:08x}", "same": True},
+    )
+    status, compared = report(capsys, "diff", "full208")
+    assert status == 1
+    assert {"field": "rows", "device": 104, "file": 208} in compared["differences"]
+    assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
+    assert report(capsys, "show")[1]["active"]["name"] == "full208"
+
+
+def test_a_dry_run_changes_nothing_with_or_without_a_device(device, capsys):
+    before = device.changes
+    status, planned = report(capsys, "write", "fast", "--dry-run")
+    assert (status, planned["dry_run"]) == (0, True)
+    assert {"field": "sample_bytes", "device": 3, "file": 2} in planned["differences"]
+    assert run(capsys, "write", "fast", "--dry-run")[0] == 0
+    assert report(capsys, "rollback", "--dry-run")[0] == 0
+    assert device.changes == before
+
+
+def test_progress_goes_to_stderr_a_line_a_step(device, capsys):
+    status, out, err = run(capsys, "write", "fast", "--port", "host")
+    assert status == 0
+    assert err.splitlines()[0] == "0/8 begin"
+    assert err.splitlines()[-1] == "8/8 done"
+    assert "generation: 1" in out
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["write", "--port", "x"], "flash write needs a FILE"),
+        (["show", "fast", "--port", "x"], "flash show takes no FILE"),
+        (["show"], "flash show needs --port"),
+        (["write", "fast"], "flash write needs --port"),
+    ],
+)
+def test_bad_usage_is_status_2(capsys, words, text):
+    status, out, err = run(capsys, *words)
+    assert (status, out) == (2, "")
+    assert text in err
+
+
+def test_mistakes_are_status_1_with_one_line_and_the_device_as_it_was(device, capsys, tmp_path):
+    text = config_toml.to_toml(FAST)
+    cases = {
+        "kilohertz": (text.replace("frequency_Hz = 50000", "frequency_kHz = 50"), "'frequency_kHz' in [drive]"),
+        "rate": (text.replace("rate_Hz = 350.0", "rate_Hz = 580.0"), "a line of 92160 bytes/s reaches at most 354"),
+        "front_end": (text.replace("rate_Hz = 350.0", "rate_Hz = 5000.0"), "reaches at most"),
+        "hardware": (text.replace("eitskin-16", "eitskin-99"), "hardware 'eitskin-99' is unknown"),
+        "downgrade": (
+            config_toml.to_toml(config_toml.named("paper")).replace("revision = 1", "revision = 0"),
+            "DOWNGRADE",
+        ),
+    }
+    before = device.changes
+    for name, (content, expected) in cases.items():
+        file = tmp_path / f"{name}.toml"
+        file.write_text(content)
+        status, out, err = run(capsys, "write", str(file), "--port", "host")
+        assert (status, out) == (1, "")
+        assert expected in err
+        assert len([line for line in err.splitlines() if line.startswith("eitskin flash:")]) == 1
+    assert run(capsys, "write", str(tmp_path / "none.toml"), "--port", "host")[0] == 1
+    assert run(capsys, "rollback", "--port", "host")[0] == 1
+    assert device.changes == before
+    status, out, _ = run(capsys, "write", str(tmp_path / "downgrade.toml"), "--port", "host", "--allow-downgrade")
+    assert status == 0
+
+
+def test_a_port_that_is_not_there_is_one_line(capsys):
+    status, out, err = run(capsys, "show", "--port", "/dev/does-not-exist")
+    assert (status, out, len(err.splitlines())) == (1, "", 1)
+    assert "/dev/does-not-exist" in err
+
+
+def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
+    sim = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", "sim", "--noise=none"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    try:
+        port = sim.stdout.readline().split()[-1]
+        for words in (["write", "fast"], ["verify", "fast"]):
+            status, out, err = run(capsys, *words, "--port", port, "--json")
+            assert status == 0, err
+        assert json.loads(out)["same"] is True
+        status, out, err = run(capsys, "rollback", "--port", port, "--json")
+        assert (status, "no earlier configuration" in err) == (1, True)
+    finally:
+        sim.send_signal(signal.SIGINT)  # it then removes its port's folder
+        sim.communicate(timeout=30.0)

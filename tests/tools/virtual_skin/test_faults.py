@@ -1,0 +1,233 @@
+"""Scripted faults on a real pseudo-terminal: what they do to the bytes, and that they do it when they were told to."""
+
+import itertools
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+import numpy as np
+import pytest
+import serial
+
+from eitskin_proto.wire import messages as m
+from eitskin_proto.wire.codes import FrameFlag
+from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.unwrap import StreamCounter
+from eitskin_tools.virtual_skin.configure import configuration_for
+from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.faults import Fault, FaultPlayer, parse
+from eitskin_tools.virtual_skin.pty import PtyPort
+from eitskin_tools.virtual_skin.server import SkinServer
+
+from ..conftest import ROWS_V, Ramp
+
+RATE_HZ = 500.0
+
+
+class Skin:
+    """A served virtual skin and what a host sees of it."""
+
+    def __init__(self, server: SkinServer, port: PtyPort) -> None:
+        self.server, self.port = server, port
+        self.deframer = Deframer()
+        self.frames: list[m.Frame] = []
+        self.others: list[m.Message] = []
+        self.events: list[m.Event] = []
+        self.serial = self.open()
+
+    def open(self) -> serial.Serial:
+        return serial.Serial(str(self.port.path), timeout=0.05, exclusive=True)
+
+    def tell(self, request: m.Message) -> None:
+        self.serial.write(b"\0" + encode(request.pack()))
+
+    def listen(self, seconds: float) -> None:
+        end = time.perf_counter() + seconds
+        while time.perf_counter() < end:
+            self.take(self.serial.read(max(1, self.serial.in_waiting)))
+
+    def take(self, data: bytes) -> None:
+        for payload in self.deframer.feed(data):
+            message = m.unpack(payload)
+            kind = {m.Frame: self.frames, m.Event: self.events}.get(type(message), self.others)
+            kind.append(message)
+
+    @property
+    def sequences(self) -> list[int]:
+        return [frame.sequence for frame in self.frames]
+
+
+@contextmanager
+def skin(*faults: str) -> Iterator[Skin]:
+    clock = time.perf_counter_ns
+    device = VirtualDevice(Ramp(), configuration_for(RATE_HZ), clock())
+    with PtyPort() as port:
+        server = SkinServer(device, port, FaultPlayer([parse(text) for text in faults], seed=1))
+        thread = threading.Thread(target=server.run)
+        host = Skin(server, port)
+        thread.start()
+        try:
+            yield host
+        finally:
+            host.serial.close()
+            server.stop()
+            thread.join(5.0)
+            assert not thread.is_alive()
+
+
+def test_a_clean_stream_has_every_frame_and_no_other_byte() -> None:
+    with skin() as host:
+        host.tell(m.Start(1, frames=100))
+        host.listen(0.6)
+        assert host.sequences == list(range(100))
+        assert (host.deframer.corrupt, host.deframer.discarded_bytes) == (0, 0)
+        steps = np.diff([frame.device_us for frame in host.frames])
+        assert set(steps.tolist()) == {2000}, "deadlines are absolute: device time does not drift with the load"
+
+
+@pytest.mark.parametrize("fault", ["flip@0.1/0.05:1", "drop@0.1/0.05:10", "garbage@0.1/0.05:50"])
+def test_damaged_packets_are_lost_one_by_one_and_nothing_is_shifted(fault: str) -> None:
+    with skin(fault) as host:
+        host.tell(m.Start(1, frames=150))
+        host.listen(0.7)
+        injected = len(host.server.player.injected)
+        assert injected >= 4
+        counter = StreamCounter()
+        for frame in host.frames:
+            counter.step(frame.sequence, frame.device_us)
+            # the ramp's rows are in a fixed ratio: a shifted sample would break it
+            assert frame.counts[0] / frame.counts[50] == pytest.approx(ROWS_V[0] / ROWS_V[50], rel=1e-3)
+        assert 1 <= counter.lost <= 2 * injected  # a flipped delimiter takes its neighbour along
+        assert host.deframer.corrupt >= injected // 2
+
+
+def test_extra_delimiters_cost_nothing() -> None:
+    with skin("zeros@0/0.01:5") as host:
+        host.tell(m.Start(1, frames=50))
+        host.listen(0.4)
+        assert host.sequences == list(range(50))
+        assert host.deframer.corrupt == 0
+
+
+def test_a_stall_is_a_gap_in_time_and_not_in_sequence() -> None:
+    with skin("stall@0.1:0.3") as host:
+        host.tell(m.Start(1, frames=100))
+        host.listen(0.9)
+        assert host.sequences == list(range(100))
+        assert np.diff([frame.device_us for frame in host.frames]).max() >= 300_000
+
+
+def test_a_burst_holds_frames_back_and_loses_none() -> None:
+    with skin("burst@0.1:0.05") as host:
+        host.tell(m.Start(1, frames=100))
+        host.listen(0.8)
+        assert host.sequences == list(range(100))
+
+
+def test_a_reset_cuts_a_packet_and_starts_clock_and_sequence_anew() -> None:
+    with skin("reset@0.1") as host:
+        host.tell(m.Start(1))
+        host.listen(0.3)
+        last = host.frames[-1]
+        assert host.server.device.boots == 2
+        host.tell(m.Start(2, frames=10))
+        host.listen(0.2)
+        assert host.sequences[-10:] == list(range(10))
+        assert host.frames[-10].flags & FrameFlag.FIRST
+        assert last.sequence > 10
+        assert host.deframer.corrupt == 1, "the packet that was cut"
+
+
+def test_an_unplugged_port_vanishes_and_returns_under_its_name() -> None:
+    with skin("unplug@0.1:0.2") as host:
+        host.tell(m.Start(1))
+        with pytest.raises((serial.SerialException, OSError)):  # noqa: PT012 -- reading until it happens is the test
+            for _ in range(100):
+                host.listen(0.02)
+        host.serial.close()
+        assert not host.port.path.exists()
+        deadline = time.perf_counter() + 3.0
+        while not host.port.path.exists() and time.perf_counter() < deadline:
+            time.sleep(0.02)
+        before = host.sequences[-1]
+        host.serial = host.open()
+        host.deframer.reset()
+        host.listen(0.2)
+        assert host.sequences[-1] > before + 50, "the device went on scanning: the gap can be counted"
+
+
+def test_a_host_may_close_and_open_the_port() -> None:
+    with skin() as host:
+        host.tell(m.HelloRequest(1))
+        host.listen(0.1)
+        host.serial.close()
+        host.serial = host.open()
+        host.tell(m.HelloRequest(2))
+        host.listen(0.1)
+        assert [hello.tag for hello in host.others] == [1, 2]
+
+
+def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops() -> None:
+    with skin() as host:
+        host.tell(m.Start(1))
+        time.sleep(0.5)  # 250 frames of 352 bytes against 18 KiB
+        host.listen(0.1)
+        assert host.port.overruns > 0
+        assert host.frames[-1].device_dropped == pytest.approx(host.port.overruns, abs=2)
+        assert host.deframer.corrupt == 0, "packets are dropped whole"
+        assert host.sequences[-1] + 1 - len(host.sequences) == host.frames[-1].device_dropped
+
+
+def test_answers_may_fail_to_come_come_twice_or_late() -> None:
+    with skin("mute@0:5") as host:
+        host.tell(m.HelloRequest(1))
+        host.listen(0.15)
+        assert host.others == []
+    with skin("twice@0:5") as host:
+        host.tell(m.HelloRequest(1))
+        host.listen(0.15)
+        assert [hello.tag for hello in host.others] == [1, 1]
+    with skin("late@0:0.3") as host:
+        host.tell(m.TimeRequest(1))
+        host.listen(0.15)
+        assert host.others == []
+        host.listen(0.4)
+        assert len(host.others) == 1
+
+
+def test_saturated_rows_are_marked_in_one_frame() -> None:
+    with skin("saturate@0.05:5") as host:
+        host.tell(m.Start(1, frames=60))
+        host.listen(0.4)
+        marked = [frame for frame in host.frames if frame.saturation]
+        assert [frame.saturation for frame in marked] == [0b11111]
+
+
+def test_a_restart_is_announced_before_it_happens() -> None:
+    with skin() as host:
+        host.tell(m.Restart(tag=4))
+        host.listen(0.15)
+        assert [type(answer) for answer in host.others] == [m.Ack]
+        assert [event.text for event in host.events][-2:] == ["RESTARTING", "CONFIGURATION_CHANGED"]
+        assert host.server.device.boots == 2
+
+
+def test_the_same_seed_damages_the_same_bits() -> None:
+    packet = bytes(range(200))
+    fault = Fault("flip", amount=3)
+    damaged = [FaultPlayer(seed=seed).damage(packet, fault, 0.0) for seed in (1, 1, 2)]
+    assert damaged[0] == damaged[1] != damaged[2]
+    assert sum((a ^ b).bit_count() for a, b in zip(damaged[0], packet, strict=True)) == 3
+
+
+def test_repeated_faults_happen_once_a_period() -> None:
+    fault = parse("flip@1/0.5:1")
+    times = np.arange(0.0, 3.0, 0.005)
+    assert sum(fault.due(a, b) for a, b in itertools.pairwise(times)) == 4  # 1.0 1.5 2.0 2.5
+
+
+@pytest.mark.parametrize("text", ["nonsense", "flip@", "flip@-1", "flip:x", "flip@1:2:3", "flip@1.2.3"])
+def test_a_fault_that_makes_no_sense_is_named(text: str) -> None:
+    with pytest.raises(ValueError, match=text.replace(".", r"\.")):
+        parse(text)

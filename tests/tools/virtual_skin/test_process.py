@@ -1,0 +1,133 @@
+"""``eitskin sim`` as a process: it says where it is, serves, and leaves nothing behind."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+import pytest
+import serial
+
+from eitskin_proto.wire import messages as m
+from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_tools.processes.skin_log import read_log, script_start
+from eitskin_tools.scripted_scene.prepare import prepare
+from eitskin_tools.scripted_scene.script import demonstration
+
+COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "sim"]
+
+
+@contextmanager
+def sim(*arguments: str) -> Iterator[subprocess.Popen[str]]:
+    process = subprocess.Popen([*COMMAND, *arguments], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+    try:
+        yield process
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def stream(port: str, frames: int) -> tuple[m.Hello, list[m.Frame]]:
+    """Shake hands, take some frames, stop."""
+    found: list[m.Message] = []
+    with serial.Serial(port, timeout=2.0, exclusive=True) as line:
+        deframer = Deframer()
+        line.write(b"\0" + encode(m.HelloRequest(1).pack()) + encode(m.Start(2, frames=frames).pack()))
+        while sum(isinstance(message, m.Frame) for message in found) < frames:
+            data = line.read(max(1, line.in_waiting))
+            assert data, "the virtual skin fell silent"
+            found += [m.unpack(payload) for payload in deframer.feed(data)]
+    (hello,) = (message for message in found if isinstance(message, m.Hello))  # a starved skin sends an event before it
+    return hello, [message for message in found if isinstance(message, m.Frame)]
+
+
+def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None:
+    log, wire = tmp_path / "log", tmp_path / "wire.npy"
+    with sim("--noise=none", f"--log={log}", f"--wire-times={wire}") as process:
+        port = process.stdout.readline().strip()
+        assert Path(port).is_symlink()
+        hello, frames = stream(port, 50)
+        process.send_signal(signal.SIGINT)
+        assert process.wait(10.0) == 0
+        assert not Path(port).parent.exists()
+    script = demonstration()
+    solved = prepare(script, script.period_s)
+    start_us = script_start(log)["device_us"]
+    for frame in frames[::7]:
+        expected = script.voltages_at((frame.device_us - start_us) * 1e-6, solved)
+        # flat and untouched: the only difference is half a count
+        assert np.abs(frame.counts * hello.volts_per_count - expected).max() <= 0.5001 * hello.volts_per_count
+    written = np.load(wire)
+    sequence = np.array([frame.sequence for frame in frames])  # a starved skin skips scans that are long overdue
+    assert (written[sequence] > 0).all()
+    assert not np.delete(written, sequence).any()
+    assert (np.diff(written[sequence]) > 0).all()
+    assert [event["event"] for event in read_log(log)] == ["boot", "start", "stop"]
+
+
+def test_json_is_one_object_and_sigterm_ends_it_cleanly(tmp_path: Path) -> None:
+    with sim("--json", "--rate=100", "--serial-number=SKIN-7") as process:
+        found = json.loads(process.stdout.readline())
+        assert (found["rate_hz"], found["serial_number"]) == (100.0, "SKIN-7")
+        before = time.perf_counter_ns()
+        assert 0 < before - found["clock_epoch_ns"] < 60e9, "the epoch is on this machine's perf_counter"
+        hello, frames = stream(found["port"], 3)
+        assert hello.rate_mHz == 100_000
+        assert frames[0].device_us * 1000 + found["clock_epoch_ns"] == pytest.approx(before, abs=2e9)
+        process.send_signal(signal.SIGTERM)
+        assert process.wait(10.0) == 0
+        assert process.stdout.read() == ""
+        assert not Path(found["port"]).parent.exists()
+
+
+def test_it_ends_by_itself_when_its_time_is_over() -> None:
+    with sim("--seconds=0.2") as process:
+        assert process.wait(20.0) == 0
+
+
+def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
+    runs = []
+    for _ in range(2):
+        with sim("--json", "--seed=5") as process:
+            port = json.loads(process.stdout.readline())["port"]
+            runs.append(np.array([frame.counts for frame in stream(port, 100)[1]], dtype=np.float64))
+    assert np.array_equal(runs[0], runs[1])
+    spread = (runs[0] / runs[0].mean(axis=0) - 1.0).std()
+    # 10^(-50/20) = 3.16e-3; 10,400 draws leave 0.7 % of it
+    assert spread == pytest.approx(3.16e-3, rel=0.05)
+
+
+def test_a_scene_is_held_after_the_reference_phase(tmp_path: Path) -> None:
+    scene = tmp_path / "scene.json"
+    scene.write_text('{"touches": [{"rect_mm": [60, 40, 80, 60]}], "element_size_mm": 6}')
+    with sim("--json", "--rate=100", "--noise=none", f"--scene={scene}") as process:
+        port = json.loads(process.stdout.readline())["port"]
+        _, frames = stream(port, 200)
+    counts = np.array([frame.counts for frame in frames], dtype=np.float64)
+    change = np.sqrt(np.mean((counts / counts[0] - 1.0) ** 2, axis=1))
+    assert change[:175].max() < 1e-4
+    assert change[185:].min() > 0.01
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "words"),
+    [
+        (["--rate=0"], 2, "--rate"),
+        (["--fault=nonsense"], 2, "nonsense"),
+        (["--seconds=-1"], 2, "--seconds"),
+        (["--rate=50000"], 1, "2272"),
+        (["--config=nowhere.toml"], 1, "nowhere.toml"),
+        (["--scene=nowhere.json"], 1, "nowhere.json"),
+    ],
+)
+def test_bad_options_get_one_line(arguments: list[str], status: int, words: str) -> None:
+    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False)
+    assert done.returncode == status
+    assert done.stdout == ""
+    assert words in done.stderr
+    assert done.stderr.count("\n") == 1

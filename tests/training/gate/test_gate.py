@@ -1,0 +1,166 @@
+"""The touch gate: what it learns from, what it must tell apart, and that the runtime computes the same."""
+
+import io
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin.model.gate import Gate
+from eitskin.pipeline.idle import PREFIX
+from eitskin_proto.errors import SkinError
+from eitskin_proto.wire.scan_rows import table_rows
+from eitskin_sim.scene.parts import Bend
+from eitskin_training.gate import fit, idle, material, rates, untouched
+from eitskin_training.gate.untouched import Bends, bends_of
+from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.samples.batches import TrainingData
+
+
+@pytest.fixture(scope="module")
+def data(toy_data: Any) -> TrainingData:
+    made: TrainingData = toy_data("area", bends=12, samples=2400)
+    return made
+
+
+@pytest.fixture(scope="module")
+def bends() -> Bends:
+    """Return a toy's bends: one factor on all voltages, which every mirror image shares."""
+    logs = np.log(np.random.default_rng(1).uniform(1.0, 1.1, 200))[:, None] * np.ones(104)
+    return Bends(logs[:40], logs[40:120], logs[120:])
+
+
+@pytest.fixture(scope="module")
+def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
+    return fit.fit(data, bends, steps=250, batch=256)
+
+
+def test_the_gate_tells_a_touch_from_a_bend_that_it_never_saw(fitted: fit.Gate) -> None:
+    facts = fitted.facts()
+    # 80 bends, each in 48 frames: 0.5 % is 19 frames, and one odd bend alone may give 48.
+    assert facts["false_alarm_rate"] <= 0.02
+    low, high = facts["false_alarm_interval_95"]
+    assert low <= facts["false_alarm_rate"] <= high
+    assert facts["missed_rate"] <= 0.1  # 19 touches at two bends, none of which was learned from
+    assert facts["held_out_bends"] == 80
+    assert set(facts["false_alarm_rate_by_noise"]) == {"N1", "N2", "N3"}
+
+
+@pytest.mark.parametrize("prefix", ["", PREFIX])
+def test_the_runtimes_gate_agrees_with_the_exported_one(fitted: fit.Gate, prefix: str) -> None:
+    with np.load(io.BytesIO(fitted.to_npz()), allow_pickle=False) as archive:
+        arrays = {name.removeprefix(prefix): archive[name] for name in archive.files if name.startswith(prefix)}
+        drives = int(archive["idle_drives"])
+    rows = table_rows(False, drives) if prefix else np.arange(104)
+    runtime_gate = Gate(arrays, len(rows))
+    rng = np.random.default_rng(0)
+    dv = (0.1 * rng.standard_normal((50, len(rows)))).astype(np.float32)
+    dv[0] = -2.0  # every voltage changed its sign
+    expected = fit.logits(fitted.arrays, dv, prefix)
+    found = []
+    for row in dv:
+        runtime_gate.change[:] = row
+        assert runtime_gate.touched() == (runtime_gate.logit > runtime_gate.threshold)
+        found.append(runtime_gate.logit)
+    # The whitened sums run over terms a thousand times larger than their result, in float32.
+    np.testing.assert_allclose(found, expected, rtol=1e-3, atol=2e-3 * np.abs(expected).max())
+
+
+def test_a_gate_without_bends_to_measure_it_on_is_refused(data: TrainingData) -> None:
+    with pytest.raises(SkinError, match="expected at least 1 of each"):
+        fit.fit(data, replace(bends_of(data), choose=np.empty((0, 104))), steps=1)
+
+
+def test_half_of_what_is_drawn_is_touched_and_the_other_half_are_bends(data: TrainingData, bends: Bends) -> None:
+    rng = np.random.default_rng(0)
+    drawn, touched = material.Material.of(data, bends, rng).draw(2000, rng)
+    assert touched.sum() == 1000
+    change = np.log1p(drawn[touched == 0])
+    # All of a toy bend's voltages change alike, up to the largest noise: N3 on the weakest row, 0.3 % of the rms.
+    weakest = np.abs(data.reference).min() / np.sqrt(np.mean(data.reference**2))
+    assert np.median(change.std(axis=1)) < 0.0032 / weakest
+    assert np.median(np.log1p(np.maximum(drawn[touched == 1], -0.99)).std(axis=1)) > 0.01
+
+
+def test_weak_touches_are_drawn_more_often_than_strong_ones(data: TrainingData, bends: Bends) -> None:
+    two = np.array([np.full(104, 0.02), np.full(104, 2.0)])
+    none = replace(data, train=data.train[:0])
+    made = material.Material.of(none, replace(bends, touches=two), np.random.default_rng(0))
+    assert made.upto[0] == pytest.approx(1.0 / (1.0 + np.sqrt(material.WEAK / 2.0)))
+    assert made.upto[1] == pytest.approx(1.0)
+
+
+def test_an_interval_knows_how_many_bends_it_is_from() -> None:
+    assert rates.rate_and_interval(np.zeros(100)) == (0.0, [0.0, 0.03])
+    rate, (low, high) = rates.rate_and_interval(np.array([1.0] * 10 + [0.0] * 90))
+    assert rate == pytest.approx(0.1)
+    assert high - low == pytest.approx(2 * 1.96 * np.sqrt(0.1 * 0.9 / 99), rel=1e-6)
+    # Ten times the frames of the same bends are no more evidence: the interval takes one number a bend.
+    assert rates.rate_and_interval(np.array([0.0]))[1] == [0.0, 1.0]
+
+
+def test_a_threshold_lets_its_share_of_untouched_frames_through(data: TrainingData, bends: Bends) -> None:
+    def size(dv: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return np.asarray(np.abs(dv).mean(axis=1))
+
+    rng = np.random.default_rng(3)
+    threshold = rates.threshold_at(0.2, size, bends.choose, data.reference, rng)
+    found = rates.untouched_logits(size, bends.choose, data.reference, rng)
+    tripped = np.mean([(logits > threshold).mean() for logits in found.values()])
+    assert tripped == pytest.approx(0.2, abs=0.03)  # the same bends, other noise
+
+
+def test_information_grows_with_rows_and_is_that_of_a_linear_measurement() -> None:
+    rng = np.random.default_rng(0)
+    covariance, touches = np.diag(rng.uniform(1.0, 2.0, 104)), rng.standard_normal((5, 104))
+    rows = np.arange(10)
+    by_hand = 0.5 * np.log1p((touches[:, rows] ** 2 / np.diag(covariance)[rows]).sum(axis=1)).mean()
+    assert idle.information(covariance, touches, rows) == pytest.approx(by_hand, rel=1e-12)
+    assert idle.information(covariance, touches, np.arange(20)) > by_hand
+    # What a bend moves says nothing of a touch that moves the same.
+    bend = touches[0]
+    nuisance = covariance + 1e8 * np.outer(bend, bend)
+    assert idle.information(nuisance, bend[None], np.arange(104)) < 1e-3
+
+
+def test_more_idle_drives_tell_more_about_a_touch(data: TrainingData, bends: Bends) -> None:
+    rng = np.random.default_rng(0)
+    made = material.Material.of(data, bends, rng)
+    covariance = idle.covariance_of(made.draw(2000, rng, touched=0.0)[0])
+    table = idle.idle_table(covariance, made.touches[:20], most=2)
+    assert [bin(mask).count("1") for mask, _ in table] == [1, 2]
+    assert all(0 < share <= 1 for _, share in table)
+    assert [share for _, share in table] == sorted(share for _, share in table)
+
+
+def test_solved_bends_are_small_changes_and_the_flat_one_is_none() -> None:
+    flat, bent = untouched.untouched_logs([Bend(), untouched.wide_bends(1, 5)[0]])
+    np.testing.assert_allclose(flat, 0.0, atol=1e-12)
+    # Stretches of up to 22 % change voltages by tens of per cent, never by a factor of a thousand.
+    assert 0.01 < np.abs(bent).max() < 7.0
+
+
+def test_the_mirror_image_of_a_bend_has_the_mirror_image_of_its_voltages() -> None:
+    bend = Bend(30.0, 20.0, 0.3, 25.0, 1.1, 0.95, 0.1, ((40.0, 30.0, 5.0, 15.0),))
+    image = Bend(30.0, -20.0, -0.3, -25.0, 1.1, 0.95, 0.1, ((110.0, 30.0, 5.0, 15.0),))
+    one, other = untouched.untouched_logs([bend, image])
+    # Both are solved on the same mirror-symmetric mesh.
+    np.testing.assert_allclose(one[MIRRORS[1].rows], other, atol=1e-9)
+
+
+def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
+    pieces = untouched.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
+    flat, bent = (untouched.touch_logs(bend, pieces) for bend in (Bend(), untouched.wide_bends(1, 5)[0]))
+    for one, other in zip(flat, bent, strict=True):
+        # A tenth of its direction may change: that is what drawing it at any bend costs.
+        assert one @ other / (np.linalg.norm(one) * np.linalg.norm(other)) > 0.9
+        assert 0.5 < np.linalg.norm(other) / np.linalg.norm(one) < 2.0
+
+
+def test_touches_for_learning_are_small_and_differ() -> None:
+    logs = untouched.small_touches(1, each=12)
+    strength = np.abs(logs).mean(axis=1)
+    assert logs.shape == (12, 104)
+    assert len(np.unique(strength)) == 12
+    assert 1e-4 < strength.min() < strength.max() < 0.5

@@ -1,0 +1,96 @@
+import numpy as np
+import pytest
+import torch
+
+from eitskin_proto.sensor.grid import N_UNITS, map_from_units
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.model import RATIO_FLOOR, VD2T, Architecture, features
+from eitskin_training.recipes import RECIPES, Recipe, recipe
+
+
+def inputs(count: int = 8) -> tuple[torch.Tensor, torch.Tensor]:
+    generator = torch.Generator().manual_seed(1)
+    return 0.1 * torch.randn(count, N_ROWS, generator=generator), torch.randn(count, 3, 30, 45, generator=generator)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_every_recipe_stays_within_the_weights_that_a_frame_may_stream(name: str) -> None:
+    model = VD2T(recipe(name).architecture)
+    assert model.parameter_count() <= 2_500_000
+    assert model.streamed_weights() <= 1_510_000  # about 1.5 million: what a frame's bytes cost is in `bench frame`
+
+
+def test_the_paper_recipe_has_the_paper_structure() -> None:
+    model = VD2T(recipe("paper").architecture)
+    kinds = [type(module).__name__ for module in model.voltage.modules()]
+    assert (kinds.count("Linear"), kinds.count("Conv1d")) == (3, 3)
+    assert [type(module).__name__ for module in model.cloud.modules()].count("Conv2d") == 2
+    assert any(isinstance(module, torch.nn.Dropout) for module in model.modules())
+    chosen = recipe("paper")
+    assert (chosen.batch, chosen.epochs, chosen.learning_rate, chosen.schedule) == (512, 100, 1e-4, "constant")
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_the_two_halves_equal_the_whole_network(name: str) -> None:
+    torch.manual_seed(0)
+    model = VD2T(recipe(name).architecture).eval()
+    dv, clouds = inputs()
+    with torch.inference_mode():
+        whole = model(dv, clouds)
+        halves = model.logits(dv, model.bias(clouds))
+    torch.testing.assert_close(halves, whole, rtol=0, atol=1e-6)
+
+
+def test_clouds_given_once_count_as_clouds_given_for_every_sample() -> None:
+    model = VD2T(recipe("tiny").architecture).eval()
+    dv, clouds = inputs()
+    which = torch.tensor([0, 1, 1, 0, 2, 2, 2, 0])
+    with torch.inference_mode():
+        torch.testing.assert_close(model(dv, clouds[:3], which), model(dv, clouds[which]), rtol=0, atol=1e-6)
+
+
+def test_the_cloud_changes_the_map_unless_it_is_left_out() -> None:
+    dv, clouds = inputs()
+    for use_cloud in (True, False):
+        torch.manual_seed(0)
+        model = VD2T(Architecture(widths=(32, 32), hidden=32, use_cloud=use_cloud)).eval()
+        with torch.inference_mode():
+            assert torch.equal(model(dv, clouds), model(dv, clouds.flip(0))) is not use_cloud
+
+
+def test_logarithms_are_clamped_where_a_row_has_fallen_to_nothing() -> None:
+    dv = torch.full((1, N_ROWS), -1.5)
+    out = features(dv, Architecture(log_predicted=True), torch.ones(1, N_ROWS))
+    assert out.shape == (1, 3 * N_ROWS)
+    assert torch.isfinite(out).all()
+    torch.testing.assert_close(out[0, N_ROWS], torch.tensor(float(np.log(RATIO_FLOOR))))
+    torch.testing.assert_close(out[0, -1], torch.tensor(float(np.log(RATIO_FLOOR)) - 1.0))
+
+
+def test_no_prediction_is_the_prediction_of_the_flat_sheet() -> None:
+    model = VD2T(Architecture(widths=(16, 16), hidden=16, log_predicted=True)).eval()
+    dv, clouds = inputs()
+    with torch.inference_mode():
+        bias = model.bias(clouds)
+        assert torch.equal(model.logits(dv, bias), model.logits(dv, bias, torch.zeros_like(dv)))
+
+
+def test_unit_outputs_are_spread_over_their_pixels() -> None:
+    model = VD2T(Architecture(widths=(16, 16), hidden=16, outputs=N_UNITS))
+    logits = torch.linspace(-3, 3, N_UNITS)[None]
+    expected = map_from_units(torch.sigmoid(logits).numpy()).reshape(1, -1)
+    np.testing.assert_allclose(model.maps(logits).numpy(), expected, atol=1e-7)
+
+
+@pytest.mark.parametrize("name", RECIPES)
+def test_a_recipe_survives_being_written_as_plain_values(name: str) -> None:
+    assert Recipe.from_dict(recipe(name).as_dict()) == recipe(name)
+
+
+def test_an_unknown_recipe_or_shape_is_refused_with_what_was_expected() -> None:
+    with pytest.raises(ValueError, match="expected one of paper"):
+        recipe("papre")
+    with pytest.raises(ValueError, match="expected 1350 pixels or 126 units"):
+        Architecture(outputs=100)
+    with pytest.raises(ValueError, match="train again"):
+        Recipe.from_dict({"name": "x"})

@@ -1,0 +1,1 @@
+"""One folder a benchmark: ``bench`` is what ``eitskin bench NAME`` runs, the rest are its helpers."""

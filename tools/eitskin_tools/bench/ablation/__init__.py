@@ -1,0 +1,1 @@
+"""``eitskin bench ablation``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,0 +1,1 @@
+"""``eitskin bench dataset``: the benchmark in ``bench``, its helpers beside it."""

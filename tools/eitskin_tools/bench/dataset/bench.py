@@ -1,0 +1,194 @@
+"""``eitskin bench dataset``: samples a second of the data generators, beside one solve a sample and pyEIT, in one run.
+
+One core: BLAS is held to one thread. On a machine that does other work too, ``cpu_s`` is the time that counts; the
+ratios use it. Each row says what its seconds hold: set-up of a deformation and its share of
+shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
+against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
+How far the free set's mesh is from finer ones is measured on fewer sets
+(:mod:`eitskin_tools.bench.dataset.freeform_error`).
+"""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from time import perf_counter, process_time
+from typing import Any
+
+from eitskin_tools.bench.dataset.freeform_error import error_rows, gap_rows
+from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.threads import one_blas_thread
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--bends", type=int, default=10, metavar="N", help="bends of the paper's set (default 10)")
+    parser.add_argument(
+        "--touch-sets", type=int, default=10_259, metavar="N", help="the first so many of the paper's sets"
+    )
+    parser.add_argument(
+        "--free", type=int, default=5_000, metavar="N", help="free touch sets at a deformation (default 5000)"
+    )
+    parser.add_argument("--checked", type=int, default=24, metavar="N", help="samples solved naively (default 24)")
+    parser.add_argument(
+        "--scenes",
+        type=int,
+        default=24,
+        metavar="N",
+        help="free sets solved on finer meshes too, 0 for none (default 24)",
+    )
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    for name in ("bends", "touch_sets", "free", "checked"):
+        if getattr(arguments, name) < 1:
+            raise UsageError(f"--{name.replace('_', '-')} must be at least 1")
+    if arguments.scenes < 0 or 0 < arguments.scenes < 3:
+        raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
+    one_blas_thread()
+    rows = [*_paper(arguments), *_free(arguments), _pyeit()]
+    errors = [*error_rows(arguments.scenes), *gap_rows()] if arguments.scenes else []
+    naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
+    ours = {row["what"]: row for row in rows if row["method"] == "ours"}
+    default = next((row for row in errors if row["what"] == "free, default"), {})
+    summary = {
+        "paper_samples": ours["paper"]["samples"],
+        "paper_seconds": ours["paper"]["seconds"],
+        "paper_cpu_s": ours["paper"]["cpu_s"],
+        "paper_times_naive": round(ours["paper"]["samples_per_cpu_s"] / naive["paper"], 1),
+        "paper_largest_error": ours["paper"]["largest_error"],
+        "free_samples_per_s": ours["free"]["samples_per_s"],
+        "free_samples_per_cpu_s": ours["free"]["samples_per_cpu_s"],
+        "free_times_naive": round(ours["free"]["samples_per_cpu_s"] / naive["free"], 1),
+        "free_largest_error": ours["free"]["largest_error"],
+        "free_dV_off_percent": default.get("median_percent"),
+    }
+    if arguments.json:
+        print(json.dumps({"rows": [*rows, *errors], "summary": summary}))
+    else:
+        for row in [*rows, *errors]:
+            print("  ".join(f"{name} {value}" for name, value in row.items()))
+        print("  ".join(f"{name} {value}" for name, value in summary.items()))
+    return 0
+
+
+def _row(what: str, method: str, samples: int, times: tuple[float, float], note: str) -> dict[str, Any]:
+    seconds, cpu_s = times
+    return {
+        "what": what,
+        "method": method,
+        "samples": samples,
+        "seconds": round(seconds, 3),
+        "cpu_s": round(cpu_s, 3),
+        "samples_per_s": round(samples / seconds, 2) if seconds else None,
+        "samples_per_cpu_s": round(samples / cpu_s, 2) if cpu_s else None,
+        "largest_error": None,
+        "note": note,
+    }
+
+
+def _timed(work: Callable[[], Any]) -> tuple[Any, tuple[float, float]]:
+    """Return what the work returns, and its seconds by the wall's clock and by the processor's."""
+    start, cpu_start = perf_counter(), process_time()
+    found = work()
+    return found, (perf_counter() - start, process_time() - cpu_start)
+
+
+def _paper(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    import numpy as np
+
+    from eitskin_sim.scene.family import paper_bends
+    from eitskin_sim.unit_grid.patterns import paper_touch_sets
+    from eitskin_sim.unit_grid.skeleton import unit_system
+    from eitskin_sim.unit_grid.units import UnitGenerator
+
+    sets = paper_touch_sets(0)[: arguments.touch_sets]
+    print(f"eitskin bench dataset: {len(sets)} touch sets at {arguments.bends} bends", file=sys.stderr)
+    bends = paper_bends(arguments.bends)
+    last, seconds = _timed(lambda: [UnitGenerator(bend).voltages(sets) for bend in bends][-1])
+    ours = _row("paper", "ours", len(sets) * len(bends), seconds, "set-up of every bend included")
+    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
+    parts, system = unit_system(bends[-1])
+
+    def naive() -> Any:
+        sigma = [np.where(bits[parts.unit_of_element], 50.0, 1.0) for bits in sets[pick]]
+        return np.array([system.factorise(one).voltages() for one in sigma])
+
+    solved, seconds = _timed(naive)
+    ours["largest_error"] = float(np.abs(last[pick] / solved - 1.0).max())
+    return [ours, _row("paper", "naive", len(pick), seconds, f"one factorisation a sample, {parts.mesh.n_nodes} nodes")]
+
+
+def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    import numpy as np
+
+    from eitskin_sim.dataset.plan import GROUP, VALIDATION
+    from eitskin_sim.fem.forward import Factor
+    from eitskin_sim.freeform.mesh import free_mesh
+    from eitskin_sim.freeform.parts import geometry
+    from eitskin_sim.freeform.pool import free_pool
+    from eitskin_sim.freeform.sheet import free_sheet, sheet_blocks
+    from eitskin_sim.freeform.voltages import pool_voltages
+    from eitskin_sim.scene.family import draw
+
+    print(f"eitskin bench dataset: {arguments.free} free touch sets at each of {GROUP} deformations", file=sys.stderr)
+    bends, grid = draw("A", GROUP, 0), free_mesh()
+
+    def ours() -> Any:
+        count = (arguments.free, round(VALIDATION * arguments.free))
+        pool = free_pool(dict.fromkeys(range(GROUP), count), 0)
+        batches = geometry(pool.parts, grid)
+        made, used = [], None
+        for number, bend in enumerate(bends):
+            sheet = free_sheet(bend, into=used)
+            made.append(pool_voltages(sheet, grid, pool, batches, number))
+            used = sheet.inverse
+        return pool.touches(pool.sets[GROUP - 1]), made
+
+    (touches, made), seconds = _timed(ours)
+    note = "drawing, geometry and set-up included; every sample a set of its own"
+    row = _row("free", "ours", GROUP * arguments.free, seconds, note)
+    sheet = free_sheet(bends[-1])
+    pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
+
+    def naive() -> Any:
+        return np.array(
+            [Factor(sheet.system, *sheet_blocks(sheet, touches, int(number))).voltages() for number in pick]
+        )
+
+    solved, seconds = _timed(naive)
+    row["largest_error"] = float(np.abs(made[-1][pick] / solved - 1.0).max())
+    nodes = sheet.system.mesh.n_nodes
+    return [row, _row("free", "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
+
+
+def _pyeit() -> dict[str, Any]:
+    try:
+        import numpy as np
+        from pyeit.eit.fem import Forward
+        from pyeit.mesh.wrapper import PyEITMesh
+    except ImportError as error:
+        return _row("pyeit", "pyeit", 0, (0.0, 0.0), f"not measured: {error}; pip install pyeit")
+    x, y = np.meshgrid(np.linspace(0.0, 0.15, 116), np.linspace(0.0, 0.1, 77))
+    nodes = np.stack([x.ravel(), y.ravel(), 0.0 * x.ravel()], axis=-1)
+    corner = (np.arange(76)[:, None] * 116 + np.arange(115)).ravel()
+    elements = np.concatenate(
+        [np.stack([corner, corner + 1, corner + 117], axis=1), np.stack([corner, corner + 117, corner + 116], axis=1)]
+    )
+    rim = np.concatenate(
+        [np.arange(116), np.arange(1, 77) * 116 + 115, 76 * 116 + np.arange(114, -1, -1), np.arange(75, 0, -1) * 116]
+    )
+    electrodes = rim[np.linspace(0, len(rim), 16, endpoint=False).astype(int)]
+    mesh = PyEITMesh(node=nodes, element=elements, perm=1.0, el_pos=electrodes, ref_node=int(rim[3]))
+    forward = Forward(mesh)
+    lines = np.stack([np.arange(16), (np.arange(16) + 1) % 16], axis=1)
+
+    def solve() -> None:
+        forward.assemble_pde(np.ones(len(elements)))
+        for line in lines:
+            forward.solve(line)
+
+    _, seconds = _timed(solve)
+    return _row("pyeit", "pyeit", 1, seconds, f"16 drives, {len(nodes)} nodes, point electrodes, flat sheet")

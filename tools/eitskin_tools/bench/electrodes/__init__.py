@@ -1,0 +1,1 @@
+"""``eitskin bench electrodes``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,0 +1,189 @@
+"""How well a drift of the sheet's conductivity is known, and whether its compensation eats a touch.
+
+Deformations of families A and B that no bundle learned from, each with a common factor on all voltages, with and
+without the prediction that a scan gives; how often a drift is told of sheets that have none, touched or not; then
+a touch that lies still for minutes while compensation runs.
+"""
+
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin.health.drift import HOLD, Drift
+from eitskin.health.imputation import Consistency
+from eitskin_sim.fem.forward import assemble, flat_metric
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.family import Family, draw
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Disc, Rect
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.predict import flat_voltages, predict
+
+FACTORS: Final = (-0.2, -0.05, 0.0, 0.1, 0.3)
+"""Logarithms of the factor on all voltages that are tried."""
+
+ELEMENT_MM: Final = 4.5
+NOISE: Final = 10 ** (-50 / 20)
+GRADIENTS: Final = (0.0, 0.01, 0.02, 0.05, 0.1, 0.2)
+"""Share of the conductivity of 1 S/m that is lost at one end, falling to nothing at the other."""
+
+STRIPS: Final = 6
+"""Across the sheet, each of one conductivity."""
+
+STILL: Final = 1200
+"""Frames for which a sheet that has not drifted is held: three times what it takes to tell."""
+
+TOGETHER: Final = 24
+"""Frames that are looked at together, as the runtime does."""
+
+STILL_FRAMES: Final = 12_000
+"""A touch that lies still for a minute at 200 frames/s."""
+
+
+def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
+    """Return rows on drift: its error without and with a scan, and what compensation takes of a touch.
+
+    Args:
+        consistency: Of a bundle.
+        bends: Deformations of each family.
+    """
+    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
+    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    rng = np.random.default_rng(0)
+    errors: dict[tuple[str, bool], list[float]] = {}
+    unknown: dict[tuple[str, bool], int] = {}
+    families: tuple[Family, ...] = ("A", "B")
+    for family in families:
+        for bend in draw(family, bends, 9900):
+            volts = assemble(mesh, sheet, Electrodes(), bend_metric(bend, sheet)).factorise().voltages()
+            logs = np.log(volts / flat)
+            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            for with_scan in (False, True):
+                shown = expected if with_scan else np.zeros_like(expected)
+                for factor in FACTORS:
+                    found = settle(consistency, logs + factor, shown, rng)
+                    key = family, with_scan
+                    unknown[key] = unknown.get(key, 0) + (found is None)
+                    if found is not None:
+                        errors.setdefault(key, []).append(found - factor)
+    rows: list[dict[str, Any]] = []
+    for (name, scan), silent in unknown.items():
+        off = 100.0 * np.array(errors.get((name, scan), [np.nan]))
+        rows.append(
+            {"what": "drift", "family": name, "scan": scan, "tried": bends * len(FACTORS), "not_said": silent,
+             "error_rms_percent": round(float(np.sqrt(np.mean(off**2))), 2),
+             "error_max_percent": round(float(np.abs(off).max()), 2)}
+        )  # fmt: skip
+    return [*rows, *told(consistency, 3 * bends), *uneven(consistency, flat, rng), *absorbed(consistency, flat, rng)]
+
+
+def told(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
+    """Return how often an event tells of drift, or of an uneven reference, where nothing has drifted.
+
+    Args:
+        consistency: Of a bundle.
+        bends: Deformations of each family, each once untouched and once with a touch that the gate sees.
+    """
+    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
+    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    rng = np.random.default_rng(1)
+    counts: dict[tuple[Family, bool, bool], list[int]] = {}
+    families: tuple[Family, ...] = ("A", "B")
+    for family in families:
+        for bend in draw(family, bends, 9901):
+            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            for touched in (False, True):
+                x, y, radius = rng.uniform((15.0, 15.0, 5.0), (135.0, 85.0, 12.0))
+                touches = (Touch((Disc(float(x), float(y), float(radius)),)),) if touched else ()
+                scene = Scene(bend=bend, touches=touches, element_size_mm=ELEMENT_MM)
+                logs = np.log(factorise_scene(scene).voltages() / flat)
+                for scan in (False, True):
+                    events = _events(consistency, logs, expected if scan else 0.0 * expected, rng, touched=touched)
+                    counts.setdefault((family, scan, touched), []).append(events)
+    rows = []
+    for (name, scan, touched), seen in counts.items():
+        wrong, tried = sum(bool(events) for events in seen), len(seen)
+        rows.append(
+            {"what": "drift told without any", "family": name, "scan": scan, "touched": touched, "tried": tried,
+             "frames": tried * STILL, "told": wrong, "interval_95": share_interval(wrong, tried)}
+        )  # fmt: skip
+    return rows
+
+
+def _events(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator, *, touched: bool) -> int:
+    """Return how many events a sheet that is held still for ``STILL`` frames gives."""
+    drift, events = Drift(consistency), 0
+    for _ in range(STILL // TOGETHER):
+        noisy = logs + NOISE * rng.standard_normal((TOGETHER, len(logs)))
+        events += drift.look(np.expm1(noisy).astype(np.float32), predicted, touched=touched)
+    return events
+
+
+def share_interval(count: int, tried: int) -> list[float]:
+    """Return the exact 95 % interval (Clopper and Pearson) of a share; of none, the upper end alone."""
+    from scipy.stats import beta
+
+    if not count:
+        return [0.0, round(float(1.0 - 0.05 ** (1.0 / tried)), 4)]
+    low = beta.ppf(0.025, count, tried - count + 1)
+    high = 1.0 if count == tried else beta.ppf(0.975, count + 1, tried - count)
+    return [round(float(low), 4), round(float(high), 4)]
+
+
+def settle(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> float | None:
+    """Return the drift, in log, that is reported of a sheet held still; None if none is."""
+    drift = still(consistency, logs, predicted, rng)
+    return None if np.isnan(drift.percent) else float(np.log1p(drift.percent / 100.0))
+
+
+def still(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> Drift:
+    """Return what is known of a sheet that is held still for a little longer than it takes."""
+    drift = Drift(consistency)
+    for _ in range(HOLD + 20):
+        change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
+        drift.look(change, predicted, touched=False)
+    return drift
+
+
+def uneven(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return what is said of a flat sheet, scanned and untouched, that dried more at one end than at the other."""
+    length, width = Sheet().size_mm
+    edges = np.linspace(0.0, length, STRIPS + 1)
+    rows = []
+    for lost in GRADIENTS:
+        strips = tuple(
+            Touch((Rect(float(a), 0.0, float(b), width),), 1.0 - lost * (a + b) / 2 / length)
+            for a, b in pairwise(edges)
+        )
+        scene = Scene(touches=strips if lost else (), element_size_mm=ELEMENT_MM)
+        logs = np.log(factorise_scene(scene).voltages() / flat)
+        found = still(consistency, logs, np.full(len(logs), 1e-9, dtype=np.float32), rng)
+        said = "uneven" if found.uneven else "nothing" if np.isnan(found.percent) else f"{found.percent:+.1f} %"
+        rows.append({"what": "drift", "lost_at_one_end_percent": round(100 * lost, 1), "said": said})
+    return rows
+
+
+def absorbed(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
+    """Return what compensation takes, in a minute, of touches that lie still on a sheet without drift."""
+    rows = []
+    for radius in (3.0, 5.0, 8.0, 15.0):
+        taken, sizes = [], []
+        for x, y in ((40.0, 30.0), (75.0, 50.0), (120.0, 80.0)):
+            scene = Scene(touches=(Touch((Disc(x, y, radius),)),), element_size_mm=ELEMENT_MM)
+            logs = np.log(factorise_scene(scene).voltages() / flat)
+            drift = Drift(consistency, compensate=True)
+            predicted = np.full(len(logs), 1e-9, dtype=np.float32)  # a flat cloud's prediction
+            for frame in range(STILL_FRAMES):
+                if frame % 100 == 0:
+                    change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
+                drift.look(change, predicted, touched=False)  # the gate asleep: the worst case
+            taken.append(abs(drift.taken_out))
+            sizes.append(float(np.sqrt(np.mean(logs**2))))
+        rows.append(
+            {"what": "drift", "touch_radius_mm": radius, "touch_rms_percent": round(100 * float(np.mean(sizes)), 2),
+             "taken_out_percent": round(100 * max(taken), 3)}
+        )  # fmt: skip
+    return rows

@@ -1,0 +1,1 @@
+"""``eitskin bench footprint``: the benchmark in ``bench``, its helpers beside it."""

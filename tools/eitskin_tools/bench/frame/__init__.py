@@ -1,0 +1,1 @@
+"""``eitskin bench frame``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,0 +1,1 @@
+"""``eitskin bench memory``: the benchmark in ``bench``, its helpers beside it."""

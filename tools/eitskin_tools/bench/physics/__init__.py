@@ -1,0 +1,1 @@
+"""``eitskin bench physics``: the benchmark in ``bench``, its helpers beside it."""

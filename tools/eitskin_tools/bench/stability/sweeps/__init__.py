@@ -1,0 +1,1 @@
+"""The disturbances, a module a family."""

@@ -1,0 +1,1 @@
+"""``eitskin bench surface``: the benchmark in ``bench``, its helpers beside it."""

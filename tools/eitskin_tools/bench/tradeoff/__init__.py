@@ -1,0 +1,1 @@
+"""``eitskin bench tradeoff``: the benchmark in ``bench``, its helpers beside it."""

@@ -1,0 +1,1 @@
+"""Subcommands around a running skin."""

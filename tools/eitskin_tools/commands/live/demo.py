@@ -1,0 +1,69 @@
+"""``eitskin demo``: the main job in one command."""
+
+import argparse
+import json
+import signal
+import sys
+from pathlib import Path
+
+from eitskin_tools.commands.live.run import SOLVERS
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="how long, from the first frame (20)")
+    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
+    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
+        "says that it shows the same, else vd2t)",
+    )
+    parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it touches come and go")
+    parser.add_argument(
+        "--device", default="virtual", choices=("virtual", "qemu"),
+        help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
+    )  # fmt: skip
+    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
+    parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
+    parser.add_argument("--no-draw", action="store_true", help="do not draw the map")
+    parser.add_argument("--record", type=Path, metavar="FILE.npz", help="keep what the subscriber noted")
+    parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw a frame of this run (extra 'plot')")
+    parser.add_argument("--json", action="store_true", help="print the summary as one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run the demonstration."""
+    from eitskin_tools.demo.show import Options, demonstrate, print_summary
+
+    if not arguments.seconds > 0.0:
+        raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
+    if not 0.0 < arguments.rate <= 1e5:
+        raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    if arguments.solver is not None and arguments.solver not in SOLVERS:
+        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
+    draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
+    summary = demonstrate(
+        Options(
+            seconds=arguments.seconds,
+            rate_hz=arguments.rate,
+            bundle=arguments.bundle,
+            solver=arguments.solver,
+            scene=arguments.scene,
+            noise=arguments.noise,
+            device=arguments.device,
+            seed=arguments.seed,
+            draw=draw,
+            talk=not draw and not arguments.json,
+            record=arguments.record,
+            picture=arguments.picture,
+        )
+    )
+    if arguments.json:
+        print(json.dumps(summary))
+    else:
+        print_summary(summary)
+    return 0

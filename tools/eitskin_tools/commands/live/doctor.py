@@ -1,0 +1,113 @@
+"""``eitskin doctor``: what is there, what is wrong with it, and what to do about it."""
+
+import argparse
+import json
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", help="greet the device on this port (a path, or usb:SERIAL) as well")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--make-curve-keys", type=Path, metavar="DIR", help="make CURVE keys for TCP, then exit")
+    parser.add_argument(
+        "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
+    )
+    parser.add_argument("--recorded", type=Path, metavar="FILE.npy", help="frames to look at: (n, 104) V")
+    parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
+    parser.add_argument("--bundle", type=Path, help="bundle that knows healthy frames (default: the shipped one)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print what was found and return 0; a port that was named and does not answer is a failure."""
+    if arguments.make_curve_keys is not None:
+        return _make_keys(arguments)
+    from eitskin.diagnostics import doctor
+
+    if arguments.electrodes:
+        return _electrodes(arguments)
+    found = doctor.examine()
+    if arguments.port:
+        from eitskin.acquisition.serial_port import DEFAULT_BAUD
+
+        baud = arguments.baud or DEFAULT_BAUD
+        device = doctor.greet(arguments.port, baud)
+        found["problems"] += device.pop("problems")
+        found["device"] = device
+        found["configuration"] = _configuration(arguments.port, baud)
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        _print(found)
+    return 0
+
+
+def _electrodes(arguments: argparse.Namespace) -> int:
+    """Print the sixteen electrodes and return 0."""
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.diagnostics import electrode_checkup
+    from eitskin.errors import BundleError
+    from eitskin.health.imputation import MISSING, Consistency
+    from eitskin.model.bundle import load_bundle
+    from eitskin.reference.captured import load
+
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError("--electrodes needs --port PORT or --recorded FILE.npy, and not both")
+    bundle = load_bundle(arguments.bundle)
+    arrays = bundle.consistency_arrays()
+    if arrays is None:
+        raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
+    reference = None if arguments.reference is None else load(arguments.reference)
+    if arguments.recorded is not None:
+        recording = electrode_checkup.load_recording(arguments.recorded)
+    else:
+        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
+    print(json.dumps(found) if arguments.json else "\n".join(electrode_checkup.lines(found)))
+    return 0
+
+
+def _configuration(port: str, baud: int) -> dict[str, Any]:
+    """Return the fields of what the device runs, and the name of what a rollback would return to."""
+    from dataclasses import asdict
+
+    from eitskin.acquisition.ports import open_line
+    from eitskin_tools.flash.exchange import Exchange
+    from eitskin_tools.flash.procedure import show
+
+    line = open_line(port, baud)
+    try:
+        shown = show(Exchange(line))
+    finally:
+        line.close()
+    other = shown.other.configuration.name if shown.other else None
+    return {**asdict(shown.active.configuration), "rolls_back_to": other}
+
+
+def _make_keys(arguments: argparse.Namespace) -> int:
+    from eitskin.messaging.curve_keys import make_keys
+
+    made = [str(path) for path in make_keys(arguments.make_curve_keys)]
+    print(json.dumps({"files": made}) if arguments.json else "\n".join(made))
+    return 0
+
+
+def _print(found: dict[str, Any]) -> None:
+    for port in found["ports"]:
+        print(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
+    for device in found["usb"]:
+        print(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
+    for bundle in found["bundles"]:
+        print(f"bundle   {bundle['path']}  {bundle['state']}")
+    for line in found["limits"]:
+        print(f"limit    {line}")
+    for section in ("device", "configuration"):
+        for name, value in found.get(section, {}).items():
+            print(f"{section if section == 'device' else 'config':<8} {name} {value}")
+    for problem in found["problems"]:
+        print(f"to do    {problem}")

@@ -1,0 +1,61 @@
+"""``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one."""
+
+import argparse
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--port", help="capture: serial port (or usb:SERIAL) of the skin, flat and untouched")
+    what.add_argument("--show", type=Path, metavar="FILE", help="show a captured reference")
+    parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
+    parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Capture or show a reference and return 0."""
+    from eitskin.reference import captured as references
+
+    if arguments.show is not None:
+        found = references.load(arguments.show)
+    else:
+        if arguments.out is None:
+            raise UsageError("--port captures a reference; name the file that it goes to with --out")
+        if arguments.frames < 2:
+            raise UsageError(f"--frames is {arguments.frames}, expected at least 2")
+        found = _capture(arguments)
+        references.save(found, arguments.out)
+    if arguments.json:
+        print(json.dumps(_fields(found)))
+    else:
+        for line in found.report():
+            print(line)
+    return 0
+
+
+def _capture(arguments: argparse.Namespace) -> Any:
+    from eitskin.acquisition.capture import capture
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+
+    print("eitskin reference: the sheet must be flat and untouched now", file=sys.stderr)
+    return capture(arguments.port, arguments.frames, arguments.baud or DEFAULT_BAUD)
+
+
+def _fields(found: Any) -> dict[str, object]:
+    return {
+        "serial_number": found.serial_number,
+        "configuration": f"{found.configuration_name}/{found.configuration_digest:08x}",
+        "captured_utc": found.captured_utc,
+        "frames": found.frames,
+        "weak_rows": found.weak.tolist(),
+        "voltages_V": found.voltages_V.tolist(),
+        "spread_V": found.spread_V.tolist(),
+    }

@@ -1,0 +1,187 @@
+"""``eitskin run``: read a skin, publish frames, take control requests, until told to stop.
+
+Standard error says what was got, line by line, and then ``ready ...``; standard output stays empty but for the one
+object of ``--json`` at the end.
+"""
+
+import argparse
+import contextlib
+import gc
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
+"""From the most accurate to the fastest."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--port", required=True, help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument(
+        "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
+    )
+    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of area labels)")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
+    parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
+    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference; default: capture one now")
+    parser.add_argument("--reference-frames", type=int, metavar="N", default=100, help="frames of a captured one")
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
+    parser.add_argument(
+        "--solver",
+        metavar="NAME",
+        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
+        "says that it shows the same, else vd2t; with a budget vd2t)",
+    )
+    parser.add_argument(
+        "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"
+    )
+    parser.add_argument(
+        "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
+    )
+    parser.add_argument(
+        "--exclude-electrode", type=int, action="append", default=[], metavar="N", help="go on without it; repeatable"
+    )
+    parser.add_argument(
+        "--compensate-drift", action="store_true", help="take out what the reference drifts, where a cloud predicts it"
+    )
+    parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
+    parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
+    parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
+    _check(arguments)
+    # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    gc.disable()  # while modules and weights are loaded, which leave nothing to collect; settle() turns it on again
+    from eitskin.diagnostics import realtime
+    from eitskin.skin import Skin
+
+    with contextlib.ExitStack() as stack:
+        stack.callback(gc.enable)
+        open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
+        if arguments.affinity:
+            _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
+        keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
+        port = arguments.port
+        if arguments.reconnect is not None:
+            from eitskin.acquisition.hotplug import HotPlug
+
+            port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
+        skin = stack.enter_context(
+            Skin(
+                port,
+                bundle=arguments.bundle,
+                reference=arguments.reference,
+                budget_ms=arguments.budget_ms,
+                solver=arguments.solver,
+                skip_unchanged=not arguments.every_map,
+                idle_after_s=arguments.idle_after,
+                exclude=tuple(arguments.exclude_electrode),
+                compensate_drift=arguments.compensate_drift,
+                **keywords,
+            )
+        )
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: skin.stop())
+        _report(skin)
+        _say(open_files)
+        if arguments.sched_fifo is not None:
+            _say(realtime.schedule_fifo(arguments.sched_fifo))
+        if arguments.mlock:
+            _say(realtime.lock_memory())
+        _serve(skin, arguments, stack)
+        if arguments.json:
+            print(json.dumps(skin.summary()))
+        else:
+            _say(_closing(skin.summary()))
+    return 0
+
+
+def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack) -> None:
+    from eitskin.diagnostics import realtime
+    from eitskin.errors import BadReference
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.control import ControlServer
+    from eitskin.messaging.curve_keys import load_server_keys
+    from eitskin.messaging.publish import Publisher
+    from eitskin.serve import serve
+
+    keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
+    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
+    stack.callback(publisher.close)
+    control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
+    stack.callback(control.close)
+    realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
+    if skin.reference is None:
+        _say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        try:
+            skin.capture_reference(arguments.reference_frames)
+        except BadReference:
+            if skin.stopping:
+                return
+            raise
+    for line in skin.reference.report():
+        _say(line)
+    print(f"ready publishing on {publisher.endpoint} control {control.endpoint}", file=sys.stderr, flush=True)
+    until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
+    serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
+    for name, least in bounds.items():
+        value = getattr(arguments, name)
+        if value is not None and value < least:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
+    for name in ("seconds", "budget_ms", "reconnect", "idle_after"):
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < 1e9:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+    if arguments.solver is not None and arguments.solver not in SOLVERS:
+        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+    if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
+        raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
+    if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
+        raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+
+
+def _report(skin: Any) -> None:
+    hello = skin.device.hello
+    for line in skin.transport.report():
+        _say(line)
+    version = ".".join(map(str, hello.firmware_version))
+    _say(
+        f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
+        f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
+    )
+    solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.engine_ns.items())
+    _say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
+    gate = skin.bundle.manifest.get("gate") or {}
+    _say(f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle")
+
+
+def _closing(summary: dict[str, Any]) -> str:
+    latency = summary["latency_us"]
+    return (
+        f"{summary['frames']} frames at {summary['rate_hz']:.1f}/s, {summary['lost']} lost, "
+        f"{summary['corrupt']} corrupt, {summary['withheld']} withheld, read to publish {latency['p50']:.0f} us p50, "
+        f"{latency['p99']:.0f} p99, {latency['max']:.0f} max"
+    )
+
+
+def _say(line: str) -> None:
+    print(f"eitskin run: {line}", file=sys.stderr, flush=True)

@@ -1,0 +1,103 @@
+"""``eitskin subscribe``: print what a runtime publishes, or count it."""
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
+    parser.add_argument("--mode", choices=("latest", "all"), default="latest", help="newest frame, or every frame")
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")
+    parser.add_argument("--max-age-ms", type=float, metavar="A", help="fail at a frame older than this")
+    parser.add_argument(
+        "--region", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help="only this rectangle is needed, in mm"
+    )
+    parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
+    parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
+    parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Print a line a frame (or, with ``--json``, one object at the end) and return 0."""
+    if (arguments.server_key is None) != (arguments.client_key is None):
+        raise UsageError("--server-key and --client-key belong together")
+    for name in ("frames", "seconds", "timeout_s", "max_age_ms"):
+        value = getattr(arguments, name)
+        if value is not None and not value > 0:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+    from eitskin.messaging.curve_keys import load_client_keys
+    from eitskin.messaging.endpoints import default_publish
+    from eitskin.messaging.regions import Region
+    from eitskin.messaging.subscription import subscribe
+
+    if arguments.region is not None:
+        try:
+            Region.from_mm(*arguments.region)
+        except ValueError as error:
+            raise UsageError(f"--region: {error}") from error
+    keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    subscription = subscribe(
+        arguments.endpoint or default_publish(),
+        arguments.mode,
+        timeout_s=arguments.timeout_s,
+        region_mm=None if arguments.region is None else tuple(arguments.region),
+        skip_unchanged=arguments.skip_unchanged,
+        max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
+        keys=keys,
+    )
+    latencies: list[float] = []
+    stages: dict[str, list[float]] = {}
+    first_s = time.perf_counter()
+    with subscription, contextlib.suppress(KeyboardInterrupt):
+        for frame in subscription:
+            latencies.append(frame.latency_s * 1e6)
+            for stage, span in frame.stages_us().items():
+                stages.setdefault(stage, []).append(span)
+            if not arguments.json:
+                _print(frame)
+            if arguments.frames is not None and subscription.received >= arguments.frames:
+                break
+            if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
+                break
+    if arguments.json:
+        print(json.dumps(_summary(subscription, latencies, stages, time.perf_counter() - first_s)))
+    return 0
+
+
+def _print(frame: Any) -> None:
+    peak = f"peak {frame.map.max():.2f}" if frame.touched else "untouched"
+    events = f" [{', '.join(frame.events)}]" if frame.events else ""
+    print(
+        f"{frame.sequence} {peak} solver {frame.solver} age {frame.age_s * 1e3:.2f} ms latency "
+        f"{frame.latency_s * 1e3:.2f} ms cloud {frame.cloud}{events}",
+        flush=sys.stdout.isatty(),
+    )
+
+
+def _summary(
+    subscription: Any, latencies: list[float], stages: dict[str, list[float]], elapsed_s: float
+) -> dict[str, Any]:
+    import numpy as np
+
+    from eitskin.pipeline.stats import quantiles
+
+    return {
+        "frames": subscription.received,
+        "rate_hz": round(subscription.received / elapsed_s, 3) if elapsed_s > 0 else 0.0,
+        "lost": subscription.lost,
+        "rejected": subscription.rejected,
+        "mapless": subscription.mapless,
+        "latency_us": quantiles(np.array(latencies)),
+        "stages_us": {stage: quantiles(np.array(spans)) for stage, spans in stages.items()},
+    }

@@ -1,0 +1,1 @@
+"""Subcommands of simulation, training and evaluation."""

@@ -1,0 +1,133 @@
+"""``eitskin dataset --set paper|units|free --out DIR``: writes a data set, or goes on with one that was interrupted."""
+
+import argparse
+import json
+import os
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--set",
+        dest="set_name",
+        choices=("paper", "units", "free"),
+        required=True,
+        help="the paper's 102,590 samples; richer shapes of units; touches anywhere",
+    )
+    parser.add_argument("--out", type=Path, required=True, metavar="DIR", help="folder to write; goes on if begun")
+    parser.add_argument("--seed", type=int, default=0, metavar="N", help="where all draws come from (default 0)")
+    parser.add_argument(
+        "--deformations", "--bends", type=int, metavar="N", help="deformations to train on (default 10, 140, 140)"
+    )
+    parser.add_argument("--kept", type=int, metavar="N", help="kept apart, of A and of B each (default 20)")
+    parser.add_argument(
+        "--touch-sets", type=int, metavar="N", help="in all (default 10259, 60000); free has one a sample"
+    )
+    parser.add_argument(
+        "--per-deformation", type=int, metavar="N", help="touch sets shown at a deformation (default all, 3000, 5000)"
+    )
+    parser.add_argument(
+        "--near", type=float, metavar="SHARE", help="share of free touch sets drawn close together (default 1/3)"
+    )
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://HOST:8786, instead")
+    parser.add_argument("--json", action="store_true", help="print one JSON object on what was written")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Make the data set and report it."""
+    from eitskin_sim.dataset.generate import generate
+    from eitskin_sim.dataset.plan import make_plan
+
+    if arguments.workers < 1:
+        raise UsageError(f"--workers is {arguments.workers}; it must be at least 1")
+    if arguments.scheduler is not None and "://" not in arguments.scheduler:
+        raise UsageError(f"--scheduler is {arguments.scheduler!r}; expected an address such as tcp://10.0.0.1:8786")
+    plan = make_plan(
+        arguments.set_name,
+        arguments.seed,
+        deformations=arguments.deformations,
+        touch_sets=arguments.touch_sets,
+        per_deformation=arguments.per_deformation,
+        kept=arguments.kept,
+        near=arguments.near,
+    )
+    start = time.perf_counter()
+    with Progress(arguments.set_name) as progress:
+        index = generate(
+            plan, arguments.out, workers=arguments.workers, scheduler=arguments.scheduler, progress=progress.tell
+        )
+    seconds = time.perf_counter() - start
+    report = {
+        "out": str(arguments.out),
+        "set": plan.set_name,
+        "samples": index["samples"],
+        "made": progress.made,
+        "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},
+        "touch_sets": plan.touch_sets,
+        "bytes": sum(file.stat().st_size for file in arguments.out.iterdir()),
+        "seconds": round(seconds, 2),
+        "samples_per_s": round(progress.made / seconds, 1),
+        "seed": plan.seed,
+        "digest": index["digest"],
+    }
+    print(json.dumps(report) if arguments.json else _text(report))
+    return 0
+
+
+def _text(report: dict[str, Any]) -> str:
+    bends = report["deformations"]
+    return (
+        f"{report['out']}: {report['samples']} samples of {report['touch_sets']} touch sets at {bends['train']} "
+        f"deformations, {bends['kept']} + {bends['other']} kept apart; {report['bytes'] / 1e6:.1f} MB, "
+        f"{report['seconds']:.1f} s, digest {report['digest']}"
+    )
+
+
+class Progress:
+    """A bar with time left in a terminal; lines on stderr elsewhere."""
+
+    def __init__(self, what: str) -> None:
+        self.made = 0
+        """Samples made in this call."""
+        self._what = what
+        self._bar: Any = None
+        self._task: Any = None
+        self._there: int | None = None
+        self._start = self._last = time.perf_counter()
+
+    def __enter__(self) -> "Progress":
+        if sys.stderr.isatty() and os.environ.get("TERM") != "dumb":
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+            from rich.progress import Progress as Bar
+
+            columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+            self._bar = Bar(*columns, TimeRemainingColumn(), console=Console(stderr=True))
+            self._bar.start()
+            self._task = self._bar.add_task(self._what, total=None)
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def tell(self, done: int, total: int) -> None:
+        """Show how many samples there are."""
+        if self._there is None:
+            self._there = done
+        self.made = done - self._there
+        if self._bar is not None:
+            self._bar.update(self._task, completed=done, total=total)
+            return
+        now = time.perf_counter()
+        if self.made and (now - self._last > 5.0 or done == total):
+            self._last = now
+            left = (now - self._start) * (total - done) / self.made
+            print(f"{self._what}: {done} of {total} samples, {left:.0f} s left", file=sys.stderr, flush=True)

@@ -1,0 +1,211 @@
+"""``eitskin evaluate``: score a solver on phantoms, all of them beside the paper's Table II, or one on drawn trials."""
+
+import argparse
+import json
+import sys
+import time
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the subcommand's arguments."""
+    what = parser.add_mutually_exclusive_group(required=True)
+    what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms")
+    what.add_argument("--single", type=float, metavar="MM", help="trial: one square touch of this side, anywhere")
+    what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
+    what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
+    what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
+    parser.add_argument(
+        "--solver",
+        default="vd2t",
+        help="vd2t, vd2t-int8, tikhonov, l1 or sbl; the last three take the grid of the phantoms' labels, or the one "
+        "that -pixels or -units names (default: vd2t)",
+    )
+    parser.add_argument(
+        "--all",
+        "--markdown",
+        dest="all",
+        action="store_true",
+        help="with --phantoms: every solver and reference as Markdown, beside the paper's Table II",
+    )
+    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="default: N2")
+    parser.add_argument("--snr-db", type=float, default=50.0, metavar="S", help="default: 50")
+    parser.add_argument(
+        "--reference",
+        choices=("pre", "post", "predicted"),
+        help="what the voltages are compared with: the flat sheet, the bent sheet, or V_pred from its scan (default: "
+        "post for the classical solvers; a network takes pre by design, and V_pred besides if its head has that input)",
+    )
+    parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws for each phantom (default: 1)")
+    parser.add_argument(
+        "--shift-px", type=float, default=0.0, metavar="P", help="move every touch by up to P pixels, at random"
+    )
+    parser.add_argument("--bundle", metavar="FILE", help="the network; default: the shipped one with the same labels")
+    parser.add_argument(
+        "--picture", metavar="FILE.png", help="with --phantoms: truth and every solver's map on the bent surface"
+    )
+    _add_ablations(parser)
+    _add_trials(parser)
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def _add_ablations(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("ablations")
+    group.add_argument(
+        "--prediction",
+        default="scan",
+        choices=("scan", "none", "true"),
+        help="second input of a network's head: V_pred of the scan, nothing, or the true untouched voltages",
+    )
+    group.add_argument(
+        "--cloud",
+        default="scan",
+        choices=("scan", "flat", "other"),
+        help="the shape that solvers are told: as scanned, flat, or that of another deformation (default: scan)",
+    )
+
+
+def _add_trials(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("trials")
+    group.add_argument("--family", default="A", choices=("A", "B"), help="where deformations are drawn (default: A)")
+    group.add_argument("--deformations", type=int, default=20, metavar="N", help="how many (default: 20)")
+    group.add_argument("--each", type=int, default=5, metavar="N", help="touch sets at each of them (default: 5)")
+    group.add_argument(
+        "--labels",
+        default=None,
+        choices=("units", "area"),
+        help="of --random and --untouched: touches on the unit grid or anywhere (default: area)",
+    )
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Evaluate, and print an object or a table."""
+    from eitskin_sim.evaluation.harness import Conditions
+    from eitskin_tools.evaluation.solvers import NAMES, Request
+
+    if arguments.seeds < 1:
+        raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
+    if arguments.solver not in NAMES:
+        raise UsageError(f"--solver {arguments.solver!r}: expected one of {', '.join(NAMES)}")
+    if not 0.0 <= arguments.shift_px <= 1.0:
+        raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
+    if arguments.all and arguments.phantoms is None:
+        raise UsageError("--all needs --phantoms: the table stands beside the paper's")
+    conditions = Conditions(arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud)
+    request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
+    if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
+        raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
+    if arguments.phantoms is None:
+        return _trial(arguments, request, conditions)
+    return _phantoms(arguments, request, conditions)
+
+
+def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
+    from eitskin_sim.scene.scene import load_phantoms
+    from eitskin_tools.evaluation.paper_tables import comparison
+    from eitskin_tools.evaluation.solvers import evaluate_requests
+
+    phantoms = load_phantoms(arguments.phantoms)
+    if not phantoms:
+        raise ValueError(f"{arguments.phantoms} holds no phantom; expected a list of at least one")
+    if arguments.all:
+        table, reports = comparison(phantoms, conditions, _progress(), arguments.bundle)
+        print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
+        return 0
+    if arguments.picture is not None:
+        from eitskin_tools.evaluation.gallery import collect, draw
+
+        rows = collect(phantoms, conditions, arguments.bundle)
+        draw(rows, arguments.picture)
+        found = {"picture": str(arguments.picture), "phantoms": len(rows)}
+        print(json.dumps(found) if arguments.json else f"{arguments.picture}: {len(rows)} phantoms")
+        return 0
+    (found,) = evaluate_requests(phantoms, [request], conditions, _progress())
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        _print_report(found)
+    return 0
+
+
+def _print_report(found: dict[str, Any]) -> None:
+    from eitskin_tools.evaluation.paper import PHANTOMS, TABLE_2
+
+    besides = {"scan": " and V_pred", "true": " and the true untouched voltages"}.get(found["prediction"], "")
+    print(f"{found['solver']}, {found['noise']} at {found['snr_db']:g} dB, reference: {found['reference']}{besides}")
+    paper = TABLE_2["cc"].get(found["solver"].split("-")[0]) if len(found["phantoms"]) == PHANTOMS else None
+    print(
+        "phantom      CC  PSNR dB      RIE  localisation mm  exact  touches  of  two-point mm      DE"
+        + ("  paper's CC" if paper else "")
+    )
+    rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
+    papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
+    for row, theirs in zip(rows, papers, strict=True):
+        line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{_cell(row['rie'], 9, 4)}"
+        line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
+        line += f"{_cell(row['two_point_mm'], 14, 1)}{_cell(row['distance_error'], 8, 4)}"
+        print(line if theirs is None else f"{line}{theirs:12.4f}")
+
+
+def _cell(value: float | None, width: int, digits: int) -> str:
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+
+
+def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
+    from eitskin_sim.evaluation import trials
+    from eitskin_tools.evaluation.trial_runs import touched_trial, untouched_trial
+
+    family, deformations, each = arguments.family, arguments.deformations, arguments.each
+    labels: trials.Labels = arguments.labels or "area"
+    if arguments.labels == "units" and (arguments.single or arguments.pair):
+        raise UsageError("--labels units: --single and --pair lie anywhere; leave it out")
+    trial: dict[str, Any] = {"family": family, "n_deformations": deformations, "each": each, "labels": labels}
+    if arguments.untouched:
+        found = untouched_trial(deformations, family, labels, request, conditions, _progress())
+        return _print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
+    if arguments.single is not None:
+        trial = {"kind": "single", "size_mm": arguments.single, **trial}
+        phantoms = trials.single(arguments.single, deformations, each, family)
+    elif arguments.pair is not None:
+        trial = {"kind": "pair", "gap_mm": arguments.pair, **trial}
+        phantoms = trials.pair(arguments.pair, deformations, each, family)
+    else:
+        counts = _counts(arguments.random)
+        trial = {"kind": "random", "touches": list(counts), **trial}
+        phantoms = trials.random(counts, deformations, each, family, labels)
+    found = touched_trial(phantoms, each, request, conditions, _progress())
+    return _print_trial({"trial": trial, **found}, arguments.json)
+
+
+def _counts(text: str) -> tuple[int, int]:
+    low, _, high = text.partition("-")
+    if not (low.isdecimal() and (high or low).isdecimal()):
+        raise UsageError(f"--random {text!r}: expected a number of touches or a range, such as 2-4")
+    return int(low), int(high or low)
+
+
+def _print_trial(found: dict[str, Any], as_json: bool) -> int:
+    if as_json:
+        print(json.dumps(found))
+        return 0
+    for name, value in found.items():
+        if name != "deformations":
+            print(f"{name:24} {value:.4f}" if isinstance(value, float) else f"{name:24} {value}")
+    return 0
+
+
+def _progress() -> Any:
+    """A line on stderr where a person looks on, nothing elsewhere."""
+    if not sys.stderr.isatty():
+        return None
+    start = time.monotonic()
+
+    def show(done: int, total: int) -> None:
+        left = (time.monotonic() - start) / done * (total - done)
+        print(
+            f"\r{done} of {total}, {left:.0f} s left ", end="\n" if done == total else "", file=sys.stderr, flush=True
+        )
+
+    return show

@@ -1,0 +1,126 @@
+"""``eitskin train``: train VD2T on a data set, with a progress bar on a terminal and a line per epoch elsewhere."""
+
+import argparse
+import json
+import sys
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add what the subcommand takes."""
+    parser.add_argument("--recipe", required=True, metavar="NAME", help="paper, units, free or tiny")
+    parser.add_argument(
+        "--data", required=True, nargs="+", metavar="DIR", help="data set of 'eitskin dataset'; several count as one"
+    )
+    parser.add_argument("--out", required=True, metavar="RUN", help="folder of the run")
+    parser.add_argument("--epochs", type=int, help="instead of the recipe's; the schedule spans them")
+    parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
+    parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
+    parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
+    parser.add_argument("--start-from", metavar="RUN", help="begin with the best weights of another run of this recipe")
+    parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Train and report."""
+    import torch
+
+    from eitskin_tools.errors import UsageError
+    from eitskin_training import curves, train
+    from eitskin_training.recipes import recipe
+    from eitskin_training.samples.joined import load_all
+
+    changes = {
+        name: value
+        for name in ("epochs", "learning_rate", "schedule")
+        if (value := getattr(arguments, name)) is not None
+    }
+    try:
+        chosen = replace(recipe(arguments.recipe), **changes)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if arguments.threads < 0:
+        raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    out = Path(arguments.out)
+    data = load_all(arguments.data)
+    with _Reporter() as report:
+        done = train.train(
+            data,
+            chosen,
+            out,
+            seed=arguments.seed,
+            resume=arguments.resume,
+            start=Path(arguments.start_from) if arguments.start_from else None,
+            sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
+            progress=report,
+        )
+    drawn = curves.draw(done.history, out / "curves.png", title=f"recipe {chosen.name}, seed {arguments.seed}")
+    best = done.best
+    assert best is not None
+    result: dict[str, Any] = {
+        "run": str(out),
+        "recipe": chosen.name,
+        "epochs": len(done.history),
+        "best": asdict(best),
+        "seconds": round(sum(epoch.seconds for epoch in done.history), 1),
+        "parameters": done.model.parameter_count(),
+        "streamed_weights": done.model.streamed_weights(),
+        "device": str(train.device()),
+        "curves": str(out / "curves.png") if drawn else None,
+    }
+    if arguments.json:
+        print(json.dumps(result))
+    else:
+        print(f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}")
+        print(f"next: eitskin export {out} --out {out}.eitskin")
+    return 0
+
+
+class _Reporter:
+    """Progress on stderr: a bar with the time left on a terminal, a line per epoch anywhere else."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+        self._task: Any = None
+
+    def __enter__(self) -> Callable[[Any], None]:
+        if sys.stderr.isatty():
+            from rich.console import Console
+            from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+
+            self._bar = Progress(
+                TextColumn("{task.description}"),
+                BarColumn(),
+                MofNCompleteColumn(),
+                TimeRemainingColumn(),
+                console=Console(stderr=True),
+            )
+            self._bar.start()
+            self._task = self._bar.add_task("training", total=None)
+        return self._tell
+
+    def __exit__(self, *_: object) -> None:
+        if self._bar is not None:
+            self._bar.stop()
+
+    def _tell(self, now: Any) -> None:
+        if self._bar is not None:
+            self._bar.update(self._task, completed=now.step, total=now.steps)
+        if (epoch := now.finished) is None:
+            return
+        text = (
+            f"epoch {epoch.number}/{now.epochs} loss {epoch.training_loss:.5f} "
+            f"validation {epoch.validation_loss:.5f} CC {epoch.validation_cc:.4f}"
+        )
+        if self._bar is not None:
+            self._bar.update(self._task, description=text)
+        else:
+            left = (now.epochs - epoch.number) * epoch.seconds / 60
+            print(f"{text} {epoch.seconds:.1f} s, {left:.0f} min left", file=sys.stderr, flush=True)

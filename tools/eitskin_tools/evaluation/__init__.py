@@ -1,0 +1,1 @@
+"""Solvers by name, tables and pictures of what they reach."""

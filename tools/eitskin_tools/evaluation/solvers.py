@@ -1,0 +1,200 @@
+"""Solvers by name: the classical ones of the simulation, and the network as it is deployed.
+
+The network runs through the runtime's own engine: the bundle's graphs, the runtime's normalisation, and the one
+reference taken flat and untouched. If its head has a second input, that is fed the way a robot feeds it: V_pred by the
+forward model from the scanned cloud, against the same model's flat sheet. It takes the shipped bundle whose labels
+match the phantoms, unless one is named.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.evaluation.harness import (
+    REFERENCES,
+    SOLVERS,
+    Case,
+    Conditions,
+    Reference,
+    Results,
+    Run,
+    Solver,
+    evaluate_all,
+)
+from eitskin_sim.evaluation.report import report
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.surface.predict import flat_voltages
+
+Prediction = Literal["scan", "none", "true"]
+"""What a head's second input is: V_pred of the scan, nothing, or the true untouched voltages, which no robot has."""
+
+PREDICTIONS: Final[tuple[str, ...]] = get_args(Prediction)
+"""The kinds of second input."""
+
+NETWORKS: Final = ("vd2t", "vd2t-int8")
+"""Solvers that a bundle provides."""
+
+NAMES: Final = (*SOLVERS, *NETWORKS)
+"""Every name that ``eitskin evaluate --solver`` takes."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Request:
+    """One solver as a person asks for it."""
+
+    name: str
+    """One of ``NAMES``."""
+    reference: Reference | None = None
+    """None is what the solver is meant for: pre for a network, else post."""
+    bundle: str | Path | None = None
+    """A network's file; None takes the shipped one."""
+    prediction: Prediction = "scan"
+    """Of a network."""
+
+
+@dataclass(frozen=True, slots=True)
+class Named:
+    """A solver, ready, and what a report says of it."""
+
+    run: Run
+    bundle_id: str | None = None
+    """Of the network's bundle."""
+    prediction: Prediction | None = None
+    """What the head's second input is fed; None where there is no such input."""
+
+
+def named(request: Request, labels: str) -> Named:
+    """Return the solver that a request means on phantoms with these labels.
+
+    Args:
+        request: Name, reference, bundle.
+        labels: ``"units"`` or ``"area"``, what the phantoms' truth means.
+
+    Raises:
+        ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.
+    """
+    if request.reference is not None and request.reference not in REFERENCES:
+        raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
+    if request.name in SOLVERS:
+        return Named(Run(SOLVERS[request.name], request.reference or "post"))
+    if request.name not in NETWORKS:
+        raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
+    return _network(request, labels)
+
+
+def _network(request: Request, labels: str) -> Named:
+    from eitskin.model.bundle import default_path, load_bundle
+    from eitskin.model.engine import Buffers, GeometryGraph, engines
+    from eitskin.reference.predicted import log_ratio
+
+    loaded = load_bundle(request.bundle or default_path(labels))
+    _check_reference(request, str(loaded.path), takes_prediction=loaded.uses_prediction)
+    buffers = Buffers(loaded.bias_width)
+    engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
+    if engine is None:
+        raise ValueError(f"{loaded.path} holds no network {request.name!r}; export one with 'eitskin export'")
+    graph = GeometryGraph(loaded)
+    prediction = request.prediction if loaded.uses_prediction else None
+    shown: list[Any] = [None, 0]  # the sheet whose geometry is in the buffers, and how many there were
+
+    def solve(case: Case) -> npt.NDArray[np.float64]:
+        if shown[0] is not case.sheet:
+            predicted = None
+            if prediction == "scan":
+                predicted = log_ratio(case.sheet.predicted(), flat_voltages())
+            elif prediction == "true":
+                predicted = log_ratio(case.sheet.untouched, case.flat_reference)
+            shown[:] = [case.sheet, shown[1] + 1]
+            buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
+        buffers.change[0] = relative_change(case.voltages, case.flat_reference)
+        engine.infer()
+        return np.asarray(buffers.map, dtype=np.float64).reshape(GRID_SHAPE)
+
+    solver: Solver = solve
+    return Named(Run(solver, "pre"), loaded.id, prediction)
+
+
+def _check_reference(request: Request, path: str, *, takes_prediction: bool) -> None:
+    """A network's dV is against the flat sheet; V_pred only comes on top of it."""
+    if request.reference == "post":
+        raise ValueError(
+            f"{request.name} takes the reference before the deformation, by design; found --reference post: say "
+            "--reference pre; --prediction true shows it the post-deformation voltages as its second input"
+        )
+    if request.reference == "predicted" and not (takes_prediction and request.prediction == "scan"):
+        why = "its head has no V_pred input" if not takes_prediction else f"--prediction is {request.prediction}"
+        raise ValueError(f"{request.name} of {path} cannot use --reference predicted: {why}; say --reference pre")
+    if request.prediction != "scan" and not takes_prediction:
+        raise ValueError(f"{path} has no V_pred input; leave --prediction {request.prediction} out")
+
+
+def evaluate_requests(
+    phantoms: Sequence[Phantom],
+    requests: Sequence[Request],
+    conditions: Conditions,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Return the report of each request, all on the same data, networks with the bundle of each phantom's labels.
+
+    Args:
+        phantoms: What to look at.
+        requests: Solvers.
+        conditions: Noise, seeds, shifts.
+        progress: Called with the phantoms done and all phantoms.
+
+    Raises:
+        ValueError: A request cannot be met.
+    """
+    found = []
+    for request, (named_by_labels, results) in zip(
+        requests, evaluate_named(phantoms, requests, conditions, progress), strict=True
+    ):
+        first = next(iter(named_by_labels.values()))
+        ids = sorted({one.bundle_id for one in named_by_labels.values() if one.bundle_id})
+        extra = {
+            "snr_db": conditions.snr_db,
+            "reference": first.run.reference,
+            "prediction": first.prediction,
+            "seeds": conditions.seeds,
+            "shift_px": conditions.shift_px,
+            "cloud": conditions.cloud,
+            "bundles": ids,
+        }
+        found.append({**report(request.name, conditions.noise, results), **extra})
+    return found
+
+
+def evaluate_named(
+    phantoms: Sequence[Phantom],
+    requests: Sequence[Request],
+    conditions: Conditions,
+    progress: Progress | None = None,
+) -> list[tuple[dict[str, Named], Results]]:
+    """Return, for each request, its solvers by labels and its scores in the phantoms' order."""
+    every: list[str] = list(dict.fromkeys(one.truth for one in phantoms))
+    solvers = [{labels: named(request, labels) for labels in every} for request in requests]
+    results: list[Results] = [[] for _ in requests]
+    done = 0
+
+    def step(now: int, _: int) -> None:
+        if progress is not None:
+            progress(done + now, len(phantoms))
+
+    for labels in every:
+        group = [one for one in phantoms if one.truth == labels]
+        found = evaluate_all(group, [one[labels].run for one in solvers], conditions, step)
+        for kept, scores in zip(results, found, strict=True):
+            kept.extend(scores)
+        done += len(group)
+    order = {id(one): index for index, one in enumerate(phantoms)}
+    for kept in results:
+        kept.sort(key=lambda pair: order[id(pair[0])])
+    return list(zip(solvers, results, strict=True))

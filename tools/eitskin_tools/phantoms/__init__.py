@@ -1,0 +1,1 @@
+"""The paper's eight phantoms, on the unit grid and in mm."""

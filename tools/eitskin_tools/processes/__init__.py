@@ -1,0 +1,1 @@
+"""Child processes: started together, watched together, gone together; their logs and threads."""

@@ -1,0 +1,145 @@
+"""Voltages at a few moments, and between them by interpolating their logarithms.
+
+The forward model needs milliseconds, the virtual skin a frame every one to five. Between events the script is smooth,
+so voltages solved every ``STEP_S`` and interpolated in log |V| follow it: a stretch multiplies voltages, which is
+linear there. A moment at which a touch comes or goes is solved twice, just before and just after, and stands twice in
+the list::
+
+    times_s   1.70  1.75  1.80 | 1.80  1.85 ...        searchsorted(side="right") falls between the two
+
+Moments whose scenes are equal are solved once. The demonstration's keyframes are shipped with the package, and others
+are kept in the user's cache; both carry a digest of the moments and of the model, so that a script that was changed is
+solved anew.
+"""
+
+import hashlib
+import itertools
+import os
+import tempfile
+import zipfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.scene.scene import Scene, scene_json
+
+Array = npt.NDArray[np.float64]
+
+STEP_S: Final = 0.05
+"""Between two keyframes at most. The error that this leaves is measured by :func:`interpolation_error`."""
+
+LEAST_STEPS: Final = 6
+"""Between two events at least: a touch that is being pressed changes faster than anything else."""
+
+MODEL: Final = "tensor mesh snapped to touches, biquadratic, kinked; 2"
+"""Stands for the forward model in digests; the number grows when its voltages change by more than 1e-3."""
+
+SHIPPED: Final = Path(__file__).with_name("solved")
+"""Keyframes that come with the package."""
+
+Solve = Callable[[Scene], Array]
+"""From a scene to its (104,) V."""
+
+
+def solve(scene: Scene) -> Array:
+    """Return the (104,) V of a scene by the forward model."""
+    return solve_scene(scene).voltages
+
+
+@dataclass(frozen=True, slots=True)
+class Moment:
+    """One keyframe's time and scene."""
+
+    time_s: float
+    scene: Scene
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Keyframes:
+    """Solved moments."""
+
+    times_s: Array
+    """(n,) ascending; an event stands twice."""
+    voltages: Array
+    """(n, rows) V."""
+
+    def at(self, time_s: float) -> Array:
+        """Return the (rows,) V at a time; before the first and after the last keyframe theirs."""
+        times = self.times_s
+        right = int(np.searchsorted(times, time_s, side="right"))
+        if right == 0 or right == len(times):
+            return np.array(self.voltages[min(right, len(times) - 1)])
+        start, stop = self.voltages[right - 1], self.voltages[right]
+        share = (time_s - times[right - 1]) / (times[right] - times[right - 1])
+        if share == 0.0:
+            return np.array(start)
+        ratio = stop / start
+        if np.all(ratio > 0.0):
+            return np.asarray(start * ratio**share)
+        return np.asarray(np.where(ratio > 0.0, start * np.abs(ratio) ** share, start + share * (stop - start)))
+
+
+def moment_times_s(events_s: Sequence[float], until_s: float, step_s: float = STEP_S) -> Array:
+    """Return the times to solve: every event, and at most ``step_s`` apart, up to the first past ``until_s``."""
+    times: list[float] = []
+    for start, stop in itertools.pairwise(events_s):
+        if start > until_s:
+            break
+        count = max(LEAST_STEPS, int(np.ceil((stop - start) / step_s - 1e-9)))
+        times.extend(np.linspace(start, stop, count + 1).tolist())
+    return np.array(times)
+
+
+def digest(moments: Sequence[Moment], model: str) -> str:
+    """Return 16 hex digits that stand for these moments, solved by this model."""
+    content = hashlib.sha256(model.encode())
+    for moment in moments:
+        content.update(f"{moment.time_s!r} {scene_json(moment.scene)}\n".encode())
+    return content.hexdigest()[:16]
+
+
+def cache_folder() -> Path:
+    """Return the user's cache folder for keyframes (XDG base directory specification)."""
+    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "eitskin" / "keyframes"
+
+
+def load(name: str, folder: Path) -> Keyframes | None:
+    """Return the keyframes of an earlier run, or None where there are none that can be read."""
+    try:
+        with (folder / f"{name}.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            return Keyframes(file["times_s"], file["voltages"].astype(np.float64))
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None
+
+
+def save(name: str, keyframes: Keyframes, folder: Path) -> None:
+    """Store keyframes in one step: a reader sees the whole file or none.
+
+    Raises:
+        OSError: The folder cannot be written.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}-", suffix=".npz", delete=False) as file:
+        try:
+            np.savez_compressed(file, times_s=keyframes.times_s, voltages=keyframes.voltages.astype(np.float32))
+            os.chmod(file.name, 0o644)
+            os.replace(file.name, folder / f"{name}.npz")
+        except BaseException:
+            os.unlink(file.name)
+            raise
+
+
+def interpolation_error(
+    keyframes: Keyframes, scene_at: Callable[[float], Scene], solve: Solve, times_s: Array
+) -> Array:
+    """Return the (n, rows) relative error |V - V_solved| / |V_solved| at some times; middles are worst."""
+    errors = []
+    for time_s in times_s:
+        exact = solve(scene_at(float(time_s)))
+        errors.append(np.abs(keyframes.at(float(time_s)) - exact) / np.abs(exact))
+    return np.array(errors)

@@ -1,0 +1,116 @@
+"""A scripted scene: what the sheet looks like at every moment, and what a perfect map of it would be.
+
+A script is deterministic in time. The demonstration loops through :mod:`eitskin_tools.scripted_scene.choreography`; a
+scene from a file is held still. Both begin flat and untouched, because that is when a reference is captured. Everything
+that the virtual skin measures, the truth that the streamed maps are judged by, and the cloud that a scanner would send
+follow from :meth:`Script.scene_at`.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.scene import Scene, load_scene
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_tools.scripted_scene import choreography, keyframes
+from eitskin_tools.scripted_scene.keyframes import Keyframes, Moment
+
+CURRENT_A: Final = 1e-3
+"""What the electronics drive: the "paper" configuration's 1 mA."""
+
+ELEMENT_MM: Final = 2.7
+"""Element size of the keyframes' mesh; no data set is generated on this one."""
+
+
+@dataclass(frozen=True, slots=True)
+class Script:
+    """A scene that changes with time."""
+
+    name: str
+    period_s: float
+    """The script repeats after this; infinite for a scene that is held."""
+    events_s: tuple[float, ...]
+    """Times within a period between which everything is smooth, ascending, from 0."""
+    scene: Callable[[float, bool], Scene]
+    """(time within the period, whether just before it) -> scene."""
+
+    def scene_at(self, time_s: float) -> Scene:
+        """Return the scene at a time since the start, the touches and bend of that moment."""
+        return self.scene(self.phase_s(time_s), False)
+
+    def phase_s(self, time_s: float) -> float:
+        """Return the time within the period."""
+        return time_s % self.period_s if np.isfinite(self.period_s) else max(time_s, 0.0)
+
+    def truth_at(self, time_s: float) -> npt.NDArray[np.float32]:
+        """Return the (30, 45) map of how much of each pixel is touched, 0 to 1."""
+        return np.asarray(area_map(self.scene_at(time_s).touches), dtype=np.float32)
+
+    def cloud_at(self, time_s: float, rng: np.random.Generator | None = None) -> npt.NDArray[np.float64]:
+        """Return the (3, 30, 45) mm cloud that a scanner gives at a time.
+
+        Args:
+            time_s: Since the start.
+            rng: Source of the scanner's noise; None for a perfect scanner.
+        """
+        return np.asarray(scanned_cloud(self.scene_at(time_s).bend, rng), dtype=np.float64)
+
+    def moments(self, until_s: float, step_s: float = keyframes.STEP_S) -> list[Moment]:
+        """Return the keyframes to solve so that times up to ``until_s`` can be interpolated."""
+        last = min(until_s, self.period_s)
+        times = keyframes.moment_times_s(self.events_s, last, step_s)
+        found: list[Moment] = []
+        for index, time_s in enumerate(times):
+            doubled = index + 1 < len(times) and times[index + 1] == time_s
+            found.append(Moment(float(time_s), self.scene(float(time_s), doubled)))
+        return found
+
+    def voltages_at(self, time_s: float, solved: Keyframes) -> npt.NDArray[np.float64]:
+        """Return the (104,) V at a time since the start."""
+        return solved.at(self.phase_s(time_s))
+
+
+def demonstration() -> Script:
+    """Return the looping script of the demonstration."""
+
+    def scene(time_s: float, before: bool) -> Scene:
+        return Scene(
+            bend=choreography.bend_at(time_s),
+            touches=choreography.touches_at(time_s, before=before),
+            current_A=CURRENT_A,
+            element_size_mm=ELEMENT_MM,
+        )
+
+    return Script("demonstration", choreography.PERIOD_S, choreography.events_s(), scene)
+
+
+def still(scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUCHED_FLAT_S) -> Script:
+    """Return a script that is flat and untouched for a while, and then holds one scene for ever.
+
+    Args:
+        scene: What to hold; its current is replaced by the electronics'.
+        name: What messages call it.
+        flat_s: How long the sheet stays flat and untouched.
+    """
+    held = replace(scene, current_A=CURRENT_A)
+    flat = Scene(held.sheet, held.electrodes, current_A=CURRENT_A, element_size_mm=held.element_size_mm)
+
+    def at(time_s: float, before: bool) -> Scene:
+        return flat if time_s < flat_s or (before and time_s == flat_s) else held
+
+    return Script(name, float("inf"), (0.0, flat_s, flat_s + 1.0), at)
+
+
+def from_scene(path: str | Path) -> Script:
+    """Return a script that holds the scene of a JSON file.
+
+    Raises:
+        SceneError: The file is no valid scene.
+        OSError: The file cannot be read.
+    """
+    return still(load_scene(path), Path(path).name)

@@ -1,0 +1,187 @@
+"""Writes a data set: shards by worker processes or a Dask cluster, each file whole or not there, resumable.
+
+``plan.json`` is written first, a file a shard as it comes, ``index.json`` last. A second call with the same plan
+keeps the shards that are there and makes the rest; with another plan it refuses. Every file is written beside its
+place and renamed.
+"""
+
+import hashlib
+import io
+import json
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_sim.dataset.cluster import Made, shards_on_cluster
+from eitskin_sim.dataset.plan import Plan
+from eitskin_sim.dataset.reader import FORMAT, HINT, VERSION
+from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
+
+Progress = Callable[[int, int], None]
+"""Called with samples done and samples in all."""
+
+ONE_THREAD: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+"""Environment variables that hold BLAS to one thread."""
+
+
+class DataSetError(SkinError):
+    """A folder that cannot take the data set."""
+
+
+def generate(
+    plan: Plan,
+    folder: str | Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    progress: Progress = lambda done, total: None,
+) -> dict[str, Any]:
+    """Write a data set, or go on with one, and return its index.
+
+    Args:
+        plan: What it holds.
+        folder: Where to; made if it is not there.
+        workers: Processes on this machine; 0 computes in this one.
+        scheduler: Address of a Dask scheduler that makes the shards instead, such as "tcp://10.0.0.1:8786".
+        progress: Told after every shard.
+
+    Raises:
+        DataSetError: The folder holds another data set.
+        ValueError: ``workers`` is negative.
+    """
+    if workers < 0:
+        raise ValueError(f"workers is {workers}; it must be at least 0")
+    out = Path(folder)
+    _claim(plan, out)
+    names = [f"deformation-{number:04d}.npz" for number in range(len(plan.bends))]
+    counts = list(plan.counts)
+    missing = {number for number, name in enumerate(names) if not _is_whole(out / name)}
+    done = sum(counts) - sum(counts[number] for number in missing)
+    progress(done, sum(counts))
+    together = [[number for number in shard if number in missing] for shard in plan.shards()]
+    jobs = [shard_job(plan, shard) for shard in together if shard]
+    for numbers, files in _run(jobs, workers, scheduler):
+        for number, arrays in zip(numbers, files, strict=True):
+            _write(out / names[number], pack_arrays(arrays))
+            done += counts[number]
+        progress(done, sum(counts))
+    if not _is_whole(out / "touches.npz"):
+        _write(out / "touches.npz", pack_arrays(touches_file(plan)))
+    index = _index(plan, out, names, counts)
+    _write(out / "index.json", json.dumps(index, indent=1).encode())
+    return index
+
+
+def _claim(plan: Plan, out: Path) -> None:
+    path = out / "plan.json"
+    content = json.dumps({"digest": plan.digest, **plan.to_json()}).encode()
+    if path.exists():
+        if path.read_bytes() != content:
+            raise DataSetError(
+                f"{out} holds another data set, or one of another version; give --out a new folder, or remove that one"
+            )
+        return
+    if out.exists() and any(out.iterdir()):
+        raise DataSetError(f"{out} is not empty and holds no data set; give --out a new folder")
+    out.mkdir(parents=True, exist_ok=True)
+    _write(path, content)
+
+
+def _run(jobs: list[dict[str, Any]], workers: int, scheduler: str | None) -> Iterator[Made]:
+    """Yield shards as they come."""
+    if not jobs:
+        return
+    if scheduler is not None:
+        yield from shards_on_cluster(jobs, scheduler)
+    elif workers == 0:
+        for job in jobs:
+            yield job["deformations"], make_shard(job)
+    else:
+        yield from _in_processes(jobs, min(workers, len(jobs)))
+
+
+def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
+    context = multiprocessing.get_context("spawn")
+    with _one_thread(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+        waiting = {pool.submit(make_shard, job): job["deformations"] for job in jobs}
+        try:
+            for future in as_completed(list(waiting)):
+                yield waiting.pop(future), future.result()
+        finally:
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that start meanwhile see BLAS held to one thread."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(dict.fromkeys(ONE_THREAD, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+
+
+def pack_arrays(arrays: Arrays) -> bytes:
+    """Return an uncompressed ``.npz``; the same arrays give the same bytes."""
+    buffer = io.BytesIO()
+    np.savez(buffer, allow_pickle=False, **arrays)
+    return buffer.getvalue()
+
+
+def _is_whole(path: Path) -> bool:
+    """Return whether a file is there; it was renamed into place, so then it is whole."""
+    return path.exists()
+
+
+def _write(path: Path, content: bytes) -> None:
+    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
+    try:
+        with beside.open("wb") as file:
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        beside.replace(path)
+    finally:
+        beside.unlink(missing_ok=True)
+
+
+def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[str, Any]:
+    def entry(name: str) -> dict[str, Any]:
+        return {"file": name, "sha256": hashlib.sha256((out / name).read_bytes()).hexdigest()}
+
+    touches = entry("touches.npz")
+    content = plan.to_json()
+    deformations = [
+        {**entry(name), "samples": count, "split": split, "bend": bend}
+        for name, count, split, bend in zip(names, counts, plan.splits, content["bends"], strict=True)
+    ]
+    whole = "".join([touches["sha256"], *(d["sha256"] for d in deformations), PROTOCOL_ID, GRID_ID])
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "protocol_id": PROTOCOL_ID,
+        "grid_id": GRID_ID,
+        "set": plan.set_name,
+        "labels": "area" if plan.set_name == "free" else "units",
+        "seed": plan.seed,
+        "plan": plan.digest,
+        "samples": sum(counts),
+        "touch_sets": plan.touch_sets,
+        "made_again_by": HINT,
+        "digest": hashlib.sha256(whole.encode()).hexdigest()[:16],
+        "touches": touches,
+        "deformations": deformations,
+    }

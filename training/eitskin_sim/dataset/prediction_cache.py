@@ -1,0 +1,63 @@
+"""A data set's predicted references, computed once and kept beside it.
+
+``predicted.npz`` in the data set's folder ::
+
+    digest         of the data set
+    model          eitskin_sim.surface.predict.MODEL
+    flat           (104,) float64 V of the model's flat sheet
+    log_predicted  (D, 104) float32
+
+A file whose digest, model or flat voltages are others is old: it is made again. The data set's own digest does not
+cover it, because everything in it follows from the clouds.
+"""
+
+import contextlib
+import os
+import zipfile
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.dataset.reader import DataSet
+from eitskin_sim.surface.predict import MODEL, flat_voltages, predicted_log
+
+FILE: Final = "predicted.npz"
+"""Name of the file in the data set's folder."""
+
+
+def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float32]:
+    """Return the (D, 104) log |V_pred| / |V_flat| of a data set's deformations, from its folder if they are there.
+
+    Args:
+        folder: Where the data set lies; one that cannot be written to keeps nothing, and each call computes.
+        data: The data set, of D deformations.
+    """
+    path, flat = Path(folder) / FILE, flat_voltages()
+    kept = _read(path, data, flat)
+    if kept is not None:
+        return kept
+    found = predicted_log(data.clouds)
+    partial = path.with_name(f"{FILE}.{os.getpid()}.tmp")
+    with contextlib.suppress(PermissionError):
+        try:
+            with partial.open("wb") as file:
+                np.savez(file, digest=data.digest, model=MODEL, flat=flat, log_predicted=found)
+            partial.replace(path)
+        finally:
+            partial.unlink(missing_ok=True)
+    return found
+
+
+def _read(path: Path, data: DataSet, flat: npt.NDArray[np.float64]) -> npt.NDArray[np.float32] | None:
+    """The kept predictions, or None where there are none of this data set and this model."""
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            same = str(file["digest"]) == data.digest and str(file["model"]) == MODEL
+            if same and np.allclose(file["flat"], flat, rtol=1e-9, atol=0.0):
+                found = np.asarray(file["log_predicted"], dtype=np.float32)
+                return found if found.shape == (len(data.clouds), len(flat)) else None
+    except (FileNotFoundError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+        return None
+    return None

@@ -1,0 +1,169 @@
+"""The data set on disk, and its reader.
+
+A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.npz`` ::
+
+    index.json          format, version, protocol_id, grid_id, set, seed, sizes, digest; per deformation: its bend,
+    split,
+                        file, number of samples, SHA-256 of the file
+    touches.npz         on the unit grid  units (T, 16) uint8, packed bits, unit 0 first
+                        anywhere          pieces (P, 7) float64 and first (T + 1,) int64   (scene.touch_table)
+                        and               validation (T,) bool, reference (104,) float64 V, flat and untouched
+    deformation-0000.npz  touch_set (n,) int32, voltages (n, 104) float32 V at 1 A, free of noise;
+                        untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as scanned, in the agreed pose
+
+A sample takes 420 bytes; 1350 labels as float32 would take 5,400. Labels are made from the touch set, noise is added
+when a batch is made. ``index.json`` is written last: a folder without it is unfinished, and 'eitskin dataset' goes on
+with it.
+"""
+
+import hashlib
+import json
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import MismatchError, ProtocolError
+from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_sim.dataset.plan import SetName
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import FreeTouches
+from eitskin_sim.unit_grid.patterns import unpack
+
+FORMAT: Final = "eitskin-dataset"
+VERSION: Final = 1
+HINT: Final = "make it again with 'eitskin dataset'"
+
+
+@dataclass(frozen=True, slots=True)
+class DataSet:
+    """A data set in memory: N samples at D deformations of T touch sets."""
+
+    set_name: SetName
+    seed: int
+    digest: str
+    """Stands for every file."""
+    reference_V: npt.NDArray[np.float64]
+    """(104,) flat and untouched."""
+    untouched_V: npt.NDArray[np.float64]
+    """(D, 104)"""
+    clouds: npt.NDArray[np.float32]
+    """(D, 3, 30, 45) mm, as scanned, in the agreed pose."""
+    bends: tuple[Bend, ...]
+    deformation_split: tuple[str, ...]
+    """(D,) "train", "kept" (family A) or "other" (family B)."""
+    voltages_V: npt.NDArray[np.float32]
+    """(N, 104) touched, free of noise."""
+    deformation: npt.NDArray[np.int32]
+    """(N,)"""
+    touch_set: npt.NDArray[np.int32]
+    """(N,) the same number recurs at several deformations."""
+    touch_split: npt.NDArray[np.bool_]
+    """(T,) True for a touch set that is held out."""
+    units: npt.NDArray[np.bool_]
+    """(T, 126) touched units; (0, 126) for touches anywhere."""
+    free: FreeTouches
+    """Touches anywhere; empty on the unit grid."""
+
+    @property
+    def labels_kind(self) -> Literal["units", "area"]:
+        """Hard labels of units, or touched shares of area."""
+        return "area" if self.set_name == "free" else "units"
+
+    def rows(
+        self,
+        deformations: Literal["train", "kept", "other", "all"] = "train",
+        touches: Literal["train", "validation", "all"] = "train",
+    ) -> npt.NDArray[np.int64]:
+        """Return the numbers of the samples of one split of deformations and one of touch sets."""
+        wanted = np.array([deformations in ("all", split) for split in self.deformation_split])[self.deformation]
+        if touches != "all":
+            wanted &= self.touch_split[self.touch_set] == (touches == "validation")
+        return np.flatnonzero(wanted)
+
+    def labels(self, rows: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
+        """Return the (n, 30, 45) maps of some samples."""
+        sets = self.touch_set[rows]
+        if self.labels_kind == "units":
+            return np.asarray(map_from_units(self.units[sets]), dtype=np.float32)
+        unique, back = np.unique(sets, return_inverse=True)
+        maps = np.minimum(self.free.chosen(unique).area_table().toarray(), 1.0).astype(np.float32)
+        return np.asarray(maps[back].reshape(-1, *GRID_SHAPE))
+
+    def label_table_u8(self) -> npt.NDArray[np.uint8]:
+        """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""
+        if self.labels_kind == "units":
+            return np.asarray(map_from_units(np.uint8(255) * self.units), dtype=np.uint8).reshape(-1, N_PIXELS)
+        table = self.free.area_table()
+        table.data = np.rint(255.0 * np.minimum(table.data, 1.0)).astype(np.uint8)
+        return np.asarray(table.toarray())
+
+
+def load(path: str | Path) -> DataSet:
+    """Return the data set in a folder, every file checked.
+
+    Raises:
+        MismatchError: It was made for another protocol, grid or version, or a file has changed.
+        ProtocolError: The folder holds no finished data set.
+        OSError: A file cannot be read.
+    """
+    folder = Path(path)
+    index = read_index(folder)
+    touches = _read(folder, index["touches"])
+    shards = [_read(folder, entry) for entry in index["deformations"]]
+    unit_bits = touches.get("units")
+    pieces = touches.get("pieces", np.empty((0, 7)))
+    return DataSet(
+        set_name=index["set"],
+        seed=index["seed"],
+        digest=index["digest"],
+        reference_V=touches["reference"],
+        untouched_V=np.array([shard["untouched"] for shard in shards]),
+        clouds=np.array([shard["cloud"] for shard in shards]),
+        bends=tuple(bend_from_json(entry["bend"]) for entry in index["deformations"]),
+        deformation_split=tuple(entry["split"] for entry in index["deformations"]),
+        voltages_V=np.concatenate([shard["voltages"] for shard in shards]),
+        deformation=np.repeat(
+            np.arange(len(shards), dtype=np.int32), [len(shard["touch_set"]) for shard in shards]
+        ).astype(np.int32),
+        touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
+        touch_split=touches["validation"],
+        units=np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(unit_bits),
+        free=FreeTouches(pieces, touches.get("first", np.zeros(1, dtype=np.int64))),
+    )
+
+
+def read_index(folder: Path) -> dict[str, Any]:
+    """Return ``index.json``, its ids checked."""
+    path = folder / "index.json"
+    if folder.is_dir() and not path.exists():
+        raise ProtocolError(f"{folder} holds no finished data set: index.json is missing; go on with 'eitskin dataset'")
+    try:
+        index = json.loads(path.read_text(encoding="utf-8"))
+    except (UnicodeDecodeError, json.JSONDecodeError) as error:
+        raise ProtocolError(f"{path} is no JSON: {error}; {HINT}") from error
+    if not isinstance(index, dict) or index.get("format") != FORMAT:
+        raise ProtocolError(f"{path} is no index of a data set; {HINT}")
+    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        if index.get(name) != expected:
+            raise MismatchError(f"data set {folder}: {name}", found=index.get(name), expected=expected, hint=HINT)
+    return index
+
+
+def _read(folder: Path, entry: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
+    path = folder / entry["file"]
+    content = path.read_bytes()
+    found = hashlib.sha256(content).hexdigest()
+    if found != entry["sha256"]:
+        raise MismatchError(f"{path}: sha256", found=found[:16], expected=entry["sha256"][:16], hint=HINT)
+    with np.load(path, allow_pickle=False) as arrays:
+        return {name: arrays[name] for name in arrays.files}
+
+
+def bend_from_json(value: dict[str, Any]) -> Bend:
+    """Return the bend that ``dataclasses.asdict`` made JSON of."""
+    bumps = tuple((float(x), float(y), float(height), float(sigma)) for x, y, height, sigma in value["bumps_mm"])
+    return Bend(**{**value, "bumps_mm": bumps})

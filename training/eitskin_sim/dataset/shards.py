@@ -1,0 +1,136 @@
+"""Makes the shards of a data set: one deformation each or a few, the same bits whoever makes them.
+
+Everything follows from the plan: the touch sets, the bend, the noise of the scan. A worker process computes with one
+BLAS thread, because the order of a threaded sum changes the last bits.
+"""
+
+from collections.abc import Iterator
+from dataclasses import asdict
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.dataset.plan import Plan
+from eitskin_sim.dataset.reader import bend_from_json
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.freeform.mesh import free_mesh
+from eitskin_sim.freeform.parts import geometry
+from eitskin_sim.freeform.pool import FreePool, free_pool
+from eitskin_sim.freeform.sheet import free_sheet
+from eitskin_sim.freeform.voltages import pool_voltages
+from eitskin_sim.scene.parts import Bend, Scene
+from eitskin_sim.scene.touch_table import FreeTouches
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.unit_grid.patterns import Bits, pack, paper_touch_sets, rich_touch_sets
+from eitskin_sim.unit_grid.units import UnitGenerator
+
+Arrays = dict[str, npt.NDArray[Any]]
+"""What one ``.npz`` holds."""
+
+
+def unit_sets(plan: Plan) -> Bits:
+    """Return the (T, 126) touch sets of a plan on the unit grid."""
+    return _unit_sets(plan.set_name, plan.touch_sets, plan.seed)
+
+
+@lru_cache(maxsize=2)
+def _unit_sets(set_name: str, count: int, seed: int) -> Bits:
+    return paper_touch_sets(seed)[:count] if set_name == "paper" else rich_touch_sets(count, seed)
+
+
+def free_sets(plan: Plan) -> FreeTouches:
+    """Return the touch sets of a plan whose touches are anywhere, deformation after deformation."""
+    found: dict[int, FreeTouches] = {}
+    for shard in plan.shards():
+        pool = _pool(shard_job(plan, shard))
+        found.update((number, pool.touches(sets)) for number, sets in pool.sets.items())
+    tables = [found[number] for number in range(len(plan.bends))]
+    counts = np.concatenate([np.diff(table.first) for table in tables])
+    first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    return FreeTouches(np.concatenate([table.pieces for table in tables]), first)
+
+
+def touches_file(plan: Plan) -> Arrays:
+    """Return what ``touches.npz`` holds."""
+    common: Arrays = {"validation": plan.validation(), "reference": reference()}
+    if plan.set_name == "free":
+        sets = free_sets(plan)
+        return {**common, "pieces": sets.pieces, "first": sets.first}
+    return {**common, "units": pack(unit_sets(plan))}
+
+
+def reference() -> npt.NDArray[np.float64]:
+    """Return (104,) V of the flat, untouched sheet."""
+    return untouched(Bend())
+
+
+def untouched(bend: Bend) -> npt.NDArray[np.float64]:
+    """Return (104,) V of a bent, untouched sheet on the mesh of a scene, 1e-5 from converged."""
+    return solve_scene(Scene(bend=bend)).voltages
+
+
+def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
+    """Return all that a worker needs to make some deformations, as plain values."""
+    together = next(shard for shard in plan.shards() if deformations[0] in shard)
+    return {
+        "set": plan.set_name,
+        "seed": plan.seed,
+        "deformations": deformations,
+        "bends": [asdict(plan.bends[number]) for number in deformations],
+        "touch_sets": plan.touch_sets,
+        "shown": [plan.shown(number) for number in deformations],
+        "pool": {number: (plan.counts[number], plan.held_out(number)) for number in together},
+        "near": plan.near,
+    }
+
+
+def make_shard(job: dict[str, Any]) -> list[Arrays]:
+    """Return what each deformation's file holds.
+
+    Voltages come from the generator's mesh and are multiplied by what a finer mesh says of the untouched sheet over
+    what the generator's says: that takes the mesh's own error out of every reference.
+    """
+    bends = [bend_from_json(bend) for bend in job["bends"]]
+    make = _free_voltages if job["set"] == "free" else _unit_voltages
+    found: list[Arrays] = []
+    cases = zip(job["deformations"], bends, job["shown"], make(job, bends), strict=True)
+    for number, bend, shown, (voltages, coarse) in cases:
+        fine = untouched(bend)
+        noise = np.random.default_rng([job["seed"], 3, number])
+        found.append(
+            {
+                "touch_set": shown,
+                "voltages": (voltages * (fine / coarse)).astype(np.float32),
+                "untouched": fine,
+                "cloud": scanned_cloud(bend, noise),
+            }
+        )
+    return found
+
+
+_Made = Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
+"""(n, 104) and (104,) V of a deformation, touched and not."""
+
+
+def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
+    sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])
+    for bend, shown in zip(bends, job["shown"], strict=True):
+        generator = UnitGenerator(bend)
+        yield generator.voltages(sets[shown]), generator.untouched_V
+
+
+def _pool(job: dict[str, Any]) -> FreePool:
+    """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
+    return free_pool(job["pool"], job["seed"], job["near"])
+
+
+def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
+    pool, grid = _pool(job), free_mesh()
+    batches = geometry(pool.parts, grid)
+    used = None
+    for number, bend in zip(job["deformations"], bends, strict=True):
+        sheet = free_sheet(bend, into=used)
+        yield pool_voltages(sheet, grid, pool, batches, number), sheet.untouched_V
+        used = sheet.inverse

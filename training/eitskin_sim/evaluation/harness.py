@@ -1,0 +1,269 @@
+"""The harness: phantom file -> data on an independent finer mesh -> noise -> scan -> solver -> metrics.
+
+Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
+scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
+cloud, as the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so
+without noise::
+
+    pre        the flat, untouched sheet, once and for all (paper Fig. 10; what the network gets)
+    post       the bent, untouched sheet (paper Table II)
+    predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Final, Literal, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.grid import map_from_units
+from eitskin_sim.evaluation.metrics import Score, scaled, score, touched_units
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend, Phantom, Scene
+from eitskin_sim.scene.shift import shifted
+from eitskin_sim.solvers.l1 import l1_image
+from eitskin_sim.solvers.operators import (
+    SATURATED,
+    Cells,
+    Operators,
+    linear_data,
+    log_data,
+    operators_of_cloud,
+)
+from eitskin_sim.solvers.sbl import sbl_image
+from eitskin_sim.solvers.tikhonov import tikhonov_matrix
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.predict import flat_voltages, predict
+
+Array = npt.NDArray[np.float64]
+
+Reference = Literal["pre", "post", "predicted"]
+"""What the voltages are compared with."""
+
+REFERENCES: Final[tuple[str, ...]] = get_args(Reference)
+"""The kinds of reference."""
+
+DATA_MM: Final = 1.2
+"""Element size of the data: finer than the 1.5 mm of training and the 4.5 mm of the solvers' operators."""
+
+SCAN_SEED: Final = 20_000
+"""The scan's noise has its own seeds, apart from those of the voltages."""
+
+SHIFT_SEED: Final = 21_000
+"""Shifts of touches too: the same draw whatever the noise."""
+
+CloudKind = Literal["scan", "flat", "other"]
+"""Which cloud the solvers are given: the scan of the sheet, the flat sheet's, or that of another deformation."""
+
+CLOUDS: Final[tuple[str, ...]] = get_args(CloudKind)
+"""The kinds of cloud."""
+
+
+@dataclass(frozen=True, slots=True)
+class Conditions:
+    """Under which conditions phantoms are measured."""
+
+    noise: Kind = "N2"
+    """Definition of the voltages' noise."""
+    snr_db: float = 50.0
+    """Its level."""
+    seeds: int = 1
+    """Draws of noise, scan and shift for each phantom: 0 to seeds - 1."""
+    shift_px: float = 0.0
+    """Every touch is moved by up to this part of a pixel along x and y."""
+    cloud: CloudKind = "scan"
+    """What the solvers know of the shape; the others are ablations."""
+
+
+@dataclass(slots=True)
+class Sheet:
+    """One bent sheet: what is known of it before a touch, computed once and kept while the process runs."""
+
+    cloud_mm: Array
+    """(3, 30, 45) as scanned."""
+    untouched: Array
+    """(104,) V of the true bent sheet."""
+    _operators: dict[Cells, Operators] = field(default_factory=dict)
+    _matrices: dict[Cells, Array] = field(default_factory=dict)
+    _predicted: Array | None = None
+
+    def operators(self, cells: Cells) -> Operators:
+        """Return the scanned sheet's operators."""
+        if cells not in self._operators:
+            self._operators[cells] = operators_of_cloud(self.cloud_mm, cells)
+        return self._operators[cells]
+
+    def tikhonov(self, cells: Cells) -> Array:
+        """Return the scanned sheet's Tikhonov matrix (n, 104)."""
+        if cells not in self._matrices:
+            self._matrices[cells] = tikhonov_matrix(self.operators(cells).relative_jacobian)
+        return self._matrices[cells]
+
+    def predicted(self) -> Array:
+        """Return the scanned sheet's V_pred (104,), V."""
+        if self._predicted is None:
+            self._predicted = predict(self.cloud_mm)
+        return self._predicted
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """What a solver may see of one measurement."""
+
+    voltages: Array
+    """(104,) V, touched and noisy."""
+    reference: Array
+    """(104,) V of the kind asked for."""
+    flat_reference: Array
+    """(104,) V, flat and untouched."""
+    sheet: Sheet
+    labels: Literal["units", "area"]
+    """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
+
+
+Solver = Callable[[Case], Array]
+"""From a case to a (30, 45) map, judged as it is."""
+
+Results = list[tuple[Phantom, list[Score]]]
+"""Every phantom's scores, one a seed."""
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One solver with one kind of reference."""
+
+    solver: Solver
+    reference: Reference
+
+
+def _cells(case: Case, cells: Cells | None) -> Cells:
+    return cells or ("units" if case.labels == "units" else "pixels")
+
+
+def solve_tikhonov(case: Case, cells: Cells | None = None) -> Array:
+    """Return the map of one matrix times the logarithmic data."""
+    on = _cells(case, cells)
+    image = case.sheet.tikhonov(on) @ log_data(case.voltages, case.reference)
+    return scaled(case.sheet.operators(on).to_map(image))
+
+
+def solve_l1(case: Case, cells: Cells | None = None) -> Array:
+    """Return the map of FISTA with the bounds of an effective contrast."""
+    operators = case.sheet.operators(_cells(case, cells))
+    data = linear_data(case.voltages, case.reference)
+    return scaled(operators.to_map(l1_image(operators.relative_jacobian, data, upper=SATURATED)))
+
+
+def solve_sbl(case: Case, cells: Cells | None = None) -> Array:
+    """Return the map of structure-aware SBL with the bounds of an effective contrast."""
+    operators = case.sheet.operators(_cells(case, cells))
+    data = linear_data(case.voltages, case.reference)
+    return scaled(operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED)))
+
+
+def _registry() -> dict[str, Solver]:
+    found: dict[str, Solver] = {}
+    for name, solve in (("tikhonov", solve_tikhonov), ("l1", solve_l1), ("sbl", solve_sbl)):
+        found[name] = solve
+        for cells in get_args(Cells):
+            found[f"{name}-{cells}"] = lambda case, solve=solve, cells=cells: solve(case, cells)  # type: ignore[misc]
+    return found
+
+
+SOLVERS: Final[Mapping[str, Solver]] = _registry()
+"""Every classical solver by name; "-pixels" and "-units" fix the grid that the plain name takes from the labels."""
+
+
+def truth_map(phantom: Phantom) -> Array:
+    """Return the (30, 45) truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
+    area = area_map(phantom.scene.touches)
+    return np.asarray(map_from_units(touched_units(area).astype(np.float64))) if phantom.truth == "units" else area
+
+
+def evaluate(
+    phantoms: Sequence[Phantom],
+    solver: Solver,
+    *,
+    noise: Kind = "N2",
+    snr_db: float = 50.0,
+    reference: Reference = "post",
+    seeds: int = 1,
+) -> Results:
+    """Return one solver's scores of every phantom, one a seed; as :func:`evaluate_all`, which has more to choose."""
+    return evaluate_all(phantoms, [Run(solver, reference)], Conditions(noise, snr_db, seeds))[0]
+
+
+def evaluate_all(
+    phantoms: Sequence[Phantom],
+    runs: Sequence[Run],
+    conditions: Conditions,
+    progress: Callable[[int, int], None] | None = None,
+) -> list[Results]:
+    """Return the results of several runs, which all see the same voltages and scans.
+
+    A phantom's voltages are solved once and kept while the process runs; a scanned sheet's operators and V_pred are
+    computed once for all runs, and let go before the next phantom.
+
+    Args:
+        phantoms: What to look at.
+        runs: Solvers and references.
+        conditions: Noise, seeds and shifts.
+        progress: Called with the phantoms done and all phantoms.
+
+    Raises:
+        ValueError: No phantoms, no seeds, an unknown reference or noise.
+    """
+    if not phantoms or conditions.seeds < 1:
+        raise ValueError(f"at least one phantom and one seed are needed, found {len(phantoms)} and {conditions.seeds}")
+    for run in runs:
+        if run.reference not in REFERENCES:
+            raise ValueError(f"reference {run.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
+    results: list[Results] = [[] for _ in runs]
+    for index, phantom in enumerate(phantoms):
+        bare = phantom.scene.untouched()
+        flat = voltages_of(replace(bare, bend=Bend()))
+        scores: list[list[Score]] = [[] for _ in runs]
+        shown, truth, clean = None, np.zeros(0), np.zeros(0)
+        for seed in range(conditions.seeds):
+            rng = np.random.default_rng([seed, index])
+            moved = shifted(phantom, conditions.shift_px, np.random.default_rng([SHIFT_SEED, seed, index]))
+            if moved != shown:
+                shown, truth, clean = moved, truth_map(moved), voltages_of(moved.scene)
+            noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
+            sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed), voltages_of(bare))
+            for run, kept in zip(runs, scores, strict=True):
+                case = Case(noisy, _reference(run.reference, sheet, flat), flat, sheet, phantom.truth)
+                kept.append(score(run.solver(case), truth, labels=phantom.truth))
+        for result, kept in zip(results, scores, strict=True):
+            result.append((phantom, kept))
+        if progress is not None:
+            progress(index + 1, len(phantoms))
+    return results
+
+
+@lru_cache(maxsize=256)
+def voltages_of(scene: Scene) -> Array:
+    """Return the (104,) V of a scene on the harness's mesh, or on the scene's own if that is finer."""
+    return solve_scene(replace(scene, element_size_mm=min(scene.element_size_mm, DATA_MM))).voltages
+
+
+def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
+    if kind == "pre":
+        return flat
+    if kind == "post":
+        return sheet.untouched
+    # The captured flat reference calibrates the model: their ratio carries the model's error, and the current.
+    return sheet.predicted() * flat / flat_voltages()
+
+
+def _cloud(bend: Bend, kind: CloudKind, seed: int) -> Array:
+    if kind == "flat":
+        bend = Bend()
+    elif kind == "other":
+        bend = next(other for other in draw("A", 2 + seed, SCAN_SEED)[seed:] if other != bend)
+    return np.asarray(scanned_cloud(bend, np.random.default_rng([SCAN_SEED, seed])), dtype=np.float64)

@@ -1,0 +1,1 @@
+"""The complete electrode model on biquadratic finite elements."""

@@ -1,0 +1,147 @@
+"""How every voltage answers to every pixel's or unit's conductivity, by adjoint fields.
+
+For drive k and measure m with the fields x_k and x_m of 1 A through either pair,
+
+    dV[k, m] / d sigma_c = - sum over e in c of  x_m . S_e x_k  +  d kappa_e / d sigma  (U - x)_m . M_e (U - x)_k
+
+with S_e the stiffness at sigma = 1 and M_e the contact's mass: where a face contact lies on the cell, its effective
+impedance changes with the conductivity under it. By reciprocity the 16 drive fields are all the adjoint fields there
+are, so the cost is one factorisation. A cell's derivative adds the same conductivity at every point of the cell.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.sparse import csr_array
+
+from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE
+from eitskin_proto.sensor.table import TABLE
+from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.forward import Factor, Metric, assemble, flat_metric
+from eitskin_sim.fem.mesh import MERGE_MM, TensorMesh, graded_lines
+from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet, touch_lines
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+
+Array = npt.NDArray[np.float64]
+Index = npt.NDArray[np.intp]
+
+COARSE_MM: Final = 4.5
+"""The element size for classical solvers: 0.1 s a Jacobian, within 1e-3 (edge contacts 4e-3) of the converged one."""
+
+
+def cell_mesh(
+    sheet: Sheet,
+    electrodes: Electrodes,
+    shape: tuple[int, int] = GRID_SHAPE,
+    element_size_mm: float = COARSE_MM,
+    touches: Sequence[Touch] = (),
+) -> TensorMesh:
+    """Return a mesh whose lines hold a grid of cells, as well as the electrodes.
+
+    Args:
+        sheet: The flat layer.
+        electrodes: On its border.
+        shape: Rows along y and columns along x of the grid: ``GRID_SHAPE`` or ``UNIT_SHAPE``.
+        element_size_mm: As in a scene.
+        touches: Whose borders the mesh follows too.
+    """
+    density = REFERENCE_MM / element_size_mm
+    lines = []
+    for fixed, touched, extent, count in zip(
+        electrode_lines(sheet, electrodes), touch_lines(touches), sheet.size_mm, shape[::-1], strict=True
+    ):
+        grid = [(float(at), CAP_MM) for at in np.linspace(0.0, extent, count + 1)]
+        lines.append(graded_lines(on_sheet(fixed + touched + grid, extent), CAP_MM, density))
+    return TensorMesh(*lines)
+
+
+def cell_of_element(mesh: TensorMesh, shape: tuple[int, int]) -> Index:
+    """Return the (n_elements,) cell, row * columns + column, in which each element's middle lies.
+
+    Raises:
+        ValueError: A line of the grid is no line of the mesh.
+    """
+    found = []
+    for lines, count, name in ((mesh.y_lines_mm, shape[0], "y"), (mesh.x_lines_mm, shape[1], "x")):
+        grid = np.linspace(0.0, lines[-1], count + 1)
+        gap = np.abs(lines[:, None] - grid).min(axis=0).max()
+        if gap > 2 * MERGE_MM:
+            raise ValueError(f"a grid line along {name} is {gap:g} mm off the mesh's; it must be within {MERGE_MM:g}")
+        found.append(np.searchsorted(grid, (lines[:-1] + lines[1:]) / 2) - 1)
+    return np.asarray((found[0][:, None] * shape[1] + found[1]).ravel())
+
+
+def jacobian(factor: Factor, sigma: Array, cells: Index, n_cells: int, table: npt.NDArray[np.uint8] = TABLE) -> Array:
+    """Return (rows, n_cells) dV / d sigma in V / (S/m) under 1 A.
+
+    Args:
+        factor: The scene, factorised.
+        sigma: (n_elements,) S/m that the factor was made with.
+        cells: (n_elements,) cell of each element.
+        n_cells: How many cells there are.
+        table: (rows, 2) drives and measures.
+    """
+    system, contacts = factor.system, factor.system.contacts
+    n_elements = system.mesh.n_elements
+    fields = factor.element_fields()
+    power = np.swapaxes(fields, 1, 2) @ (system.stiffness @ fields)
+    if contacts.fringe_m.any():
+        rate = factor.density**2 * contacts.fringe_m / sigma[contacts.element] ** 2
+        drops = factor.contact_drops()
+        through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
+        np.add.at(power, contacts.element, through)
+    rows = power[:, table[:, 0], table[:, 1]]
+    gather = csr_array((np.ones(n_elements), (cells, np.arange(n_elements))), (n_cells, n_elements))
+    return np.asarray(-(gather @ rows).T)
+
+
+def cell_jacobian(
+    sheet: Sheet,
+    electrodes: Electrodes,
+    metric: Metric = flat_metric,
+    touches: Sequence[Touch] = (),
+    *,
+    shape: tuple[int, int] = GRID_SHAPE,
+    element_size_mm: float = COARSE_MM,
+) -> tuple[Array, Array]:
+    """Return the voltages (104,) in V and their Jacobian (104, cells) in V / (S/m) under 1 A.
+
+    Args:
+        sheet: The flat layer.
+        electrodes: On its border.
+        metric: The bent surface's first fundamental form.
+        touches: What touches the sheet; none for the classical solvers.
+        shape: ``GRID_SHAPE`` for the 1350 pixels, ``UNIT_SHAPE`` for the 126 units.
+        element_size_mm: As in a scene.
+    """
+    mesh = cell_mesh(sheet, electrodes, shape, element_size_mm, touches)
+    touched = touch(assemble(mesh, sheet, electrodes, metric), touches)
+    factor = Factor(touched.system, touched.blocks, touched.density)
+    cells = cell_of_element(mesh, shape)
+    return factor.voltages(), jacobian(factor, touched.sigma, cells, shape[0] * shape[1])
+
+
+def scene_jacobian(
+    scene: Scene, shape: tuple[int, int] = GRID_SHAPE, element_size_mm: float = COARSE_MM
+) -> tuple[Array, Array]:
+    """Return a scene's voltages (104,) in V and their Jacobian (104, cells) in V / (S/m), under its current."""
+    metric = bend_metric(scene.bend, scene.sheet)
+    voltages, found = cell_jacobian(
+        scene.sheet, scene.electrodes, metric, scene.touches, shape=shape, element_size_mm=element_size_mm
+    )
+    return scene.current_A * voltages, scene.current_A * found
+
+
+def pixel_jacobian(scene: Scene, element_size_mm: float = COARSE_MM) -> Array:
+    """Return (104, 1350) relative change of each row of the untouched scene per relative change of each pixel."""
+    voltages, found = scene_jacobian(scene.untouched(), GRID_SHAPE, element_size_mm)
+    return scene.sheet.conductivity_S_per_m * found / voltages[:, None]
+
+
+def unit_jacobian(scene: Scene, element_size_mm: float = COARSE_MM) -> Array:
+    """Return (104, 126) relative change of each row of the untouched scene per relative change of each unit."""
+    voltages, found = scene_jacobian(scene.untouched(), UNIT_SHAPE, element_size_mm)
+    return scene.sheet.conductivity_S_per_m * found / voltages[:, None]

@@ -1,0 +1,87 @@
+"""The mesh that a scene asks for: lines on every electrode's and touch's edges, fine where the field is singular.
+
+The sizes below are those at ``element_size_mm`` = 1.5; another value scales them all, with the lines fixed in place.
+The size that a person names is the spacing of nodes in the open sheet; a biquadratic element has three nodes a side,
+so elements there are twice as large.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+
+from eitskin_sim.fem.mesh import TensorMesh, graded_lines
+from eitskin_sim.scene.electrodes import place
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Rect, Shape
+
+REFERENCE_MM: Final = 1.5
+"""The element size at which the sizes below hold."""
+
+CAP_MM: Final = 2.0 * REFERENCE_MM
+PATCH_EDGE_MM: Final = 0.2
+"""Beside a face contact's edge: the current leaves it over sqrt(z_eff sigma T), about 1 mm."""
+EDGE_END_MM: Final = 0.02
+"""Beside a border contact's end: the current crowds there over z sigma, about 0.1 mm."""
+EDGE_DEPTH_MM: Final = 0.03
+"""Behind the border, for the same reason."""
+TOUCH_EDGE_MM: Final = 0.5
+"""Beside a touch's border, whose corners are weak singularities."""
+CURVED_MM: Final = 1.0
+"""Inside a touch whose border the mesh cannot follow: the laminate's own size."""
+
+Fixed = list[tuple[float, float]]
+
+
+def electrode_lines(sheet: Sheet, electrodes: Electrodes) -> tuple[Fixed, Fixed]:
+    """Return the lines (position, size) along x and along y that the electrodes need, the sheet's ends among them."""
+    length, width = sheet.size_mm
+    patch = electrodes.contact == "patch"
+    border = PATCH_EDGE_MM * 2 if patch else EDGE_DEPTH_MM
+    x: Fixed = [(0.0, border), (length, border)]
+    y: Fixed = [(0.0, border), (width, border)]
+    for piece in place(sheet, electrodes):
+        if patch:
+            x0, y0, x1, y1 = piece.patch_mm(sheet, electrodes.size_mm)
+            x += [(x0, PATCH_EDGE_MM), (x1, PATCH_EDGE_MM)]
+            y += [(y0, PATCH_EDGE_MM), (y1, PATCH_EDGE_MM)]
+        else:
+            lines = x if piece.side in (0, 2) else y
+            lines += [(piece.start_mm, EDGE_END_MM), (piece.stop_mm, EDGE_END_MM)]
+    return x, y
+
+
+def touch_lines(touches: Sequence[Touch]) -> tuple[Fixed, Fixed]:
+    """Return the lines (position, size) along x and along y that the touches ask for."""
+    x: Fixed = []
+    y: Fixed = []
+    for touch in touches:
+        for shape in touch.shapes:
+            x0, y0, x1, y1 = shape.bounds_mm
+            x += _span(shape, x0, x1)
+            y += _span(shape, y0, y1)
+    return x, y
+
+
+def _span(shape: Shape, low: float, high: float) -> Fixed:
+    if isinstance(shape, Rect):
+        return [(low, TOUCH_EDGE_MM), (high, TOUCH_EDGE_MM)]
+    count = max(1, int(np.ceil((high - low) / CURVED_MM - 1e-9)))  # whole numbers of elements in spite of rounding
+    return [(float(at), CURVED_MM) for at in np.linspace(low, high, count + 1)]
+
+
+def scene_mesh(scene: Scene) -> TensorMesh:
+    """Return the mesh on which a scene is solved."""
+    x, y = electrode_lines(scene.sheet, scene.electrodes)
+    touch_x, touch_y = touch_lines(scene.touches)
+    density = REFERENCE_MM / scene.element_size_mm
+    length, width = scene.sheet.size_mm
+    return TensorMesh(
+        graded_lines(on_sheet(x + touch_x, length), CAP_MM, density),
+        graded_lines(on_sheet(y + touch_y, width), CAP_MM, density),
+    )
+
+
+def on_sheet(fixed: Fixed, extent: float) -> Fixed:
+    """Return the lines with those beyond the sheet's ends moved onto them."""
+    return [(min(max(position, 0.0), extent), size) for position, size in fixed]

@@ -1,0 +1,56 @@
+"""A scene's voltages, from its own mesh: what ``eitskin simulate`` writes."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
+from eitskin_sim.fem.cut_elements import factorise, touch
+from eitskin_sim.fem.depth import plates
+from eitskin_sim.fem.forward import Factor, assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Scene
+
+Array = npt.NDArray[np.float64]
+Law = Literal["constant", "modes"]
+"""How a face contact passes current."""
+
+
+@dataclass(frozen=True, slots=True)
+class Solution:
+    """What a scene's forward solve gives."""
+
+    voltages: Array
+    """(104,) V, table order, under the scene's current."""
+    voltages208: Array
+    """(208,) V, the full table."""
+    n_elements: int
+    n_nodes: int
+
+
+def factorise_scene(scene: Scene, law: Law = "constant") -> Factor:
+    """Return the factorised system of a scene on the mesh that it asks for."""
+    metric = bend_metric(scene.bend, scene.sheet)
+    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, metric)
+    if law == "constant" or scene.electrodes.contact == "edge":
+        return factorise(system, scene.touches)
+    touched = touch(system, scene.touches)
+    return Factor(system, touched.blocks, np.zeros_like(touched.density), plates(system, scene, metric))
+
+
+def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
+    """Return the voltages of a scene.
+
+    Args:
+        scene: What to solve.
+        law: How a face contact passes current: "constant", by an effective impedance with one fitted constant, which
+            data sets and bundles are made with, or "modes", by the modes of the layer's depth, which needs no fit.
+            An edge contact has no such modes: both are the same for it.
+    """
+    factor = factorise_scene(scene, law)
+    full = scene.current_A * factor.voltages(FULL_TABLE)
+    mesh = factor.system.mesh
+    return Solution(full[ROW_IN_FULL], full, mesh.n_elements, mesh.n_nodes)

@@ -1,0 +1,1 @@
+"""Exact voltages of touches anywhere on the sheet, thousands a second."""

@@ -1,0 +1,98 @@
+"""One deformation of the mesh for touches anywhere, assembled and inverted, and the blocks of its touched elements."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.fem.cut_blocks import cut_blocks
+from eitskin_sim.fem.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.forward import MM, System
+from eitskin_sim.freeform.inverse import dense_inverse
+from eitskin_sim.freeform.mesh import ELEMENT_MM, free_mesh, free_system, with_contacts, without_middle
+from eitskin_sim.scene.bend import metric
+from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.touch_table import Array, FreeTouches
+from eitskin_sim.unit_grid.units import to_voltages
+
+
+@dataclass(frozen=True, slots=True)
+class FreeSheet:
+    """One deformation, assembled and inverted."""
+
+    system: System
+    tensor: Array
+    """(n_elements, 3, 3) conductance: components at the middle, their change along x and along y."""
+    before: Array
+    """(n_elements, 9, 9) blocks without middles."""
+    inverse: Array
+    """(n_dofs, n_dofs) V for 1 A, up to a constant."""
+    to_terminals: Array
+    """(n_dofs, 16) its columns of the electrodes."""
+    at_terminals: Array
+    """(16, 16) of the electrodes alone."""
+
+    @property
+    def untouched_V(self) -> Array:
+        """(104,) V under 1 A with nothing touched."""
+        return np.asarray(to_voltages(self.at_terminals[None])[0])
+
+
+def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None) -> FreeSheet:
+    """Return a deformation, ready for touch sets.
+
+    Args:
+        bend: The sheet's shape.
+        size_mm: The largest element.
+        into: The inverse of a sheet that is needed no more: it is overwritten, which is faster than new memory.
+    """
+    grid, system = free_mesh(size_mm), free_system(bend, size_mm)
+    elements = np.arange(grid.mesh.n_elements)
+    density = system.contacts.density(np.full(len(system.contacts.element), system.background))
+    before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
+    tie = float(system.contacts.area_m2 @ density) / N_ELECTRODES
+    middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
+    inverse = dense_inverse(grid.lines, before, (middle, tie), into)
+    to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
+    return FreeSheet(system, _tensors(bend, system), before, inverse, to_terminals, to_terminals[grid.terminals])
+
+
+def _tensors(bend: Bend, system: System) -> Array:
+    """Return (n, 3, 3): conductances xx, xy, yy of unit elements at sigma = 1, S, and their change along x and y."""
+    mesh = system.mesh
+    ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
+
+    def at(x: float, y: float) -> Array:
+        E, F, G = metric(bend, Sheet(), mesh.corners_mm + mesh.sizes_mm * (x, y)).T
+        return np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+
+    return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)
+
+
+def touched_blocks(sheet: FreeSheet, cuts: Cuts) -> tuple[Array, Array]:
+    """Return the (e, 9, 9) stiffness of touched elements and the (e,) density of contacts on them."""
+    stiffness, contacts = sheet.system.stiffness, sheet.system.contacts
+    blocks = np.empty((len(cuts.element), 9, 9))
+    blocks[: cuts.n_cut] = cut_blocks(cuts.integrals, cuts.element[: cuts.n_cut], sheet.tensor, stiffness)
+    whole = slice(cuts.n_cut, None)
+    blocks[whole] = cuts.sigma[whole, None, None] * stiffness[cuts.element[whole]]
+    fringe = np.zeros(len(stiffness))
+    fringe[contacts.element] = contacts.fringe_m
+    own = fringe[cuts.element]
+    touched = 1.0 / (contacts.impedance_ohm_m2 + own / cuts.sigma)
+    untouched = 1.0 / (contacts.impedance_ohm_m2 + own)
+    return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
+
+
+def sheet_blocks(sheet: FreeSheet, touches: FreeTouches, number: int) -> tuple[Array, Array]:
+    """Return the (n_elements, 9, 9) blocks and (m,) densities of one touch set, for a Factor."""
+    system = sheet.system
+    cuts = find_cuts(touches, np.array([number]), system.mesh)
+    stiffness, own = touched_blocks(sheet, cuts)
+    blocks = system.background * system.stiffness
+    blocks[cuts.element] = stiffness
+    density = system.contacts.density(np.full(len(blocks), system.background)[system.contacts.element])
+    kappa = np.full(len(blocks), np.nan)
+    kappa[cuts.element] = own
+    at_contacts = kappa[system.contacts.element]
+    return blocks, np.where(np.isnan(at_contacts), density, at_contacts)

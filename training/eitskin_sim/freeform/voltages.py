@@ -1,0 +1,132 @@
+"""Exact voltages of touches anywhere, on one fixed mesh a deformation, fifty times as fast as a solve a sample.
+
+Parts (:mod:`eitskin_sim.freeform.parts`) are condensed one by one; a touch set is put together from its parts p, q ..:
+
+    [ 1        L_p^T G L_q   W_p  ]
+    [ .        1             W_q  ]        whose Cholesky factor ends in a 16 x 16 triangle R with U = R R^T
+    [ W_p^T    W_q^T         G_EE ]
+
+so a part that several sets have is condensed once, and parts that share an element are one part. The factor of a set
+holds those of the sets that end a part earlier: the rows of electrodes in the columns of the first parts, E, lower the
+electrodes' potentials by E E^T, so a family of sets, each the one before and a part more, costs one factor. Against a
+factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
+off by 0.9 % (median). Two touches that leave less than an element between them conduct nearly as if they met: dV is a
+tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on (``eitskin bench dataset``).
+"""
+
+from collections.abc import Sequence
+from itertools import accumulate, pairwise
+
+import numpy as np
+from scipy.linalg import blas, lapack
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.freeform.mesh import ELEMENT_MM, FreeMesh, free_mesh
+from eitskin_sim.freeform.parts import Geometry, Part, between, condense, geometry
+from eitskin_sim.freeform.pool import FreePool
+from eitskin_sim.freeform.sets import PartSets, families, merged
+from eitskin_sim.freeform.sheet import FreeSheet
+from eitskin_sim.scene.touch_table import Array, FreeTouches
+from eitskin_sim.unit_grid.units import to_voltages
+
+
+def free_voltages(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
+    """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`free_responses`."""
+    return np.array([to_voltages(response) for response in free_responses(sheets, touches, size_mm)])
+
+
+def free_responses(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
+    """Return (D, s, 16, 16) potentials of electrodes, V for 1 A into each, at deformations that share the geometry.
+
+    Args:
+        sheets: D deformations.
+        touches: s touch sets.
+        size_mm: Size of the sheets' elements.
+    """
+    grid = free_mesh(size_mm)
+    alone = FreeTouches(touches.pieces, np.arange(len(touches.pieces) + 1))
+    batches = geometry(alone, grid)
+    extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
+    batches += geometry(extra, grid)
+    return np.array([put_together(sheet, condense(sheet, batches), sets) for sheet in sheets])
+
+
+def pool_voltages(
+    sheet: FreeSheet, grid: FreeMesh, pool: FreePool, batches: Sequence[Geometry], deformation: int
+) -> Array:
+    """Return (s, 104) V under 1 A of the sets that a pool has for a deformation.
+
+    Args:
+        sheet: The deformation.
+        grid: Its mesh.
+        pool: Touches and sets.
+        batches: The geometry of the pool's touches.
+        deformation: Its number.
+    """
+    extra, sets = merged(pool.parts, batches, pool.sets[deformation], grid)
+    return to_voltages(put_together(sheet, condense(sheet, [*batches, *geometry(extra, grid)]), sets))
+
+
+def put_together(sheet: FreeSheet, parts: Sequence[Part], sets: PartSets) -> Array:
+    """Return the (s, 16, 16) potentials of electrodes, V for 1 A into each, under sets of parts at one deformation."""
+    response = np.empty((len(sets), N_ELECTRODES, N_ELECTRODES))
+    own = families(sets)
+    members = [[parts[part] for part in sets.of(family[-1])] for family in own]
+    room = np.empty(max((_room(some) for some in members), default=0))
+    for family, some in zip(own, members, strict=True):
+        falls = iter(_falls(sheet, some, room))
+        left, count = sheet.at_terminals, 0
+        for number in family:
+            while count < sets.first[number + 1] - sets.first[number]:
+                fall = next(falls)
+                left = left - fall.T @ fall
+                count += 1
+            response[number] = left
+    return response
+
+
+def _room(parts: list[Part]) -> int:
+    """Return how many numbers :func:`_falls` works on."""
+    side = sum(len(part.load) for part in parts[1:]) + N_ELECTRODES
+    return side * (side + len(parts[0].load)) if parts else 0
+
+
+def _falls(sheet: FreeSheet, parts: list[Part], room: Array) -> list[Array]:
+    """Return the (r, 16) E of each part, by whose square it lowers the electrodes' potentials after those before it.
+
+    A part alone has 1 in the diagonal, so the first part is eliminated by one product.
+
+    Args:
+        sheet: The deformation.
+        parts: Of a family.
+        room: Numbers to work on, used again and again: new memory takes as long as the work.
+    """
+    if len(parts) < 2:
+        return [part.load for part in parts]
+    rest = parts[1:]
+    first = list(accumulate((len(part.load) for part in rest), initial=0))
+    where = list(accumulate((len(part.dofs) for part in rest), initial=0))
+    dofs = np.concatenate([part.dofs for part in rest])
+    head, size = len(parts[0].load), first[-1]
+    side = size + N_ELECTRODES
+    panel = room[: head * side].reshape(head, side)
+    upper = room[head * side : (head + side) * side].reshape(side, side)
+    for column, part in enumerate(parts):
+        into = panel
+        if column:
+            own = slice(first[column - 1], first[column])
+            into = upper[own]
+            into[:, own] = 0.0
+        into[:, size:] = part.load
+        if column == len(rest):
+            break
+        seen = (between(sheet.inverse, dofs[where[column] :], part.dofs) @ part.factor).T
+        for row in range(column, len(rest)):
+            their = seen[:, where[row] - where[column] : where[row + 1] - where[column]]
+            np.matmul(their, rest[row].factor, out=into[:, first[row] : first[row + 1]])
+    upper.reshape(-1)[: size * side : side + 1] = 1.0
+    upper[size:, size:] = sheet.at_terminals
+    left = blas.dsyrk(-1.0, panel.T, beta=1.0, c=upper.T, lower=1, overwrite_c=1)
+    factor, _ = lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)  # to clean the upper half takes a third more
+    falls = factor.T[:, size:]
+    return [parts[0].load, *(falls[start:stop] for start, stop in pairwise(first))]

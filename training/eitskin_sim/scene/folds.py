@@ -1,0 +1,87 @@
+"""Refuses bends that no sheet can follow: turned inside out, bent tighter than its thickness, or through itself.
+
+A sheet of thickness t meets itself where two points far apart along it come nearer in space than t; a turn as tight as
+the sheet allows brings points at pi t / 2 so near, so "far" is 2 pi t.
+"""
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial import cKDTree
+
+from eitskin_sim.scene.bend import bump_heights, first_form, frame_at, second_form, surface
+from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.strict_json import SceneError
+
+Array = npt.NDArray[np.float64]
+
+
+def check_bend(bend: Bend, sheet: Sheet) -> None:
+    """Raise SceneError where a bend cannot be: it turns the sheet inside out, or folds the sheet through itself."""
+    least = bend.stretch_along - abs(bend.nonuniformity)
+    if least <= 0.0:
+        raise SceneError(
+            f"scene.bend.nonuniformity is {bend.nonuniformity:g}; it must be below stretch_along = "
+            f"{bend.stretch_along:g} in size, or the sheet folds over itself in its plane"
+        )
+    if not bend.angle_deg and not bend.twist_deg and not bend.bumps_mm:
+        return
+    _check_curvature(bend, sheet)
+    _check_apart(bend, sheet)
+
+
+def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
+    length, width = sheet.size_mm
+    pitch = max(pitch_mm, float(np.sqrt(length * width / 60_000)))
+    nx, ny = int(np.ceil(length / pitch)) + 1, int(np.ceil(width / pitch)) + 1
+    x, y = np.meshgrid(np.linspace(0.0, length, nx), np.linspace(0.0, width, ny))
+    return np.stack([x.ravel(), y.ravel()], axis=-1), pitch
+
+
+def _check_curvature(bend: Bend, sheet: Sheet) -> None:
+    xy, _ = _samples(sheet, min(sheet.size_mm) / 50)
+    frame = frame_at(bend, sheet, xy)
+    first = first_form(frame, frame.d_s, frame.d_w)
+    if np.any(np.linalg.det(first) <= 1e-12):
+        raise SceneError(
+            "scene.bend turns the sheet over itself: its area stretch falls to 0; it must be above: lower twist_deg"
+        )
+    shape = np.linalg.solve(first, second_form(frame))
+    mean, gauss = np.trace(shape, axis1=1, axis2=2) / 2, np.linalg.det(shape)
+    spread = np.sqrt(np.maximum(mean**2 - gauss, 0.0))
+    height, _ = bump_heights(bend, xy)
+    offset = 1.0 - np.maximum(height * (mean + spread), height * (mean - spread))
+    if offset.min() <= 0.0:
+        raise SceneError(
+            "scene.bend.bumps_mm folds the sheet through itself: height times curvature reaches "
+            f"{1.0 - offset.min():.3g}; it must be below 1: lower the bump or angle_deg"
+        )
+    dent = max((abs(height) / sigma**2 for _, _, height, sigma in bend.bumps_mm), default=0.0)
+    curvature = float(np.max(np.abs(mean) + spread)) + dent
+    half = sheet.thickness_mm / 2
+    if curvature * half >= 1.0:
+        raise SceneError(
+            f"scene.bend folds the sheet: its radius of curvature is {1.0 / curvature:.3g} mm; it must be above "
+            f"half the thickness, {half:g} mm"
+        )
+
+
+def _check_apart(bend: Bend, sheet: Sheet) -> None:
+    """Compare distances in space with distances along the sheet, on samples half a thickness apart."""
+    xy, pitch = _samples(sheet, sheet.thickness_mm / 2)
+    points = surface(bend, sheet, xy)
+    near = max(sheet.thickness_mm, pitch)
+    stretch = min(1.0, bend.stretch_across, bend.stretch_along - abs(bend.nonuniformity))
+    far = 2.0 * np.pi * near / stretch
+    pairs = cKDTree(points).query_pairs(near, output_type="ndarray")
+    apart = np.hypot(*(xy[pairs[:, 0]] - xy[pairs[:, 1]]).T)
+    folded = apart > far
+    if not folded.any():
+        return
+    pair = pairs[np.argmax(np.where(folded, apart, 0.0))]
+    (xa, ya), (xb, yb) = xy[pair]
+    gap = float(np.linalg.norm(points[pair[0]] - points[pair[1]]))
+    raise SceneError(
+        f"scene.bend folds the sheet through itself: flat points ({xa:.0f}, {ya:.0f}) and ({xb:.0f}, {yb:.0f}) come "
+        f"within {gap:.2g} mm; they must stay more than {near:g} mm apart: lower angle_deg (it is {bend.angle_deg:g}), "
+        "skew, twist_deg or the bumps"
+    )

@@ -1,0 +1,79 @@
+"""The values that a scene is made of: sheet, electrodes, bend, touches, each with the paper's value as its default.
+
+Lengths are mm in the flat sheet's frame (x along 150, y along 100, origin at a corner); angles are degrees. Names and
+units are those of the scene's JSON, which :mod:`eitskin_sim.scene.scene` reads and checks.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_sim.scene.shapes import Shape
+
+
+@dataclass(frozen=True, slots=True)
+class Sheet:
+    """The conductive layer before it is bent (paper sections III and V.A)."""
+
+    size_mm: tuple[float, float] = SHEET_MM
+    thickness_mm: float = 2.0
+    conductivity_S_per_m: float = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Electrodes:
+    """Sixteen electrodes on the border (paper section III)."""
+
+    contact: Literal["patch", "edge"] = "patch"
+    size_mm: float = 4.0
+    contact_impedance_ohm_m2: float = 1e-4
+    arc_length_mm: tuple[float, ...] = tuple(12.5 + 31.25 * k for k in range(16))
+    """Centres by arc length, counter-clockwise from the corner (0, 0)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Bend:
+    """How the sheet is stretched, rolled, twisted and dented; :mod:`eitskin_sim.scene.bend` gives the surface."""
+
+    angle_deg: float = 0.0
+    axis_deg: float = 0.0
+    skew: float = 0.0
+    twist_deg: float = 0.0
+    stretch_along: float = 1.0
+    stretch_across: float = 1.0
+    nonuniformity: float = 0.0
+    bumps_mm: tuple[tuple[float, float, float, float], ...] = ()
+    """x, y, height and sigma of each Gaussian."""
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """A place of the sheet with its own conductivity."""
+
+    shapes: tuple[Shape, ...]
+    conductivity_S_per_m: float = 50.0
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Everything that the voltages depend on."""
+
+    sheet: Sheet = field(default_factory=Sheet)
+    electrodes: Electrodes = field(default_factory=Electrodes)
+    bend: Bend = field(default_factory=Bend)
+    touches: tuple[Touch, ...] = ()
+    current_A: float = 1.0
+    element_size_mm: float = 1.5
+
+    def untouched(self) -> "Scene":
+        """Return the same scene without its touches."""
+        return replace(self, touches=())
+
+
+@dataclass(frozen=True, slots=True)
+class Phantom:
+    """A named scene and how its truth is drawn on the grid."""
+
+    name: str
+    scene: Scene
+    truth: Literal["units", "area"]

@@ -1,0 +1,288 @@
+"""Reads scenes and phantoms from JSON, strictly: unknown keys are errors, and a scene that comes back can be solved.
+
+Touches lie on the sheet and are no smaller than an element, electrodes are apart, the bent sheet does not meet itself.
+Where touches overlap, the later one in the list holds.
+"""
+
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final, Literal, cast
+
+from eitskin_proto.sensor.grid import SHEET_MM, UNIT_SHAPE
+from eitskin_sim.scene.electrodes import place
+from eitskin_sim.scene.folds import check_bend
+from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
+from eitskin_sim.scene.strict_json import Fields, SceneError, loads, number, numbers, sequence
+
+__all__ = [
+    "Bend",
+    "Electrodes",
+    "Phantom",
+    "Scene",
+    "SceneError",
+    "Sheet",
+    "Touch",
+    "check_scene",
+    "load_phantoms",
+    "load_scene",
+    "parse_phantoms",
+    "parse_scene",
+    "scene_json",
+]
+
+MOST_STRETCH: Final = 5.0
+"""In either direction, and of one to the other: at 25 to 1 the weakest voltages are 1e-26 of the largest, and wrong."""
+
+ON_BORDER_MM: Final = 1e-6
+"""How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
+
+
+def load_scene(path: str | Path) -> Scene:
+    """Return the scene that a JSON file holds.
+
+    Raises:
+        SceneError: The file is no valid scene.
+        OSError: The file cannot be read.
+    """
+    return parse_scene(_read(path))
+
+
+def load_phantoms(path: str | Path) -> tuple[Phantom, ...]:
+    """Return the phantoms that a JSON file holds.
+
+    Raises:
+        SceneError: The file is no list of phantoms.
+        OSError: The file cannot be read.
+    """
+    return parse_phantoms(_read(path))
+
+
+def _read(path: str | Path) -> object:
+    try:
+        text = Path(path).read_text(encoding="utf-8")
+    except UnicodeDecodeError as error:
+        raise SceneError(f"{path} is not UTF-8 text: {error}") from error
+    return loads(text, str(path))
+
+
+def parse_phantoms(value: object) -> tuple[Phantom, ...]:
+    """Return the phantoms of a parsed JSON list.
+
+    Raises:
+        SceneError: An entry is no phantom.
+    """
+    found = []
+    for index, item in enumerate(sequence(value, "phantoms")):
+        fields = Fields(item, f"phantoms[{index}]")
+        name, truth = fields.take("name", str(index + 1)), fields.take("truth", "area")
+        scene = fields.take("scene", {})
+        fields.close()
+        if not isinstance(name, str) or truth not in ("units", "area"):
+            raise SceneError(
+                f"phantoms[{index}]: found name {name!r}, truth {truth!r}; expected a string, and 'units' or 'area'"
+            )
+        found.append(Phantom(name, parse_scene(scene), cast(Literal["units", "area"], truth)))
+    return tuple(found)
+
+
+def parse_scene(value: object) -> Scene:
+    """Return the scene of a parsed JSON object, checked as a whole.
+
+    Raises:
+        SceneError: A key is unknown, or a value is outside its bounds; the message has both.
+    """
+    fields = Fields(value, "scene")
+    sheet = _sheet(fields.take("sheet", {}))
+    scene = Scene(
+        sheet=sheet,
+        electrodes=_electrodes(fields.take("electrodes", {}), sheet),
+        bend=_bend(fields.take("bend", {}), sheet),
+        touches=tuple(
+            _touch(item, sheet, f"scene.touches[{i}]")
+            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches"))
+        ),
+        current_A=fields.number("current_A", 1.0, above=0.0),
+        element_size_mm=fields.number("element_size_mm", 1.5, above=0.0),
+    )
+    fields.close()
+    check_scene(scene)
+    return scene
+
+
+def check_scene(scene: Scene) -> None:
+    """Raise SceneError if a scene cannot be solved: an overlap, a touch off the sheet or too small, a fold."""
+    length, width = scene.sheet.size_mm
+    number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
+    place(scene.sheet, scene.electrodes)
+    for index, touch in enumerate(scene.touches):
+        for shape in touch.shapes:
+            _check_shape(shape, scene, f"scene.touches[{index}]")
+    check_bend(scene.bend, scene.sheet)
+
+
+def _check_shape(shape: Shape, scene: Scene, where: str) -> None:
+    length, width = scene.sheet.size_mm
+    x0, y0, x1, y1 = shape.bounds_mm
+    for name, found, high in (("x", x0, length), ("y", y0, width), ("x", x1, length), ("y", y1, width)):
+        if not -ON_BORDER_MM <= found <= high + ON_BORDER_MM:
+            raise SceneError(f"{where} reaches outside the sheet: {name} = {found:g} mm; it must be from 0 to {high:g}")
+    if shape.width_mm < scene.element_size_mm:
+        raise SceneError(
+            f"{where} is smaller than an element: it is {shape.width_mm:.4g} mm wide; element_size_mm is "
+            f"{scene.element_size_mm:g}: lower it to {shape.width_mm:.4g} or less"
+        )
+
+
+def _sheet(value: object) -> Sheet:
+    fields = Fields(value, "scene.sheet")
+    size = numbers(fields.take("size_mm", list(SHEET_MM)), "scene.sheet.size_mm", 2)
+    for index, side in enumerate(size):
+        number(side, f"scene.sheet.size_mm[{index}]", above=0.0)
+    sheet = Sheet(
+        size_mm=(size[0], size[1]),
+        thickness_mm=fields.number("thickness_mm", 2.0, above=0.0),
+        conductivity_S_per_m=fields.number("conductivity_S_per_m", 1.0, above=0.0),
+    )
+    fields.close()
+    return sheet
+
+
+def even_arc_length_mm(size_mm: tuple[float, float]) -> tuple[float, ...]:
+    """Return sixteen even positions on the border of a sheet: the paper's where it is 150 x 100 mm."""
+    perimeter = 2.0 * (size_mm[0] + size_mm[1])
+    return tuple(perimeter * (0.4 + k) / 16 for k in range(16))
+
+
+def _electrodes(value: object, sheet: Sheet) -> Electrodes:
+    where = "scene.electrodes"
+    fields = Fields(value, where)
+    contact = fields.take("contact", "patch")
+    if contact not in ("patch", "edge"):
+        raise SceneError(f"{where}.contact is {contact!r}; it must be 'patch' or 'edge'")
+    even = list(even_arc_length_mm(sheet.size_mm))
+    electrodes = Electrodes(
+        contact=cast(Literal["patch", "edge"], contact),
+        size_mm=fields.number("size_mm", 4.0, above=0.0),
+        contact_impedance_ohm_m2=fields.number("contact_impedance_ohm_m2", 1e-4, above=0.0),
+        arc_length_mm=numbers(fields.take("arc_length_mm", even), f"{where}.arc_length_mm", 16),
+    )
+    fields.close()
+    return electrodes
+
+
+def _bend(value: object, sheet: Sheet) -> Bend:
+    where = "scene.bend"
+    fields = Fields(value, where)
+    bumps = []
+    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm")):
+        at = f"{where}.bumps_mm[{index}]"
+        x, y, height, sigma = numbers(item, at, 4)
+        number(sigma, f"{at}[3] (sigma)", above=0.0)
+        bumps.append((x, y, height, sigma))
+    bend = Bend(
+        angle_deg=fields.number("angle_deg", 0.0),
+        axis_deg=fields.number("axis_deg", 0.0),
+        skew=fields.number("skew", 0.0, low=-1.0, high=1.0),
+        twist_deg=fields.number("twist_deg", 0.0),
+        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
+        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
+        nonuniformity=fields.number("nonuniformity", 0.0),
+        bumps_mm=tuple(bumps),
+    )
+    fields.close()
+    ratio = bend.stretch_along / bend.stretch_across
+    if not 1.0 / MOST_STRETCH <= ratio <= MOST_STRETCH:
+        raise SceneError(
+            f"{where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their ratio "
+            f"is {ratio:g}, it must be from {1.0 / MOST_STRETCH:g} to {MOST_STRETCH:g}"
+        )
+    return bend
+
+
+def _touch(value: object, sheet: Sheet, where: str) -> Touch:
+    fields = Fields(value, where)
+    kinds = [kind for kind in ("rect_mm", "disc_mm", "polygon_mm", "units") if kind in fields]
+    if len(kinds) != 1:
+        raise SceneError(f"{where}: found {kinds or 'no shape'}, expected one of rect_mm, disc_mm, polygon_mm, units")
+    conductivity = fields.number("conductivity_S_per_m", 50.0, above=0.0)
+    shape = fields.take(kinds[0], None)
+    fields.close()
+    readers = {"rect_mm": _rect, "disc_mm": _disc, "polygon_mm": _polygon}
+    at = f"{where}.{kinds[0]}"
+    if kinds[0] == "units":
+        return Touch(_units(shape, sheet, at), conductivity)
+    return Touch((readers[kinds[0]](shape, at),), conductivity)
+
+
+def _rect(value: object, where: str) -> Shape:
+    x0, y0, x1, y1 = numbers(value, where, 4)
+    if x1 <= x0 or y1 <= y0:
+        raise SceneError(f"{where} is [{x0:g}, {y0:g}, {x1:g}, {y1:g}]; x1 must be above x0, and y1 above y0")
+    return Rect(x0, y0, x1, y1)
+
+
+def _disc(value: object, where: str) -> Shape:
+    x, y, radius = numbers(value, where, 3)
+    return Disc(x, y, number(radius, f"{where}[2] (radius)", above=0.0))
+
+
+def _polygon(value: object, where: str) -> Shape:
+    corners = [numbers(item, f"{where}[{i}]", 2) for i, item in enumerate(sequence(value, where))]
+    if len(corners) > 1 and corners[0] == corners[-1]:
+        corners.pop()
+    if len(corners) < 3:
+        raise SceneError(f"{where} has {len(corners)} corners; it must have at least 3")
+    if any(a == b for a, b in zip(corners, corners[1:] + corners[:1], strict=True)):
+        raise SceneError(f"{where}: two neighbouring corners are the same point")
+    polygon = Polygon(tuple((x, y) for x, y in corners))
+    if not polygon.is_simple:
+        raise SceneError(f"{where} crosses or touches itself; its sides must meet only at its corners")
+    return polygon
+
+
+def _units(value: object, sheet: Sheet, where: str) -> tuple[Shape, ...]:
+    rows, columns = UNIT_SHAPE
+    dx, dy = sheet.size_mm[0] / columns, sheet.size_mm[1] / rows
+    shapes: list[Shape] = []
+    for index, item in enumerate(sequence(value, where)):
+        column, row = numbers(item, f"{where}[{index}]", 2)
+        if column != int(column) or row != int(row) or not (0 <= column < columns and 0 <= row < rows):
+            raise SceneError(
+                f"{where}[{index}] is [{column:g}, {row:g}]; column must be an integer from 0 to {columns - 1}, "
+                f"row from 0 to {rows - 1}"
+            )
+        shapes.append(Rect(column * dx, row * dy, (column + 1) * dx, (row + 1) * dy))
+    if not shapes:
+        raise SceneError(f"{where} is empty; name at least one unit")
+    return tuple(shapes)
+
+
+def scene_json(scene: Scene) -> str:
+    """Return a scene as JSON that :func:`load_scene` reads back to the same scene; units come back as rectangles."""
+    touches: list[dict[str, Any]] = []
+    for touch in scene.touches:
+        for shape in touch.shapes:
+            key, value = _shape_json(shape)
+            touches.append({key: value, "conductivity_S_per_m": touch.conductivity_S_per_m})
+    return json.dumps(
+        {
+            "sheet": asdict(scene.sheet),
+            "electrodes": asdict(scene.electrodes),
+            "bend": asdict(scene.bend),
+            "touches": touches,
+            "current_A": scene.current_A,
+            "element_size_mm": scene.element_size_mm,
+        }
+    )
+
+
+def _shape_json(shape: Shape) -> tuple[str, Any]:
+    match shape:
+        case Rect():
+            return "rect_mm", list(shape.bounds_mm)
+        case Disc():
+            return "disc_mm", [shape.x_mm, shape.y_mm, shape.radius_mm]
+        case Polygon():
+            return "polygon_mm", [list(corner) for corner in shape.corners_mm]

@@ -1,0 +1,39 @@
+"""The cloud that a scanner gives of a known bend: no marks, evenly redrawn by arc length, noisy, in the agreed pose.
+
+A scan sees the surface and not the material. It knows where the border is, and between borders it can only divide rows
+and columns evenly by arc length; an uneven stretch therefore leaves no trace in the cloud. The same resampling serves a
+real scan (:mod:`eitskin_sim.surface.ordered_cloud`), so training sees what the robot will.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_sim.scene.bend import surface
+from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.surface.smooth_surface import NODES, by_arc_length
+
+NOISE_MM: Final = 0.1
+"""Resolution of the scan (paper section IV.A), taken as the noise of every coordinate."""
+
+
+def scanned_cloud(
+    bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM
+) -> npt.NDArray[np.float32]:
+    """Return the (3, 30, 45) mm cloud of a bend.
+
+    Args:
+        bend: The sheet's shape.
+        rng: Source of the noise; None leaves it out.
+        noise_mm: Standard deviation of every coordinate.
+    """
+    sheet = Sheet()
+    columns, rows = (np.linspace(0.0, extent, 2 * n - 1) for extent, n in zip(sheet.size_mm, NODES, strict=True))
+    x, y = np.meshgrid(columns, rows)
+    points = surface(bend, sheet, np.stack([x.ravel(), y.ravel()], axis=-1))
+    cloud = by_arc_length(points.T.reshape(3, len(rows), len(columns)))
+    if rng is not None:
+        cloud = cloud + noise_mm * rng.standard_normal(cloud.shape)
+    return align_cloud(cloud).astype(np.float32)

@@ -1,0 +1,154 @@
+"""V_pred: what the untouched, deformed sheet must read, from its scanned cloud alone.
+
+The cloud is the place in space of every pixel's centre. A tensor-product cubic spline through it, least squares on
+far fewer coefficients than points, takes the scanner's noise out and gives tangents everywhere, up to the border half
+a pixel beyond the outermost points; their inner products are the metric E, F, G that
+:func:`eitskin_sim.fem.forward.assemble` asks for. The voltages are solved on a coarse mesh and corrected by what the
+same mesh is off on the flat sheet, which is known.
+
+What a scan cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides
+rows and columns by arc length, so V_pred is that of the evenly stretched sheet.
+
+A network's head takes the prediction as :func:`predicted_log`, the logarithm of its ratio to the same model's flat
+sheet: what the two have in common, the model's own error and the current, drops out.
+"""
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy import linalg
+from scipy.interpolate import BSpline
+
+from eitskin_proto.sensor.cloud import check_cloud
+from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, SHEET_MM
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.fem.forward import assemble, flat_metric
+from eitskin_sim.fem.mesh import TensorMesh
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet
+
+Array = npt.NDArray[np.float64]
+
+COEFFICIENTS: Final = (11, 8)
+"""Spline coefficients along x and y: 88 for 1350 points, and a bump of sigma 12 mm still fits."""
+
+COARSE_MM: Final = 4.5
+"""Element size of the solve."""
+
+FINE_MM: Final = 1.5
+"""Element size of the flat sheet's correction, solved once a process."""
+
+RATIO_FLOOR: Final = 1e-3
+"""|V_pred| / |V_flat| is cut off here before its logarithm, as the runtime does."""
+
+MODEL: Final = f"spline {COEFFICIENTS[0]}x{COEFFICIENTS[1]}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
+"""Names everything of this module that a stored prediction depends on, beside the forward model."""
+
+_DEGREE: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class ScannedSurface:
+    """A spline through a cloud, in the flat sheet's coordinates."""
+
+    coefficients: Array
+    """(nx, ny, 3) mm."""
+
+    def metric(self, xy_mm: Array) -> Array:
+        """Return the (n, 3) first fundamental form E, F, G at flat points (n, 2)."""
+        along_x = self._evaluate(xy_mm, (1, 0))
+        along_y = self._evaluate(xy_mm, (0, 1))
+        return np.stack([np.sum(a * b, 1) for a, b in ((along_x, along_x), (along_x, along_y), (along_y, along_y))], -1)
+
+    def points(self, xy_mm: Array) -> Array:
+        """Return the (n, 3) positions in mm of flat points (n, 2)."""
+        return self._evaluate(xy_mm, (0, 0))
+
+    def _evaluate(self, xy_mm: Array, derivative: tuple[int, int]) -> Array:
+        # Meshes repeat their coordinates: a few hundred different values of each serve tens of thousands of points.
+        x, at_x = np.unique(xy_mm[:, 0], return_inverse=True)
+        y, at_y = np.unique(xy_mm[:, 1], return_inverse=True)
+        in_x = _basis(x, SHEET_MM[0], COEFFICIENTS[0], derivative[0])
+        in_y = _basis(y, SHEET_MM[1], COEFFICIENTS[1], derivative[1])
+        grid = np.einsum("ai,ijk,bj->abk", in_x, self.coefficients, in_y, optimize=True)
+        return np.asarray(grid[at_x, at_y])
+
+
+def fit_cloud(cloud_mm: npt.ArrayLike) -> ScannedSurface:
+    """Return the smooth surface through a cloud (3, 30, 45) in mm, in any pose.
+
+    Raises:
+        ValueError: The cloud is malformed.
+    """
+    cloud = check_cloud(cloud_mm)
+    to_x, to_y = _fitters()
+    return ScannedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True))
+
+
+def predict(cloud_mm: npt.ArrayLike) -> Array:
+    """Return the (104,) V that the untouched sheet of a cloud reads under 1 A.
+
+    Args:
+        cloud_mm: (3, 30, 45) mm, in any pose.
+
+    Raises:
+        ValueError: The cloud is malformed, or folds in its own plane.
+    """
+    fine, coarse = _flat()
+    return np.asarray(_solve(fit_cloud(cloud_mm).metric, COARSE_MM) * (fine / coarse))
+
+
+def flat_voltages() -> Array:
+    """Return the (104,) V of the same model on the flat sheet: the partner that V_pred is to be compared with."""
+    return _flat()[0].copy()
+
+
+def predicted_log(clouds_mm: Iterable[npt.ArrayLike]) -> npt.NDArray[np.float32]:
+    """Return the (D, 104) log |V_pred| / |V_flat| of D scanned sheets: the head's second input.
+
+    About 40 ms a sheet on one core. :func:`eitskin_sim.dataset.prediction_cache.predicted_log_of` keeps a data set's.
+
+    Args:
+        clouds_mm: D clouds (3, 30, 45) mm, in any pose.
+
+    Raises:
+        ValueError: A cloud is malformed, or folds in its own plane.
+    """
+    ratios = np.array([predict(cloud) / _flat()[0] for cloud in clouds_mm]).reshape(-1, N_ROWS)
+    return np.asarray(np.log(np.maximum(np.abs(ratios), RATIO_FLOOR)), dtype=np.float32)
+
+
+@lru_cache(maxsize=1)
+def _flat() -> tuple[Array, Array]:
+    return _solve(flat_metric, FINE_MM), _solve(flat_metric, COARSE_MM)
+
+
+@lru_cache(maxsize=2)
+def _mesh(element_size_mm: float) -> TensorMesh:
+    return scene_mesh(Scene(element_size_mm=element_size_mm))
+
+
+def _solve(metric: Callable[[Array], Array], element_size_mm: float) -> Array:
+    return assemble(_mesh(element_size_mm), Sheet(), Electrodes(), metric).factorise().voltages()
+
+
+def _basis(at_mm: Array, extent_mm: float, count: int, derivative: int = 0) -> Array:
+    """(n, count) values of the cubic B-splines on a side of the sheet, or of their derivatives in 1 / mm."""
+    inner = np.linspace(0.0, extent_mm, count - _DEGREE + 1)
+    knots = np.concatenate([np.zeros(_DEGREE), inner, np.full(_DEGREE, extent_mm)])
+    splines = BSpline(knots, np.eye(count), _DEGREE)
+    return np.asarray(splines(np.clip(at_mm, 0.0, extent_mm), nu=derivative))
+
+
+@lru_cache(maxsize=1)
+def _fitters() -> tuple[Array, Array]:
+    """(nx, 45) and (ny, 30) least squares from samples at pixel centres to spline coefficients."""
+    found = []
+    for extent, count, n in zip(SHEET_MM, COEFFICIENTS, GRID_SHAPE[::-1], strict=True):
+        centres = np.asarray((np.arange(n) + 0.5) * PITCH_MM, dtype=np.float64)
+        found.append(np.asarray(linalg.pinv(_basis(centres, extent, count)), dtype=np.float64))
+    return found[0], found[1]

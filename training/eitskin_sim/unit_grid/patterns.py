@@ -1,0 +1,135 @@
+"""Which units are touched: the paper's 10,259 touch sets, and richer shapes for training.
+
+A touch set is a row of 126 bits, bit ``row * 14 + column`` for unit (column, row), and is stored as 16 packed bytes.
+The paper's sets are every single unit, every square of 2x2 to 9x9 units, and random sets of two to four (section V.A).
+They hold no bar, no L and nothing of five separate pieces, which is where networks trained on them fail. The richer
+sets
+are pieces of random kind at random places ::
+
+    unit  #    bar  ####    rectangle  ###    L  #      T  ###    several pieces  #   ##
+                                       ###       ###        #                        #
+
+No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.published_phantoms`).
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
+from eitskin_sim.scene.published_phantoms import is_barred
+
+N_RANDOM_SETS: Final = 9_749
+"""Random sets of two to four units: what remains of 10,259 after 126 units and 384 squares (FACTS: sample count)."""
+
+N_PAPER_SETS: Final = 10_259
+"""Touch sets in the paper's data: 102,590 samples at 10 bends (section V.A)."""
+
+MOST_UNITS: Final = 10
+"""No richer set touches more units than this."""
+
+Bits = npt.NDArray[np.bool_]
+"""(..., 126) which units are touched."""
+
+
+def pack(units: Bits) -> npt.NDArray[np.uint8]:
+    """Return (..., 16) bytes of (..., 126) bits, the first unit in the highest bit."""
+    return np.packbits(units, axis=-1)
+
+
+def unpack(packed: npt.NDArray[np.uint8]) -> Bits:
+    """Return (..., 126) bits of (..., 16) bytes."""
+    return np.unpackbits(packed, axis=-1, count=N_UNITS).astype(np.bool_)
+
+
+def single_units() -> Bits:
+    """Return (126, 126) bits: every unit alone."""
+    return np.eye(N_UNITS, dtype=np.bool_)
+
+
+def squares(smallest: int = 2, largest: int = 9) -> Bits:
+    """Return (384, 126) bits: every square of 2x2 to 9x9 units, at every place."""
+    rows, columns = UNIT_SHAPE
+    found = []
+    for side in range(smallest, largest + 1):
+        for row in range(rows - side + 1):
+            for column in range(columns - side + 1):
+                bits = np.zeros(UNIT_SHAPE, dtype=np.bool_)
+                bits[row : row + side, column : column + side] = True
+                found.append(bits.ravel())
+    return np.array(found)
+
+
+def paper_touch_sets(seed: int) -> Bits:
+    """Return (10259, 126) bits: the paper's units, squares and random sets, in this order, none twice.
+
+    Args:
+        seed: Draws the 9,749 random sets of two to four units.
+    """
+    fixed = np.concatenate([single_units(), squares()])
+    generator = np.random.default_rng(seed)
+    seen = {bits.tobytes() for bits in pack(fixed)}
+    drawn: list[Bits] = []
+    while len(drawn) < N_RANDOM_SETS:
+        bits = np.zeros(N_UNITS, dtype=np.bool_)
+        bits[generator.choice(N_UNITS, size=int(generator.integers(2, 5)), replace=False)] = True
+        if _is_new(bits, seen):
+            drawn.append(bits)
+    return np.concatenate([fixed, np.array(drawn)])
+
+
+def rich_touch_sets(count: int, seed: int) -> Bits:
+    """Return (count, 126) bits: random bars, rectangles, L's, T's and separate pieces, at most 10 units, none twice.
+
+    Args:
+        count: How many sets; the first touches nothing.
+        seed: Draws them.
+    """
+    generator = np.random.default_rng(seed)
+    seen: set[bytes] = set()
+    drawn = [np.zeros(N_UNITS, dtype=np.bool_)]
+    while len(drawn) < count:
+        bits = _pieces(generator)
+        if bits.sum() <= MOST_UNITS and _is_new(bits, seen):
+            drawn.append(bits)
+    return np.array(drawn[:count])
+
+
+def _is_new(bits: Bits, seen: set[bytes]) -> bool:
+    key = pack(bits).tobytes()
+    if key in seen or not bits.any() or is_barred(np.flatnonzero(bits).tolist()):
+        return False
+    seen.add(key)
+    return True
+
+
+def _pieces(generator: np.random.Generator) -> Bits:
+    """Return the (126,) union of one to eight random pieces; many pieces are small ones."""
+    count = int(generator.choice(8, p=(0.22, 0.2, 0.17, 0.14, 0.11, 0.08, 0.05, 0.03))) + 1
+    bits = np.zeros(UNIT_SHAPE, dtype=np.bool_)
+    for _ in range(count):
+        alone = generator.random() < 0.18 * count
+        shape = np.ones((1, 1), dtype=np.bool_) if alone else _piece(generator)
+        row = int(generator.integers(UNIT_SHAPE[0] - shape.shape[0] + 1))
+        column = int(generator.integers(UNIT_SHAPE[1] - shape.shape[1] + 1))
+        bits[row : row + shape.shape[0], column : column + shape.shape[1]] |= shape
+    return bits.ravel()
+
+
+def _piece(generator: np.random.Generator) -> Bits:
+    """Return one small shape, randomly turned and mirrored."""
+    kind = generator.choice(5, p=(0.3, 0.25, 0.25, 0.12, 0.08))
+    if kind == 0:
+        shape = np.ones((1, int(generator.integers(2, 9))), dtype=np.bool_)
+    elif kind == 1:
+        shape = np.ones((int(generator.integers(2, 4)), int(generator.integers(2, 5))), dtype=np.bool_)
+    elif kind == 2:
+        shape = np.zeros((int(generator.integers(2, 6)), int(generator.integers(2, 6))), dtype=np.bool_)
+        shape[0, :] = shape[:, 0] = True
+    elif kind == 3:
+        shape = np.zeros((int(generator.integers(2, 4)), int(generator.integers(3, 6))), dtype=np.bool_)
+        shape[0, :] = shape[:, int(generator.integers(1, shape.shape[1] - 1))] = True
+    else:
+        shape = np.eye(int(generator.integers(2, 4)), dtype=np.bool_)
+    return np.asarray(np.rot90(shape, k=int(generator.integers(4)))[:, :: int(generator.choice((-1, 1)))])

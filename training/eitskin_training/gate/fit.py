@@ -1,0 +1,200 @@
+"""The touch gate: a very small network that says "nothing touches" before the large one is asked.
+
+A bent sheet moves every voltage although nothing touches it, so a threshold on |dV| cannot tell touch from bend; what
+tells them apart is the pattern. Untouched sheets of all bends fill few of the 104 directions of log(V / V0), and a
+touch, however small, leaves them. But those directions are the ones of least variance, a thousandth of the largest, and
+a network on standardised rows does not find them (it missed four of five 10 mm touches at 1 % false alarms). So the
+logarithms are whitened by the covariance of noisy untouched sheets first ::
+
+    log(max(1 + dV, floor)) (104) -> - mean, whiten -> 96 -> ReLU -> 32 -> ReLU -> 1 = logit
+    touched: logit > threshold
+
+Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
+bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
+gate judges the rows of the few drives that an idle device scans.
+"""
+
+import io
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import nn
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
+from eitskin_training.gate.idle import idle_choice
+from eitskin_training.gate.material import Array, Material
+from eitskin_training.gate.rates import measured, threshold_at
+from eitskin_training.gate.untouched import Bends
+from eitskin_training.samples.batches import TrainingData
+
+HIDDEN: Final = (96, 32)
+"""Widths of the gate's hidden layers."""
+
+IDLE_HIDDEN: Final = (64, 32)
+"""Those of the gate for scans of a few drives."""
+
+FLOOR: Final = 0.05
+"""V / V0 is not taken for less before the logarithm: a row that noise drowns says nothing by its logarithm."""
+
+FALSE_ALARM_RATE: Final = 0.003
+"""Share of untouched frames that may trip the gate. A false alarm costs one inference, and a miss hides a touch."""
+
+IDLE_FALSE_ALARM_RATE: Final = 0.01
+"""The same of idle frames: one costs half a second of whole scans."""
+
+STEPS: Final = 5500
+"""Steps of AdamW; the idle gate takes half as many."""
+
+RATE: Final = 3e-3
+"""The largest learning rate."""
+
+Arrays = dict[str, npt.NDArray[np.generic]]
+
+
+@dataclass(frozen=True, slots=True)
+class Gate:
+    """A trained gate and what was measured of it on bends it never saw.
+
+    Args:
+        arrays: floor, mean and scale (208,), w1 (208, h), b1 (h,), w2 (h, g), b2 (g,), w3 (g,), b3, threshold; the same
+            with the prefix idle_ over the idle drives' rows, and idle_drives, 16 bits.
+        measures: What a manifest states.
+    """
+
+    arrays: Arrays
+    measures: dict[str, Any]
+
+    def to_npz(self) -> bytes:
+        """Return the arrays as the bytes of an .npz file."""
+        buffer = io.BytesIO()
+        np.savez(buffer, **self.arrays)  # type: ignore[arg-type]
+        return buffer.getvalue()
+
+    def audited(self, pixels: int) -> "Gate":
+        """Return the same gate, overruled by maps with at least so many touched pixels."""
+        arrays = {**self.arrays, "audit_pixels": np.asarray(pixels, dtype=np.uint16)}
+        return Gate(arrays, {**self.measures, "audit_pixels": pixels})
+
+    def facts(self) -> dict[str, Any]:
+        """Return what a manifest states."""
+        return self.measures
+
+
+def gate_features(dv: npt.NDArray[np.floating], floor: float = FLOOR) -> Array:
+    """Return (n, 2 r) features of (n, r) dV, as the runtime forms them."""
+    return np.concatenate([dv, np.log(np.maximum(1.0 + dv, floor))], axis=1, dtype=np.float64)
+
+
+def logits(arrays: Arrays, dv: npt.NDArray[np.floating], prefix: str = "") -> Array:
+    """Return (n,) logits of (n, r) dV, the way the runtime computes them.
+
+    Args:
+        arrays: Of a gate.
+        dv: Of the rows that the gate judges.
+        prefix: "idle_" for the idle gate.
+    """
+    part = {name: np.asarray(arrays[prefix + name], dtype=np.float64) for name in _FIELDS}
+    x = (gate_features(dv, float(part["floor"])) - part["mean"]) / part["scale"]
+    hidden = np.maximum(np.maximum(x @ part["w1"] + part["b1"], 0.0) @ part["w2"] + part["b2"], 0.0)
+    return np.asarray(hidden @ part["w3"] + part["b3"])
+
+
+_FIELDS: Final = ("floor", "mean", "scale", "w1", "b1", "w2", "b2", "w3", "b3")
+
+
+def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, batch: int = 512) -> Gate:
+    """Train both gates and measure them.
+
+    Args:
+        data: A data set: its training samples are touched ones to learn from, its held-out ones measure what is missed.
+        bends: Untouched sheets, and small touches.
+        seed: Of weights, draws and noise.
+        steps: Steps of AdamW.
+        batch: Samples a step, half of them untouched.
+
+    Raises:
+        SkinError: No bends are held out.
+    """
+    if not len(bends.choose) or not len(bends.measure):
+        raise SkinError(
+            f"{len(bends.choose)} held-out bends to choose the gate's threshold and {len(bends.measure)} to measure "
+            "it, expected at least 1 of each; make the data set with 'eitskin dataset' and more deformations"
+        )
+    rng = np.random.default_rng([seed, 0x6A7E])
+    material = Material.of(data, bends, rng)
+    found: Arrays = {}
+    measures: dict[str, Any] = {}
+    drives = idle_choice(material, rng)
+    for prefix, rows, hidden, count, rate in (
+        ("", np.arange(N_ROWS), HIDDEN, steps, FALSE_ALARM_RATE),
+        ("idle_", table_rows(False, drives), IDLE_HIDDEN, steps // 2, IDLE_FALSE_ALARM_RATE),
+    ):
+        torch.manual_seed(seed)
+        arrays = _trained(material, rows, hidden, count, batch, rng)
+
+        def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
+            return logits(arrays, dv[:, rows])
+
+        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng)
+        arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
+        found |= {prefix + name: value for name, value in arrays.items()}
+        measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
+    found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
+    idle = {"drives": drives_to_list(drives), **measures["idle_"]}
+    return Gate(found, {**measures[""], "idle": idle})
+
+
+def _trained(
+    material: Material,
+    rows: npt.NDArray[np.intp],
+    hidden: tuple[int, int],
+    steps: int,
+    batch: int,
+    rng: np.random.Generator,
+) -> Arrays:
+    """Return a gate's arrays but for its threshold, in the runtime's form."""
+
+    def logarithms(dv: Array) -> Array:
+        return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
+
+    mean, whitening = _whitening(logarithms(material.draw(16_384, rng, touched=0.0)[0]))
+    layers = [nn.Linear(len(rows), hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
+    network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
+    optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
+    schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=max(steps, 2))
+    for _ in range(steps):
+        dv, touched = material.draw(batch, rng)
+        x = torch.from_numpy(((logarithms(dv) - mean) @ whitening).astype(np.float32))
+        loss = nn.functional.binary_cross_entropy_with_logits(network(x)[:, 0], torch.from_numpy(touched))
+        optimiser.zero_grad()
+        loss.backward()  # type: ignore[no-untyped-call]
+        optimiser.step()
+        schedule.step()
+    weights = [layer.weight.detach().numpy().T for layer in layers]
+    biases = [layer.bias.detach().numpy() for layer in layers]
+    unused = np.zeros(len(rows))  # dV itself, which the runtime's features begin with: its logarithm says it all
+    first = whitening @ weights[0]
+    arrays = {
+        "floor": np.asarray(FLOOR),
+        "mean": np.concatenate([unused, mean]),
+        "scale": np.ones(2 * len(rows)),
+        "w1": np.concatenate([np.zeros_like(first), first]),
+        "b1": biases[0],
+        "w2": weights[1],
+        "b2": biases[1],
+        "w3": weights[2][:, 0],
+        "b3": biases[2][0],
+    }
+    return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
+
+
+def _whitening(logarithms: Array) -> tuple[Array, Array]:
+    """Return the (r,) mean and the (r, r) matrix that gives logarithms of untouched sheets unit covariance."""
+    values, directions = np.linalg.eigh(np.cov(logarithms.T))
+    # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
+    return logarithms.mean(axis=0), directions / np.sqrt(values + 1e-8)

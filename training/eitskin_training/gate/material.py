@@ -1,0 +1,117 @@
+"""Random untouched and touched frames for the gate, with noise, as many as it asks for.
+
+A drawn bend is a solved one, or lies between two of them or between one and flat: the voltages of a partial bend are
+close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
+which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the four mirror
+images, since the image of a sheet is a sheet.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_training.gate.untouched import Bends
+from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.samples.batches import TrainingData
+
+WEAK: Final = 0.03
+"""Mean |log(V touched / V untouched)| up to which a touch is drawn with full weight; a 10 mm touch has about this."""
+
+FAINTEST: Final = 1e-3
+"""Below it a touch is beneath any noise and is not learned from."""
+
+MOST_TOUCHES: Final = 20_000
+"""How many of a data set's samples are learned from."""
+
+PURE: Final = 0.5
+"""Share of bends that are solved ones, not mixtures."""
+
+NOISES: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
+
+SNR_DB: Final = 50.0
+
+Array = npt.NDArray[np.float64]
+
+IMAGES: Final = np.array([mirror.rows for mirror in MIRRORS])
+"""(4, 104) rows of the four mirror images."""
+
+
+@dataclass(frozen=True, slots=True)
+class Material:
+    """What frames are made of.
+
+    Args:
+        reference: (104,) V of the flat sheet.
+        bends: (n, 104) log(V / V0) untouched.
+        touches: (t, 104) log(V touched / V untouched).
+        upto: (t,) ascending chances that a drawn touch is this one or one before it.
+    """
+
+    reference: Array
+    bends: Array
+    touches: Array
+    upto: Array
+
+    @classmethod
+    def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
+        """Return material of a data set's training samples and of solved bends and touches."""
+        rows = data.train[data.labels[data.touch_set[data.train]].any(axis=1)]
+        rows = rng.permutation(rows)[:MOST_TOUCHES]
+        ratio = data.voltages[rows] / data.untouched[data.deformation[rows]]
+        usable = ((ratio > 1e-4) & (ratio < 1e4)).all(axis=1)
+        touches = np.concatenate([np.log(ratio[usable]), bends.touches])
+        strength = np.abs(touches).mean(axis=1)
+        weights = np.sqrt(np.minimum(1.0, WEAK / np.maximum(strength, FAINTEST))) * (strength > FAINTEST)
+        # What was solved for the gate counts as much as all samples of the data set together.
+        own = np.arange(len(touches)) >= usable.sum()
+        if own.any() and not own.all():
+            weights[own] *= weights[~own].sum() / weights[own].sum()
+        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum())
+
+    def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
+        """Return (count, 104) noisy dV and (count,) 1 where touched.
+
+        Args:
+            count: How many frames.
+            rng: Draws them.
+            touched: Share of touched ones.
+        """
+        first = round(count * touched)
+        logs = self._bends(count, rng)
+        chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
+        logs[:first] += _image(self.touches[chosen], rng)
+        labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
+        return noisy_change(logs, self.reference, rng), labels
+
+    def _bends(self, count: int, rng: np.random.Generator) -> Array:
+        one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]
+        kind, share = rng.random(count)[:, None], rng.random(count)[:, None]
+        mixed = share * one + np.where(kind < (1.0 + PURE) / 2, 0.0, 1.0 - share) * other
+        return _image(np.where(kind < PURE, one, mixed), rng)
+
+
+def _image(logs: Array, rng: np.random.Generator) -> Array:
+    return np.take_along_axis(logs, IMAGES[rng.integers(len(IMAGES), size=len(logs))], axis=1)
+
+
+def noisy_change(logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None) -> Array:
+    """Return (n, 104) dV of (n, 104) log(V / V0) with noise at 50 dB.
+
+    Args:
+        logs: Free of noise.
+        reference: (104,) V0.
+        rng: Source of the noise.
+        kind: Of noise; any of the three for each frame by default.
+    """
+    voltages = reference * np.exp(logs)
+    if kind is not None:
+        return relative_change(add_noise(voltages, reference, kind, SNR_DB, rng), reference)
+    which = rng.integers(len(NOISES), size=len(voltages))
+    noisy = np.empty_like(voltages)
+    for index, name in enumerate(NOISES):
+        noisy[which == index] = add_noise(voltages[which == index], reference, name, SNR_DB, rng)
+    return relative_change(noisy, reference)

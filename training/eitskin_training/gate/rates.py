@@ -1,0 +1,105 @@
+"""How often a gate is wrong, on bends that it did not learn from: false alarms with their uncertainty, and misses.
+
+Frames of one bend trip a gate together, so the number of bends says how well a rate is known, not that of frames. The
+interval is that of a mean over bends, 95 % two-sided; where no bend ever tripped the gate, n bends say that with 95 %
+confidence fewer than 3 / n do.
+"""
+
+from collections.abc import Callable
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_training.gate.material import IMAGES, NOISES, noisy_change
+from eitskin_training.gate.untouched import Bends
+from eitskin_training.samples.batches import PIXELS_PER_UNIT, TrainingData
+
+SMALL_TOUCH_PIXELS: Final = 12.0
+"""A touch of at most this area, about 11.5 mm square, counts as small."""
+
+DRAWS: Final = 4
+"""Noise draws of a bend in each of its four mirror images, for each noise."""
+
+Array = npt.NDArray[np.float64]
+Judge = Callable[[Array], Array]
+"""(n, 104) dV -> (n,) logits."""
+
+
+def untouched_logits(judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> dict[str, Array]:
+    """Return by noise the (bends, 4 images x draws) logits of untouched sheets.
+
+    Args:
+        judge: A gate.
+        logs: (bends, 104) log(V / V0).
+        reference: (104,) V0.
+        rng: Source of the noise.
+    """
+    shown = np.repeat(np.concatenate([logs[:, rows][:, None] for rows in IMAGES], axis=1), DRAWS, axis=1)
+    flat = shown.reshape(-1, logs.shape[1])
+    return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
+
+
+def threshold_at(rate: float, judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> float:
+    """Return the logit above which a share ``rate`` of untouched frames lies, over bends, images and noises."""
+    found = untouched_logits(judge, logs, reference, rng)
+    return float(np.quantile(np.concatenate([logits.ravel() for logits in found.values()]), 1.0 - rate))
+
+
+def rate_and_interval(tripped: Array) -> tuple[float, list[float]]:
+    """Return the share of frames that trip and its 95 % interval.
+
+    Args:
+        tripped: (bends,) the share of each bend's frames.
+    """
+    rate, count = float(tripped.mean()), len(tripped)
+    if rate == 0.0:
+        return 0.0, [0.0, min(1.0, 3.0 / count)]
+    half = 1.96 * float(tripped.std(ddof=1)) / np.sqrt(count) if count > 1 else 1.0
+    return rate, [max(0.0, rate - half), min(1.0, rate + half)]
+
+
+def measured(
+    judge: Judge, threshold: float, data: TrainingData, bends: Bends, rng: np.random.Generator
+) -> dict[str, Any]:
+    """Return what a gate's manifest entry states."""
+    found = untouched_logits(judge, bends.measure, data.reference, rng)
+    tripped = {kind: (logits > threshold).mean(axis=1) for kind, logits in found.items()}
+    rate, interval = rate_and_interval(np.mean(list(tripped.values()), axis=0))
+    missed, small = _missed_samples(judge, threshold, data, rng)
+    return {
+        "false_alarm_rate": rate,
+        "false_alarm_interval_95": interval,
+        "false_alarm_rate_by_noise": {kind: float(value.mean()) for kind, value in tripped.items()},
+        "held_out_bends": len(bends.measure),
+        "missed_rate": missed,
+        "missed_small_rate": small,
+        "missed_by_touch": missed_probes(judge, threshold, bends, data.reference, rng),
+    }
+
+
+def missed_probes(
+    judge: Judge, threshold: float, bends: Bends, reference: Array, rng: np.random.Generator, draws: int = 10
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return the share of frames missed: by touch, then family of bends, then noise."""
+    missed: dict[str, dict[str, dict[str, float]]] = {}
+    for probe in bends.probes:
+        logs = np.repeat(probe.logs, draws, axis=0)
+        missed.setdefault(probe.name, {})[probe.family] = {
+            kind: float(np.mean(judge(noisy_change(logs, reference, rng, kind)) <= threshold)) for kind in NOISES
+        }
+    return missed
+
+
+def _missed_samples(
+    judge: Judge, threshold: float, data: TrainingData, rng: np.random.Generator
+) -> tuple[float, float | None]:
+    """Return the share of a data set's touched samples, at bends kept apart, that is missed, and that of small ones."""
+    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    labels = data.labels[data.touch_set[rows]].astype(np.float64)
+    pixels = labels.sum(axis=1) / 255.0 if data.labels_kind == "area" else labels @ PIXELS_PER_UNIT
+    rows, pixels = rows[pixels > 0], pixels[pixels > 0]
+    ratio = np.maximum(data.voltages[rows] / data.reference, 1e-6)
+    missed = judge(noisy_change(np.log(ratio), data.reference, rng)) <= threshold
+    small = pixels <= SMALL_TOUCH_PIXELS
+    return float(missed.mean()), float(missed[small].mean()) if small.any() else None

@@ -1,0 +1,1 @@
+"""VD2T and its layers."""

@@ -1,0 +1,308 @@
+"""VD2T: voltages and a scanned shape in, the touched map out (paper section IV.B, Fig. 3).
+
+Two channels meet in two linear layers. The first of them is linear in both channels, so it is kept as its two column
+blocks: what the cloud adds there is a *bias* that changes only when the sheet's shape does. ::
+
+    dv (B, 104) ── features ── voltage channel ──┐ W_v
+                                                 + ── BN ── ReLU ── dropout ── linear ── sharpen ── sigmoid ── map
+    cloud (D, 3, 30, 45) ── cloud channel ───────┘ W_c, b        = bias (D, H)
+
+``bias`` and ``logits`` are the two halves; training uses them too, so that geometry costs once a bend, not once a
+sample. Two voltage channels exist: the paper's (three-layer MLP, then three-layer 1-D CNN) and a residual MLP that
+reaches more with the same number of weights. Sharpening (:mod:`eitskin_training.network.sharpen`) is ours, and so are
+all widths: the paper gives none.
+"""
+
+import itertools
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import torch
+from torch import Tensor, nn
+
+from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, N_UNITS, QUARTER_SHAPE, UNIT_OF_PIXEL
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.images import IMAGES, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
+from eitskin_training.network.sharpen import Sharpen
+
+VoltageChannel = Literal["paper", "residual"]
+Activation = Literal["relu", "silu"]
+
+RATIO_FLOOR: Final = 1e-2
+"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero."""
+
+CHANGE_RANGE: Final = (-1.2, 5.0)
+"""V / V0 - 1 is clamped here. Touches and deformations stay inside; noise on a weak row, alone, may not, and one such
+value would move the batch's mean and spread, or the map."""
+
+TOUCHED_PRIOR: Final = 0.05
+"""Mean of the labels to start from, so that the first epochs do not go into learning that most pixels are 0."""
+
+
+@dataclass(frozen=True, slots=True)
+class Architecture:
+    """Everything that fixes the shape of a network.
+
+    Args:
+        voltage_channel: The paper's MLP and 1-D CNN, or residual linear layers.
+        log_ratio: Whether log(V / V0) joins dv as an input, computed inside the graph.
+        log_predicted: Whether log(V / V_pred) does; V_pred then comes as a second input of the head.
+        widths: Outputs of each linear layer of the voltage channel; a residual channel needs them equal.
+        convolutions: Channels of each 1-D convolution of the paper's voltage channel.
+        cloud_channels: Channels of each 2-D convolution of the cloud channel.
+        use_cloud: False leaves the cloud out, for the ablation; the bias is then a constant.
+        hidden: Width H between the two fusion layers, and so of the bias.
+        outputs: 1350 pixels, or 126 units that the graph spreads over their pixels.
+        dropout: Fraction of activations dropped in training.
+        activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
+        sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
+        symmetric: Whether every layer but the sharpening keeps the sheet's mirror symmetries; widths are then those of
+            one image of four. Residual voltage channels with pixels out only.
+    """
+
+    voltage_channel: VoltageChannel = "residual"
+    log_ratio: bool = True
+    log_predicted: bool = False
+    widths: tuple[int, ...] = (512, 512, 512)
+    convolutions: tuple[int, ...] = ()
+    cloud_channels: tuple[int, ...] = (8, 8)
+    use_cloud: bool = True
+    hidden: int = 512
+    outputs: int = N_PIXELS
+    dropout: float = 0.0
+    activation: Activation = "relu"
+    sharpening: tuple[int, ...] = ()
+    symmetric: bool = False
+
+    def __post_init__(self) -> None:
+        if self.outputs not in (N_PIXELS, N_UNITS):
+            raise ValueError(f"outputs is {self.outputs}; expected {N_PIXELS} pixels or {N_UNITS} units")
+        if self.voltage_channel == "residual" and len(set(self.widths)) != 1:
+            raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
+        if self.sharpening and self.outputs != N_PIXELS:
+            raise ValueError(f"sharpening needs {N_PIXELS} outputs, found {self.outputs}: units have no pixels around")
+        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != N_PIXELS):
+            raise ValueError(f"a symmetric network needs a residual voltage channel and {N_PIXELS} outputs")
+        if not 0.0 <= self.dropout < 1.0:
+            raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
+
+    @property
+    def bias_width(self) -> int:
+        """Width of what a cloud adds: H, or that of each of four images."""
+        return IMAGES * self.hidden if self.symmetric else self.hidden
+
+    @property
+    def feature_blocks(self) -> int:
+        """How many times 104 values the voltage channel reads."""
+        return 1 + self.log_ratio + self.log_predicted
+
+
+class Standardise(nn.Module):
+    """(x - mean) * scale with numbers of the training data, fitted once; the identity until then.
+
+    Batch normalisation here would show the network each batch's own mean and spread, which the bends that happen to be
+    in it move.
+
+    Args:
+        width: Features of a sample.
+    """
+
+    mean: Tensor
+    scale: Tensor
+
+    def __init__(self, width: int) -> None:
+        super().__init__()
+        self.register_buffer("mean", torch.zeros(width))
+        self.register_buffer("scale", torch.ones(width))
+
+    def fit(self, samples: Tensor) -> None:
+        """Take mean and spread from (n, width) samples."""
+        self.mean.copy_(samples.mean(dim=0))
+        self.scale.copy_(1.0 / torch.clamp(samples.std(dim=0), min=1e-6))
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, width)."""
+        return (x - self.mean) * self.scale
+
+
+class Residual(nn.Module):
+    """x + activation(BN(linear(x)))."""
+
+    def __init__(self, width: int, architecture: Architecture) -> None:
+        super().__init__()
+        self.path = _dense(width, width, architecture)
+
+    def forward(self, x: Tensor) -> Tensor:
+        """Return (B, width)."""
+        return torch.add(x, self.path(x))
+
+
+class VD2T(nn.Module):
+    """The network as two halves that meet in a bias.
+
+    Args:
+        architecture: Its shape.
+    """
+
+    def __init__(self, architecture: Architecture) -> None:
+        super().__init__()
+        self.architecture = architecture
+        self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
+        self.voltage, voltage_width = _voltage_channel(architecture)
+        self.cloud, cloud_width = _cloud_channel(architecture)
+        self.fusion_voltage = _linear(voltage_width, architecture.hidden, architecture)
+        self.fusion_cloud = nn.Linear(cloud_width, architecture.hidden)
+        self.fusion = nn.Sequential(
+            _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
+        )
+        if architecture.symmetric:
+            quarter = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
+            self.out: nn.Linear | ImageLinear = ImageLinear(architecture.hidden, quarter, bias=True)
+            self.pixels: nn.Module = Quarters()
+        else:
+            self.out = nn.Linear(architecture.hidden, architecture.outputs)
+            self.pixels = nn.Identity()
+        self.sharpen = Sharpen(architecture.sharpening, _kind(architecture))
+        assert self.out.bias is not None
+        nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
+        self.register_buffer("unit_of_pixel", torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).copy()), persistent=False)
+
+    def bias(self, clouds: Tensor) -> Tensor:
+        """Return (D, H), what each cloud adds in the first fusion layer.
+
+        Args:
+            clouds: (D, 3, 30, 45) as :func:`eitskin_proto.sensor.cloud.network_input` gives them.
+        """
+        if not self.architecture.use_cloud:
+            clouds = torch.zeros_like(clouds)
+        if not self.architecture.symmetric:
+            return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
+        found: Tensor = self.fusion_cloud(self.cloud(images_of_clouds(clouds).flatten(0, 1)))
+        return found.view(IMAGES, len(clouds), -1).transpose(0, 1).flatten(1)
+
+    def logits(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None = None) -> Tensor:
+        """Return (B, outputs) before the sigmoid.
+
+        Args:
+            dv: (B, 104) relative change against the flat untouched reference.
+            bias: (B, H), one row a sample.
+            log_predicted: (B, 104) log(V_pred / V0), where the architecture has that input; None stands for zeros.
+        """
+        x = features(dv, self.architecture, log_predicted)
+        if self.architecture.symmetric:
+            x = images_of_rows(x, self.architecture.feature_blocks)
+            bias = bias.view(len(bias), IMAGES, -1).transpose(0, 1)
+        hidden = self.fusion(self.fusion_voltage(self.voltage(self.standardise(x))) + bias)
+        return self.sharpen(self.pixels(self.out(hidden)))  # type: ignore[no-any-return]
+
+    def forward(
+        self, dv: Tensor, clouds: Tensor, which: Tensor | None = None, log_predicted: Tensor | None = None
+    ) -> Tensor:
+        """Return (B, outputs) before the sigmoid.
+
+        Args:
+            dv: (B, 104) relative change.
+            clouds: (D, 3, 30, 45), each shape once.
+            which: (B,) the cloud of each sample; None when D = B, one each.
+            log_predicted: As in :meth:`logits`.
+        """
+        bias = self.bias(clouds)
+        return self.logits(dv, bias if which is None else bias[which], log_predicted)
+
+    def maps(self, logits: Tensor) -> Tensor:
+        """Return (B, 1350) touched maps in [0, 1] from logits."""
+        touched = torch.sigmoid(logits)
+        if self.architecture.outputs == N_PIXELS:
+            return touched
+        return touched[:, self.unit_of_pixel]  # type: ignore[index]
+
+    def parameter_count(self) -> int:
+        """Return how many numbers training fits."""
+        return sum(parameter.numel() for parameter in self.parameters())
+
+    def streamed_weights(self) -> int:
+        """Return how many weights one frame reads: all but the cloud's half."""
+        geometry = [*self.cloud.parameters(), *self.fusion_cloud.parameters()]
+        return self.parameter_count() - sum(parameter.numel() for parameter in geometry)
+
+
+def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | None = None) -> Tensor:
+    """Return (B, 104 * blocks): dv, then log(V / V0), then log(V / V_pred), as the architecture asks."""
+    dv = torch.clamp(dv, *CHANGE_RANGE)
+    blocks = [dv]
+    if architecture.log_ratio or architecture.log_predicted:
+        log_ratio = torch.log(torch.clamp(1.0 + dv, min=RATIO_FLOOR))
+        if architecture.log_ratio:
+            blocks.append(log_ratio)
+        if architecture.log_predicted:
+            blocks.append(log_ratio if log_predicted is None else log_ratio - log_predicted)
+    return torch.cat(blocks, dim=1)
+
+
+def activation(architecture: Architecture) -> nn.Module:
+    """Return the nonlinearity after each linear layer."""
+    return _kind(architecture)()
+
+
+def _kind(architecture: Architecture) -> type[nn.Module]:
+    return nn.SiLU if architecture.activation == "silu" else nn.ReLU
+
+
+def _linear(inputs: int, outputs: int, architecture: Architecture) -> nn.Module:
+    if architecture.symmetric:
+        return ImageLinear(inputs, outputs)
+    return nn.Linear(inputs, outputs, bias=False)
+
+
+def _norm(width: int, architecture: Architecture) -> nn.Module:
+    return ImageNorm(width) if architecture.symmetric else nn.BatchNorm1d(width)
+
+
+def _dense(inputs: int, outputs: int, architecture: Architecture, *, first: bool = False) -> nn.Sequential:
+    """Return a layer; the first one is the same for every image, whose rows are its inputs."""
+    return nn.Sequential(
+        nn.Linear(inputs, outputs, bias=False) if first else _linear(inputs, outputs, architecture),
+        _norm(outputs, architecture),
+        activation(architecture),
+        nn.Dropout(architecture.dropout),
+    )
+
+
+def _voltage_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+    """Return the channel and the width of what it gives."""
+    widths = architecture.widths
+    width_in = architecture.feature_blocks * N_ROWS
+    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, first=True)]
+    if architecture.voltage_channel == "residual":
+        layers += [Residual(width, architecture) for width in widths[1:]]
+        return nn.Sequential(*layers), widths[-1]
+    for before, after in itertools.pairwise(widths):
+        layers.append(_dense(before, after, architecture))
+    layers.append(nn.Unflatten(1, (1, widths[-1])))
+    length, channels = widths[-1], 1
+    for index, after in enumerate(architecture.convolutions):
+        stride = 2 if index == len(architecture.convolutions) - 1 else 1
+        layers.append(
+            nn.Sequential(
+                nn.Conv1d(channels, after, 3, stride=stride, padding=1, bias=False), nn.BatchNorm1d(after), nn.ReLU()
+            )
+        )
+        length, channels = (length - 1) // stride + 1, after
+    layers.append(nn.Flatten())
+    return nn.Sequential(*layers), length * channels
+
+
+def _cloud_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+    """Return two strided 2-D convolutions and the width of what they give."""
+    rows, columns = GRID_SHAPE
+    channels = 3
+    layers: list[nn.Module] = []
+    for after in architecture.cloud_channels:
+        layers.append(
+            nn.Sequential(
+                nn.Conv2d(channels, after, 3, stride=2, padding=1, bias=False), nn.BatchNorm2d(after), nn.ReLU()
+            )
+        )
+        rows, columns, channels = (rows + 1) // 2, (columns + 1) // 2, after
+    layers.append(nn.Flatten())
+    return nn.Sequential(*layers), rows * columns * channels

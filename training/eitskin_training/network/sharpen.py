@@ -1,0 +1,70 @@
+"""A map's logits made sharper by what lies around: small convolutions that all places share.
+
+The last linear layer gives a map that is right to a pixel or so, everywhere by weights of its own. What a touch looks
+like is the same everywhere: a region with a border, apart from its neighbours. So three by three pixels are taken as
+the nine channels of a cell of 10 mm, and each block adds to them what it makes of a cell and the eight around it::
+
+    z (B, 1350) -- cells (B, 9, 10, 15) -- [ z + conv1x1(act(conv3x3(z / 4))) ] ... -- pixels (B, 1350)
+
+Six thousand weights, 0.9 million products a frame. What it gains beside a wider network: DESIGN.md.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
+
+CELL: Final = 3
+"""Pixels along a cell's side: 10 mm."""
+
+CELLS: Final = (GRID_SHAPE[0] // CELL, GRID_SHAPE[1] // CELL)
+"""(10, 15) cells."""
+
+LOGITS: Final = 4.0
+"""Typical size of a logit; convolutions see them divided by it."""
+
+PIXEL_OF_CELL: Final[npt.NDArray[np.int64]] = (
+    np.arange(N_PIXELS).reshape(CELLS[0], CELL, CELLS[1], CELL).transpose(0, 2, 1, 3).reshape(-1)
+)
+"""(1350,) the pixels in the order of cells, nine of each after another."""
+
+
+class Sharpen(nn.Module):
+    """Logits of pixels -> logits of pixels; without blocks it is the identity.
+
+    Args:
+        channels: Width of each block.
+        activation: Makes the nonlinearity.
+    """
+
+    def __init__(self, channels: Sequence[int], activation: type[nn.Module]) -> None:
+        super().__init__()
+        self.blocks = nn.ModuleList()
+        for width in channels:
+            last = nn.Conv2d(width, CELL**2, 1)
+            nn.init.zeros_(last.weight)
+            assert last.bias is not None
+            nn.init.zeros_(last.bias)
+            self.blocks.append(nn.Sequential(nn.Conv2d(CELL**2, width, 3, padding=1), activation(), last))
+        for parameter in self.blocks.parameters():
+            if parameter.ndim == 4:
+                parameter.data = parameter.data.to(memory_format=torch.channels_last)  # trains faster
+
+    def cells(self, z: Tensor) -> Tensor:
+        """Return (B, 9, 10, 15) of the same."""
+        for block in self.blocks:
+            z = torch.add(z, block(z / LOGITS))
+        return z
+
+    def forward(self, logits: Tensor) -> Tensor:
+        """Return (B, 1350)."""
+        if not len(self.blocks):
+            return logits
+        z = functional.pixel_unshuffle(logits.view(-1, 1, *GRID_SHAPE), CELL)
+        return functional.pixel_shuffle(self.cells(z), CELL).flatten(1)

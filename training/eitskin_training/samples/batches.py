@@ -1,0 +1,279 @@
+"""Batches: noise, lost rows, mirror images and labels are made when a batch is, so no epoch sees a sample twice alike.
+
+A data set holds each touch set's label once and each bend's cloud once; a sample is an index into both. A batch carries
+the clouds that occur in it, each once, and which of them every sample has. One batch is shown in one mirror image: the
+permutation is then the same for every sample, and the clouds stay few.
+
+Randomness depends on (seed, epoch) alone. A run resumed at an epoch therefore continues as if it had never stopped.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from eitskin_proto.errors import MismatchError
+from eitskin_proto.sensor.cloud import network_input
+from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.dataset.prediction_cache import predicted_log_of
+from eitskin_sim.dataset.reader import load as load_set
+from eitskin_sim.measurement.consistency import SAMPLES, Consistency, Filler, fit
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_training.network.mirror import MIRRORS, Mirror
+from eitskin_training.network.model import features
+from eitskin_training.recipes import Recipe
+from eitskin_training.samples.missing_rows import lose_electrodes
+
+MOST_LOST_ROWS: Final = 4
+"""A sample that loses rows loses one to this many."""
+
+PIXELS_PER_UNIT: Final[npt.NDArray[np.intp]] = np.bincount(UNIT_OF_PIXEL.ravel())
+"""(126,) 9, 12 or 16: the weight that makes a loss over units equal to the loss over the pixels they cover."""
+
+
+@dataclass(frozen=True, slots=True)
+class TrainingData:
+    """Everything that batches are made of.
+
+    Args:
+        voltages: (N, 104) V, touched, free of noise.
+        deformation: (N,) which bend each sample has.
+        touch_set: (N,) which touch set.
+        reference: (104,) V of the flat, untouched sheet.
+        untouched: (D, 104) V of each bend, untouched.
+        clouds: (D, 3, 30, 45) network inputs.
+        log_predicted: (D, 104) log(V_pred / V0), or zeros where nothing was predicted.
+        labels_kind: "units" or "area".
+        labels: (T, 126) of 0 and 1, or (T, 1350) touched fraction in 1/255.
+        train: Rows to learn from.
+        validation: Rows that choose the best epoch: other touch sets at the same bends.
+        held_out: Rows of other touch sets at bends never trained on, by family; for the metrics card.
+        digest: Digest of the data set.
+        seed: Seed of the data set, of the first of several.
+    """
+
+    voltages: npt.NDArray[np.float32]
+    deformation: npt.NDArray[np.intp]
+    touch_set: npt.NDArray[np.intp]
+    reference: npt.NDArray[np.float64]
+    untouched: npt.NDArray[np.float64]
+    clouds: npt.NDArray[np.float32]
+    log_predicted: npt.NDArray[np.float32]
+    labels_kind: Literal["units", "area"]
+    labels: npt.NDArray[np.uint8]
+    train: npt.NDArray[np.intp]
+    validation: npt.NDArray[np.intp]
+    held_out: dict[str, npt.NDArray[np.intp]]
+    digest: str
+    seed: int
+    protocol_id: str = PROTOCOL_ID
+    grid_id: str = GRID_ID
+
+    def require(self, recipe: Recipe) -> None:
+        """Check that a recipe can learn from this data.
+
+        Raises:
+            MismatchError: It was made for another protocol or grid, or has the other kind of labels.
+        """
+        hint = "make it again with 'eitskin dataset'"
+        for name, found, expected in (
+            ("protocol_id", self.protocol_id, PROTOCOL_ID),
+            ("grid_id", self.grid_id, GRID_ID),
+        ):
+            if found != expected:
+                raise MismatchError(f"data set: {name}", found=found, expected=expected, hint=hint)
+        if self.labels_kind != recipe.labels:
+            raise MismatchError(
+                f"data set for recipe {recipe.name}: labels",
+                found=self.labels_kind,
+                expected=recipe.labels,
+                hint=f"{hint} --set {'free' if recipe.labels == 'area' else 'units'}",
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Batch:
+    """What one step learns from.
+
+    Args:
+        dv: (B, 104) noisy relative change.
+        clouds: (C, 3, 30, 45) the clouds that occur.
+        which: (B,) the cloud of each sample.
+        log_predicted: (B, 104) log(V_pred / V0).
+        labels: (B, 126) units or (B, 1350) pixels, in [0, 1].
+    """
+
+    dv: Tensor
+    clouds: Tensor
+    which: Tensor
+    log_predicted: Tensor
+    labels: Tensor
+
+    def to(self, device: torch.device) -> "Batch":
+        """Return the batch on a device."""
+        return Batch(*(getattr(self, name).to(device) for name in ("dv", "clouds", "which", "log_predicted", "labels")))
+
+
+def noisy_change(
+    data: TrainingData, rows: npt.NDArray[np.intp], kinds: tuple[Kind, ...], snr_db: float, rng: np.random.Generator
+) -> npt.NDArray[np.float32]:
+    """Return (n, 104) dV of samples, each with noise of a kind drawn from ``kinds``."""
+    voltages = data.voltages[rows]
+    noisy = np.empty(voltages.shape, dtype=np.float64)
+    kind = rng.integers(len(kinds), size=len(rows))
+    for index, name in enumerate(kinds):
+        chosen = kind == index
+        noisy[chosen] = add_noise(voltages[chosen], data.reference, name, snr_db, rng)
+    return relative_change(noisy, data.reference).astype(np.float32)
+
+
+def batches(
+    data: TrainingData,
+    recipe: Recipe,
+    *,
+    seed: int,
+    epoch: int,
+    mirrored: dict[int, npt.NDArray[np.float32]] | None = None,
+) -> Iterator[Batch]:
+    """Yield one epoch of training batches, the last incomplete one left out.
+
+    Args:
+        data: The data set.
+        recipe: Batch size, noise, flips and losses.
+        seed: Seed of the run.
+        epoch: Number of the epoch; with the seed it fixes every draw.
+        mirrored: Clouds of each mirror image, filled here and reused between epochs.
+    """
+    rng = np.random.default_rng([seed, epoch])
+    size = min(recipe.batch, len(data.train))
+    order = _order(data, recipe.together, size, rng)
+    images = {} if mirrored is None else mirrored
+    filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
+    for start in range(0, len(order) - size + 1, size):
+        flip = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
+        if flip not in images:
+            images[flip] = MIRRORS[flip].clouds(data.clouds)
+        rows = order[start : start + size]
+        dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
+        lose_rows(dv, recipe, rng)
+        if filler is not None:
+            lose_electrodes(dv, recipe.lost_electrode, filler, rng)
+        predicted = data.log_predicted[data.deformation[rows]]
+        if recipe.predicted_dropout:
+            predicted[rng.random(len(rows)) < recipe.predicted_dropout] = 0.0
+        yield assemble(data, rows, dv, predicted, MIRRORS[flip], images[flip])
+
+
+def _order(data: TrainingData, together: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Return the training samples in the order of an epoch; each batch has few deformations where that is asked for.
+
+    What is left of a group when its batches are full makes batches of its own, so every sample but the last few comes.
+    """
+    if not together:
+        return rng.permutation(data.train)
+    bends = rng.permutation(np.unique(data.deformation[data.train]))
+    group = np.empty(len(data.clouds), dtype=np.intp)
+    group[bends] = np.arange(len(bends)) % -(-len(bends) // together)
+    rows = rng.permutation(data.train)
+    own = group[data.deformation[rows]]
+    rows = rows[np.argsort(own, kind="stable")]
+    starts = np.cumsum([0, *np.bincount(own)])
+    full = starts[1:] - np.diff(starts) % size
+    whole = np.concatenate([rows[start:stop] for start, stop in zip(starts[:-1], full, strict=True)])
+    rest = rng.permutation(np.concatenate([rows[a:b] for a, b in zip(full, starts[1:], strict=True)]))
+    every = np.concatenate([whole, rest[: len(rest) // size * size]]).reshape(-1, size)
+    return np.asarray(rng.permutation(every).reshape(-1))
+
+
+def assemble(
+    data: TrainingData,
+    rows: npt.NDArray[np.intp],
+    dv: npt.NDArray[np.float32],
+    predicted: npt.NDArray[np.float32],
+    mirror: Mirror = MIRRORS[0],
+    clouds: npt.NDArray[np.float32] | None = None,
+) -> Batch:
+    """Return a batch of given rows, in one mirror image.
+
+    Args:
+        data: The data set.
+        rows: (B,) samples.
+        dv: (B, 104) their relative change, in the table's order.
+        predicted: (B, 104) log(V_pred / V0), likewise.
+        mirror: The image to show.
+        clouds: (D, 3, 30, 45) clouds in that image; the data set's own by default.
+    """
+    occurring, which = np.unique(data.deformation[rows], return_inverse=True)
+    columns = mirror.units if data.labels_kind == "units" else mirror.pixels
+    labels = data.labels[data.touch_set[rows]][:, columns].astype(np.float32)
+    if data.labels_kind == "area":
+        labels *= np.float32(1.0 / 255.0)
+    return Batch(
+        torch.from_numpy(np.ascontiguousarray(dv[:, mirror.rows])),
+        torch.from_numpy((data.clouds if clouds is None else clouds)[occurring]),
+        torch.from_numpy(which.astype(np.int64)),
+        torch.from_numpy(np.ascontiguousarray(predicted[:, mirror.rows])),
+        torch.from_numpy(labels),
+    )
+
+
+def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Generator) -> None:
+    """Set to 0, in place, the few single rows that some samples of (B, 104) lose."""
+    for sample in np.flatnonzero(rng.random(len(dv)) < recipe.lost_rows):
+        dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MOST_LOST_ROWS + 1)), replace=False)] = 0.0
+
+
+def consistency_of(data: TrainingData, recipe: Recipe) -> Consistency:
+    """Return how rows go together in the training samples under the recipe's noise; the same at every call."""
+    chosen = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    return fit(noisy_change(data, chosen, recipe.noises, recipe.snr_db, np.random.default_rng(0)))
+
+
+def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
+    """Return (n, 104 * blocks) features of training samples in every mirror image that the network sees."""
+    rng = np.random.default_rng(0)
+    rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    found = []
+    for mirror in MIRRORS if recipe.flips or recipe.architecture.symmetric else MIRRORS[:1]:
+        dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
+        batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]], mirror)
+        found.append(features(batch.dv, recipe.architecture, batch.log_predicted))
+    return torch.cat(found)
+
+
+def load(directory: str) -> TrainingData:
+    """Return a data set that ``eitskin dataset`` wrote.
+
+    Raises:
+        MismatchError: It was made for another protocol or grid.
+        OSError: There is none.
+    """
+    found = load_set(directory)
+    labels = found.units.astype(np.uint8) if found.labels_kind == "units" else found.label_table_u8()
+    held_out = {
+        "A": found.rows(deformations="kept", touches="validation").astype(np.intp),
+        "B": found.rows(deformations="other", touches="validation").astype(np.intp),
+    }
+    return TrainingData(
+        voltages=found.voltages_V,
+        deformation=found.deformation.astype(np.intp),
+        touch_set=found.touch_set.astype(np.intp),
+        reference=found.reference_V,
+        untouched=found.untouched_V,
+        clouds=np.stack([network_input(cloud) for cloud in found.clouds]),
+        log_predicted=predicted_log_of(directory, found),
+        labels_kind=found.labels_kind,
+        labels=labels,
+        train=found.rows(deformations="train", touches="train").astype(np.intp),
+        validation=found.rows(deformations="train", touches="validation").astype(np.intp),
+        held_out={family: rows for family, rows in held_out.items() if len(rows)},
+        digest=found.digest,
+        seed=found.seed,
+    )

@@ -1,0 +1,69 @@
+"""Several data sets as one: more touches and deformations than one run of ``eitskin dataset`` made.
+
+Each set keeps its own splits, so what one holds out stays held out; deformations and touch sets are numbered on.
+"""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from eitskin_proto.errors import MismatchError
+from eitskin_training.samples.batches import TrainingData, load
+
+
+def load_all(directories: Sequence[str]) -> TrainingData:
+    """Return the data sets of some folders as one.
+
+    Raises:
+        MismatchError: One was made for another protocol or grid, or they do not go together.
+        OSError: There is none in a folder.
+    """
+    return join([load(directory) for directory in directories])
+
+
+def join(sets: Sequence[TrainingData]) -> TrainingData:
+    """Return data sets as one; its digest names all of theirs, in order.
+
+    Args:
+        sets: At least one, with the same reference and kind of labels.
+
+    Raises:
+        MismatchError: They do not go together, or one comes twice: its samples would count double.
+    """
+    first, hint = sets[0], "train on data sets of one version and kind"
+    digests = [one.digest for one in sets]
+    if len(sets) == 1:
+        return first
+    if twice := {digest for digest in digests if digests.count(digest) > 1}:
+        raise MismatchError("data sets: digest", found=f"{', '.join(twice)} twice", expected="each once", hint=hint)
+    for one in sets[1:]:
+        for name in ("labels_kind", "protocol_id", "grid_id"):
+            if (found := getattr(one, name)) != (expected := getattr(first, name)):
+                raise MismatchError(f"data set {one.digest}: {name}", found=found, expected=expected, hint=hint)
+        if not np.array_equal(one.reference, first.reference):
+            off = float(np.abs(one.reference / first.reference - 1.0).max())
+            raise MismatchError(
+                f"data set {one.digest}: reference", found=f"off by {off:.1e}", expected="the first set's", hint=hint
+            )
+    samples, bends, touches = (
+        np.cumsum([0, *(len(getattr(one, name)) for one in sets[:-1])]) for name in ("voltages", "clouds", "labels")
+    )
+    whole: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) for one in sets])
+        for name in ("voltages", "untouched", "clouds", "log_predicted", "labels")
+    }
+    numbered_on: dict[str, Any] = {
+        name: np.concatenate([getattr(one, name) + start for one, start in zip(sets, starts, strict=True)])
+        for name, starts in (
+            ("deformation", bends), ("touch_set", touches), ("train", samples), ("validation", samples),
+        )
+    }  # fmt: skip
+    held_out = {
+        family: np.concatenate(
+            [one.held_out[family] + at for one, at in zip(sets, samples, strict=True) if family in one.held_out]
+        )
+        for family in dict.fromkeys(family for one in sets for family in one.held_out)
+    }
+    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests))
