@@ -68,7 +68,7 @@ wheel-test: $(VENV)/.dev
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.
 bench: $(VENV)/.dev
-	@for name in footprint frame dataset physics scan skip 'stability --quick' 'electrodes --quick'; do \
+	@for name in footprint frame dataset physics surface skip 'stability --quick' 'electrodes --quick'; do \
 	    $(BIN)/eitskin bench $$name --json || exit 1; \
 	done
 

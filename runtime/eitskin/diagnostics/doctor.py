@@ -45,7 +45,9 @@ def examine() -> dict[str, Any]:
         folder = "unusable"
         problems.append(str(error))
     if not ports and not usb:
-        problems.append("no port and no USB device of a skin: plug the skin in, or start a virtual one: 'eitskin sim'")
+        problems.append(
+            "no port and no USB device of a skin: plug the skin in, or start a virtual one: 'eitskin virtual-skin'"
+        )
     return {
         "ports": ports,
         "usb": usb,

@@ -39,7 +39,7 @@ def todo(found, word):
 def test_a_machine_without_any_skin_is_told_to_plug_one_in_or_start_a_virtual_one(machine):
     found = doctor.examine()
     assert (found["ports"], found["usb"]) == ([], [])
-    assert todo(found, "eitskin sim")
+    assert todo(found, "eitskin virtual-skin")
 
 
 def test_ports_are_listed_with_their_usb_ids_and_a_healthy_one_needs_nothing(machine):
@@ -77,7 +77,7 @@ def test_usb_devices_are_listed_and_missing_permissions_name_the_rule(machine):
         ("usb:", "no permission"),
     ]
     assert todo(found, "/dev/bus/usb/001/005: run sudo cp")
-    assert not todo(found, "eitskin sim")
+    assert not todo(found, "eitskin virtual-skin")
 
 
 def test_a_device_without_a_serial_number_cannot_be_told_from_another(machine):

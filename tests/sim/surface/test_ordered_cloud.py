@@ -256,7 +256,7 @@ def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys)
     (tmp_path / name).write_bytes(BROKEN[name])
     with pytest.raises(ScanFileError, match=name.replace(".", r"\.")):
         read_points(tmp_path / name)
-    assert cli.main(["scan", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
+    assert cli.main(["surface", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
     captured = capsys.readouterr()
     assert captured.out == ""
     assert len(captured.err.strip().splitlines()) == 1
@@ -267,7 +267,7 @@ def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
     raw = Raw(BENDS["half a turn, stretched"], 8_000)
     np.save(tmp_path / "scan.npy", raw.points)
     corner = [f"{value:.2f}" for value in raw.corner()]
-    words = ["scan", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz"), "--json", "--corner", *corner]
+    words = ["surface", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz"), "--json", "--corner", *corner]
     assert cli.main(words) == 0
     report = json.loads(capsys.readouterr().out)
     cloud = ordered_cloud.load_cloud(tmp_path / "cloud.npz")
@@ -282,7 +282,7 @@ def test_file_that_is_no_cloud_is_refused(tmp_path):
     (tmp_path / "junk.npz").write_bytes(b"not a zip")
     (tmp_path / "cut.npz").write_bytes((tmp_path / "other.npz").read_bytes()[:400])
     for name in ("other.npz", "junk.npz", "cut.npz"):
-        with pytest.raises(ordered_cloud.ScanError, match="eitskin scan"):
+        with pytest.raises(ordered_cloud.ScanError, match="eitskin surface"):
             ordered_cloud.load_cloud(tmp_path / name)
 
 

@@ -132,7 +132,7 @@ def test_bad_usage_is_exit_2(arguments: list[str]) -> None:
 
 def test_the_last_words_of_a_dead_child_are_reported(tmp_path: Path) -> None:
     with family() as children:
-        child = Child("sim", "eitskin_tools.cli", ["sim", "--scene=/nowhere.json"], tmp_path)
+        child = Child("sim", "eitskin_tools.cli", ["virtual-skin", "--scene=/nowhere.json"], tmp_path)
         children.append(child)
         with pytest.raises(ChildDiedError, match=r"sim ended with status 1: .*nowhere\.json"):
             child.line(child.out, "{", 30.0)
@@ -271,7 +271,7 @@ def test_children_end_when_their_parent_is_killed(place: Path) -> None:
     code = (
         "import os, pathlib, signal\n"
         "from eitskin_tools.processes.children import Child\n"
-        f"child = Child('sim', 'eitskin_tools.cli', ['sim'], pathlib.Path({str(place)!r}))\n"
+        f"child = Child('sim', 'eitskin_tools.cli', ['virtual-skin'], pathlib.Path({str(place)!r}))\n"
         "child.line(child.out, '/', 30.0)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )

@@ -125,7 +125,7 @@ def test_a_port_that_is_not_there_is_one_line(capsys):
 
 def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
     sim = subprocess.Popen(
-        [sys.executable, "-m", "eitskin_tools.cli", "sim", "--noise=none"],
+        [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin", "--noise=none"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:

@@ -1,4 +1,4 @@
-"""``eitskin sim`` as a process: it says where it is, serves, and leaves nothing behind."""
+"""``eitskin virtual-skin`` as a process: it says where it is, serves, and leaves nothing behind."""
 
 import json
 import signal
@@ -19,7 +19,7 @@ from eitskin_tools.processes.skin_log import read_log, script_start
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
 
-COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "sim"]
+COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin"]
 
 
 @contextmanager

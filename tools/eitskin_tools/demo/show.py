@@ -49,7 +49,7 @@ class Options:
     scene: Path | None = None
     noise: str = "N2"
     device: str = "virtual"
-    """"virtual" for eitskin sim, "qemu" for the firmware on an emulated board."""
+    """"virtual" for eitskin virtual-skin, "qemu" for the firmware on an emulated board."""
     seed: int = 0
     draw: bool = False
     record: Path | None = None
@@ -149,7 +149,9 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
     module, first = (
-        ("eitskin_tools.emulator.emulated_skin", []) if options.device == "qemu" else ("eitskin_tools.cli", ["sim"])
+        ("eitskin_tools.emulator.emulated_skin", [])
+        if options.device == "qemu"
+        else ("eitskin_tools.cli", ["virtual-skin"])
     )
     skin = Child(
         "sim", module,

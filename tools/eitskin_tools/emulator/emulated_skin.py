@@ -5,8 +5,9 @@
     QEMU, UART on a pty  <-->  this process  <-->  a pty with a stable name  <-->  the runtime
           plays a recording       notes when each frame passed, and what the first START began
 
-It says the same on standard output and in its log as ``eitskin sim`` does, so that the rest of the demonstration cannot
-tell the two apart. Voltages are solved beforehand; noise is part of the recording and repeats with it.
+It says the same on standard output and in its log as ``eitskin virtual-skin`` does, so that the rest of the
+demonstration cannot tell the two apart. Voltages are solved beforehand; noise is part of the recording and repeats
+with it.
 """
 
 import argparse
@@ -133,7 +134,7 @@ def _flash(board: Board, rate_hz: float) -> None:
 
 
 def main(argv: list[str] | None = None) -> int:
-    """Serve until stopped; the arguments are those of ``eitskin sim``."""
+    """Serve until stopped; the arguments are those of ``eitskin virtual-skin``."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rate", type=float, default=200.0)
     parser.add_argument("--scene", type=Path)
@@ -142,7 +143,7 @@ def main(argv: list[str] | None = None) -> int:
     parser.add_argument("--seconds", type=float, default=3600.0)
     parser.add_argument("--log", type=Path, required=True)
     parser.add_argument("--wire-times", type=Path, required=True)
-    parser.add_argument("--json", action="store_true", help="always on; as eitskin sim has it")
+    parser.add_argument("--json", action="store_true", help="always on; as eitskin virtual-skin has it")
     arguments = parser.parse_args(argv)
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, _stop)

@@ -133,4 +133,6 @@ def _announce(options: Options, port: PtyPort, device: VirtualDevice, script: st
     else:
         print(port.path, flush=True)
         with suppress(OSError):
-            print(f"eitskin sim: {script} at {device.rate_mHz / 1000:g} frames/s on {port.path}", file=sys.stderr)
+            print(
+                f"eitskin virtual-skin: {script} at {device.rate_mHz / 1000:g} frames/s on {port.path}", file=sys.stderr
+            )

@@ -148,14 +148,14 @@ def load_cloud(path: str | Path) -> Array:
     try:
         with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
             if str(file["magic"]) != MAGIC:
-                raise ScanError(f"{path} is no cloud: make one with 'eitskin scan'")
+                raise ScanError(f"{path} is no cloud: make one with 'eitskin surface'")
             if str(file["grid_id"]) != GRID_ID:
                 raise MismatchError(
-                    f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin scan' again"
+                    f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin surface' again"
                 )
             return check_cloud(file["cloud"])
     except (ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise ScanError(f"{path} is no cloud ({error}): make one with 'eitskin scan'") from error
+        raise ScanError(f"{path} is no cloud ({error}): make one with 'eitskin surface'") from error
 
 
 def _check_points(points_mm: npt.ArrayLike) -> Array:

@@ -63,7 +63,7 @@ def measure(seconds: float, rate_hz: float, bundle: Path | None) -> dict[str, An
     with tempfile.TemporaryDirectory(prefix="eitskin-memory-") as name, family() as children:
         folder = Path(name)
         publish = f"ipc://{folder}/frames"
-        skin = Child("sim", "eitskin_tools.cli", ["sim", "--json", f"--rate={rate_hz:g}"], folder)
+        skin = Child("sim", "eitskin_tools.cli", ["virtual-skin", "--json", f"--rate={rate_hz:g}"], folder)
         children.append(skin)
         port = json.loads(skin.line(skin.out, "{", 2 * PATIENCE_S))["port"]
         named = ["--bundle", str(bundle)] if bundle else []

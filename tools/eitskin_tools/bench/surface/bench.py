@@ -1,4 +1,4 @@
-"""``eitskin bench scan``: a raw scan to a cloud, a cloud to V_pred and to operators, and what each solver then takes.
+"""``eitskin bench surface``: a raw scan to a cloud, a cloud to V_pred and operators, and what solvers then take.
 
 One core: BLAS is held to one thread. ``median_ms`` is wall time, ``cpu_ms`` the process's own, which is the one that
 counts on a machine that does other work too; ``cpu_least_ms``, the least of all, is what others' use of the caches

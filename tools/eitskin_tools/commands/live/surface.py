@@ -1,4 +1,4 @@
-"""``eitskin scan``: a raw scan in, the ordered 3 x 30 x 45 cloud out."""
+"""``eitskin surface``: a raw scan in, the ordered 3 x 30 x 45 cloud out."""
 
 import argparse
 import json

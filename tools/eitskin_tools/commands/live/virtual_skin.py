@@ -1,4 +1,4 @@
-"""``eitskin sim``: a virtual skin behind a pseudo-terminal."""
+"""``eitskin virtual-skin``: a virtual skin behind a pseudo-terminal."""
 
 import argparse
 import os

@@ -16,7 +16,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "skip": "what each skipped stage saves",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
-    "scan": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
+    "surface": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "what breaks a skin, at which level, and why",
@@ -24,9 +24,6 @@ BENCHMARKS: Final[dict[str, str]] = {
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }
 """Benchmarks, each with what it measures."""
-
-
-_FOLDERS: Final = {"scan": "surface"}
 
 
 def available() -> dict[str, str]:
@@ -37,7 +34,7 @@ def available() -> dict[str, str]:
 def _exists(name: str) -> bool:
     from importlib.util import find_spec
 
-    return find_spec(f"eitskin_tools.bench.{_FOLDERS.get(name, name)}.bench") is not None
+    return find_spec(f"eitskin_tools.bench.{name}.bench") is not None
 
 
 class _Lazy(argparse.ArgumentParser):
@@ -65,4 +62,4 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _module(name: str) -> ModuleType:
-    return importlib.import_module(f"eitskin_tools.bench.{_FOLDERS.get(name, name)}.bench")
+    return importlib.import_module(f"eitskin_tools.bench.{name}.bench")
