@@ -288,7 +288,7 @@ def test_the_demonstration_needs_no_torch() -> None:
     modules = "show, live, scanner, recorder, score"
     code = (
         f"from eitskin_tools.demo import {modules}\n"
-        "from eitskin_tools.virtual_skin import process, prepare\n"
+        "from eitskin_tools.scripted_scene import prepare\nfrom eitskin_tools.virtual_skin import process\n"
         "import eitskin_tools.scripted_scene.script, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics, sys\n"
         "print('torch' in sys.modules)\n"
     )
