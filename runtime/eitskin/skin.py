@@ -31,7 +31,7 @@ from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.engine import GeometryGraph
 from eitskin.pipeline.frame_pipeline import INFER, PACK, PUBLISH, READ, Pipeline
 from eitskin.pipeline.idle import IdleGate, IdleMode
-from eitskin.pipeline.region_worker import Cutter
+from eitskin.pipeline.region_worker import RegionWorker
 from eitskin.pipeline.stats import Statistics
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
@@ -143,7 +143,7 @@ class Skin:
         self._heard_ns = time.perf_counter_ns()
         self._pending_events: tuple[str, ...] = ()
         self._capture: _Capture | None = None
-        self._cutter = Cutter(self.pipeline, self.bundle)
+        self._region_worker = RegionWorker(self.pipeline, self.bundle)
         self.packer = FramePacker(
             configuration=self.device.configuration,
             bundle=self.bundle.id,
@@ -259,7 +259,7 @@ class Skin:
         What computes them is made in a thread of its own, since cutting a network takes tens of milliseconds; until
         then frames have what they had before. Every frame says what it has.
         """
-        self._cutter.want(union(regions))
+        self._region_worker.want(union(regions))
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Go on without these electrodes from the next frame on; may be called from any thread.
@@ -318,7 +318,7 @@ class Skin:
         """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
         pipeline = self.pipeline
         if self._idle is not None:
-            lacking = pipeline.health is not None and pipeline.health.watch.missing.any()
+            lacking = pipeline.health is not None and pipeline.health.electrodes.missing.any()
             touched = whole or pipeline.touched or bool(lacking)  # the idle gate knows no missing rows
             mode = self._idle.step(pipeline.stamps[READ], touched=touched, idle=pipeline.idle)
             if mode is not None:
@@ -345,7 +345,7 @@ class Skin:
             pipeline.skipped += MAP_UNCHANGED
         drift, out = math.nan, tuple[str, ...]()
         if (health := pipeline.health) is not None:
-            drift, out = health.drift.percent, health.watch.texts
+            drift, out = health.drift.percent, health.electrodes.texts
         packer.put_texts(pipeline.solver, pipeline.skipped, pipeline.events, pipeline.regions, out)
         stamps[PUBLISH] = time.perf_counter_ns()
         age_us = max(0, (stamps[PUBLISH] - pipeline.scanned_ns) // 1000)
@@ -353,7 +353,7 @@ class Skin:
             (self.published, pipeline.sequence, pipeline.device_us, age_us, TOUCHED[pipeline.touched],
              pipeline.gate_logit, pipeline.buffers.revision, pipeline.normaliser.weak_count, pipeline.map_sequence,
              drift, *stamps, pipeline.counter.lost, self.device.deframer.corrupt, pipeline.withheld_total,
-             pipeline.ladder.overruns)
+             pipeline.budget.overruns)
         )  # fmt: skip
         return packer.short_message() if short else packer.message()
 
@@ -385,7 +385,7 @@ class Skin:
                     return
             try:
                 payloads = self._payloads(wait_s)
-                if payloads and (backlog or pipeline.ladder.drops_stale):
+                if payloads and (backlog or pipeline.budget.drops_stale):
                     payloads = self._newest(payloads)
                     backlog = False
             except PortReturned:
@@ -482,8 +482,8 @@ class Skin:
             "withheld_by_reason": dict(pipeline.withheld),
             "resets": pipeline.counter.resets,
             "recoveries": self.recoveries,
-            "overruns": pipeline.ladder.overruns,
-            "level": pipeline.ladder.level,
+            "overruns": pipeline.budget.overruns,
+            "level": pipeline.budget.level,
             "cloud": pipeline.buffers.revision,
             "idle": pipeline.idle,
             "mode_changes": 0 if self._idle is None else self._idle.switches,
@@ -495,7 +495,7 @@ class Skin:
             "bundle": self.bundle.id,
             "reference_utc": found.captured_utc if found else "",
             "weak_rows": found.weak.tolist() if found else [],
-            "electrodes": [] if pipeline.health is None else list(pipeline.health.watch.texts),
+            "electrodes": [] if pipeline.health is None else list(pipeline.health.electrodes.texts),
         }
 
     def summary(self) -> dict[str, Any]:

@@ -105,7 +105,7 @@ class ElectrodeWatch:
         self._suspected = False
         """Whether any vote is in the history."""
         self._seen = 0
-        self._resting = 0
+        self._pause = 0
         self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
         self._healthy: dict[int, int] = {}
         self.imputation = Imputation(self._mean, self.precision, self._range, consistency.layers)
@@ -203,7 +203,7 @@ class ElectrodeWatch:
             change = np.where(measured, raw, change)  # P knows of their noise: evidence is what was measured
         votes = self._weigher.weigh(raw, change, self._pair_in_use)
         suspicious = bool(votes.any())
-        if not (suspicious or self._suspected or self.findings or self._resting or self.unclear):
+        if not (suspicious or self._suspected or self.findings or self._pause or self.unclear):
             self._row = -1
             self._seen += len(raw)  # nothing to write down: the history holds no vote
             return False
@@ -220,8 +220,8 @@ class ElectrodeWatch:
         changed = False
         if self.findings:
             changed = self._take_back(raw, change)
-        if self._resting:
-            self._resting -= 1
+        if self._pause:
+            self._pause -= 1
             return changed
         counts = self._history.sum(axis=0)
         self._suspected = bool(counts.any())
@@ -257,7 +257,7 @@ class ElectrodeWatch:
         self._history[:] = False
         if not found or len(out) + len(found) > MOST_OUT:
             self.unclear = True
-            self._resting = WINDOW
+            self._pause = WINDOW
             return False
         self.unclear = False
         self._use((*self.findings, *found))

@@ -33,9 +33,9 @@ from eitskin.messaging.regions import WHOLE, Regions, pixels
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Buffers, Engine, Geometry, ProjectionEngine, engines
 from eitskin.model.gate import Gate
-from eitskin.pipeline.gate_audit import Watch, audit_pixels
+from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
 from eitskin.pipeline.idle import IdleGate
-from eitskin.pipeline.latency_budget import Ladder
+from eitskin.pipeline.latency_budget import LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
@@ -105,7 +105,7 @@ class Pipeline:
     ) -> None:
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
-        self.watch = Watch(audit_pixels(arrays))
+        self.audit = GateAudit(audit_pixels(arrays))
         self.health: Health | None = None
         """Watches over electrodes and drift; None where the bundle cannot."""
         self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
@@ -124,7 +124,7 @@ class Pipeline:
         """Judges frames of a few drives; without one they are withheld."""
         self.idle = False
         """Whether this frame is one of them."""
-        self.ladder = Ladder(budget_ns, len(self.engines))
+        self.budget = LatencyBudget(budget_ns, len(self.engines))
         self.counter = StreamCounter()
         self.clock = DeviceClock()
         self.normaliser = Normaliser(hello.volts_per_count)
@@ -301,7 +301,7 @@ class Pipeline:
             self.health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()
         self.inferred = False
-        if not self.touched and wanted and self.watch.looks() and self._look():
+        if not self.touched and wanted and self.audit.looks() and self._look():
             self.touched = True
             self.skipped = self._skipped_new if fresh_cloud else self._skipped
         elif not self.touched or not wanted:
@@ -369,23 +369,23 @@ class Pipeline:
     def _is_still(self) -> bool:
         """Return whether the map that is held is this frame's too: nothing but noise changed since."""
         stillness = self._stillness
-        if stillness is None or self._computed != self.engines[self.ladder.engine].name:
+        if stillness is None or self._computed != self.engines[self.budget.engine].name:
             return False
         return stillness.still(self._change)
 
     def _look(self) -> bool:
         """Infer a frame that the gate calls untouched, and return whether its map shows a strong touch all the same."""
-        if self.engines[self.ladder.engine].name == PROJECTION:
+        if self.engines[self.budget.engine].name == PROJECTION:
             return False  # scaled to 1 whatever it shows
         before = self.solver, self.map_sequence
-        if self._infer() and self.watch.overrules(self._map):
+        if self._infer() and self.audit.overrules(self._map):
             self.events += ("gate_overruled",)
             return True
         self.solver, self.map_sequence = before
         return False
 
     def _infer(self) -> bool:
-        engine = self.engines[self.ladder.engine]
+        engine = self.engines[self.budget.engine]
         engine.infer()
         self._computed = ""
         if not math.isfinite(np.dot(self._map, self._map)):
@@ -422,7 +422,7 @@ class Pipeline:
 
     def judge(self, now_ns: int) -> None:
         """Hold the frame against the budget; an overrun is an event of this very frame."""
-        if self.ladder.judge(now_ns - self.stamps[READ], inferred=self.inferred):
+        if self.budget.judge(now_ns - self.stamps[READ], inferred=self.inferred):
             self.events += ("overrun",)
 
     def discard(self, payload: bytes) -> None:

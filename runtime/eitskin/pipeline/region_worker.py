@@ -16,7 +16,7 @@ REST_S: Final = 0.5
 """Between two parts."""
 
 
-class Cutter:
+class RegionWorker:
     """Gives a pipeline its parts.
 
     Args:

@@ -12,7 +12,7 @@ from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.engine import Buffers, GeometryGraph, engines
 from eitskin.model.onnx.crop import cut
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.region_worker import Cutter
+from eitskin.pipeline.region_worker import RegionWorker
 
 
 @pytest.fixture(scope="module", params=["area", "units"])
@@ -128,7 +128,7 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
 
     monkeypatch.setattr(region_worker, "REST_S", 0.05)
     pipeline = Pipeline(tiny, hello)
-    worker = Cutter(pipeline, tiny)
+    worker = RegionWorker(pipeline, tiny)
     for row in range(29):
         worker.want((Region(row, row + 1, 0, 45),))
     end = time.perf_counter() + 10

@@ -12,7 +12,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.engine import GeometryGraph
 from eitskin.pipeline import latency_budget
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.gate_audit import AUDIT_FRAMES, Watch, audit_pixels
+from eitskin.pipeline.gate_audit import AUDIT_FRAMES, GateAudit, audit_pixels
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.wire.frames import Frame
@@ -109,7 +109,7 @@ class Sees:
 
 
 def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
-    pipeline._gate, pipeline.engines[0], pipeline.watch = Blind(), Sees(pipeline.buffers), Watch(9)
+    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9)
     for sequence in range(1, AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.solver == "none"
@@ -117,7 +117,7 @@ def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline,
         assert go(pipeline, payload(touched, sequence))
         assert (pipeline.touched, pipeline.solver, pipeline.events) == (True, "vd2t", ("gate_overruled",))
         assert not pipeline.map_is_zero
-    assert pipeline.watch.overruled == 3
+    assert pipeline.audit.overruled == 3
     assert go(pipeline, payload(counts, AUDIT_FRAMES + 3))  # the touch is over: one more look, then the gate alone
     assert (pipeline.touched, pipeline.solver, pipeline.skipped[0]) == (False, "none", "map:untouched")
     assert go(pipeline, payload(counts, AUDIT_FRAMES + 4))
@@ -125,7 +125,7 @@ def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline,
 
 
 def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
-    pipeline.engines[0], pipeline.watch = Sees(pipeline.buffers), Watch(9)
+    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9)
     solvers, skipped = set(), []
     for sequence in range(1, 2 * AUDIT_FRAMES + 1):
         assert go(pipeline, payload(counts, sequence))
@@ -137,7 +137,7 @@ def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipel
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
-    pipeline.watch = Watch(9)
+    pipeline.audit = GateAudit(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(counts, sequence), wanted=False)
         assert not pipeline.inferred
@@ -160,7 +160,7 @@ def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
     pipeline = Pipeline(tiny, hello, solver="tikhonov")
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline._gate, pipeline.watch = Blind(), Watch(9)
+    pipeline._gate, pipeline.audit = Blind(), GateAudit(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.solver == "none"
@@ -245,7 +245,7 @@ class Slow:
         self.engine.infer()
 
 
-def test_under_pressure_the_ladder_goes_down_and_comes_back(virtual_skin, tiny_path, monkeypatch):
+def test_under_pressure_a_faster_solver_takes_over_and_gives_back(virtual_skin, tiny_path, monkeypatch):
     monkeypatch.setattr(latency_budget, "HOLD_FRAMES", 10)
     with (
         virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=50.0) as port,
@@ -286,7 +286,7 @@ def test_when_nothing_is_fast_enough_stale_frames_are_dropped_for_the_newest(vir
     assert np.median([frame.age_us for frame in frames[10:]]) < 500_000
 
 
-def test_real_engines_under_load_go_down_the_ladder_and_come_back(virtual_skin, tiny_path, monkeypatch):
+def test_real_engines_under_load_give_way_to_faster_ones_and_come_back(virtual_skin, tiny_path, monkeypatch):
     # The load is threads that hold the interpreter for 5 ms in turn whenever an engine has let go of it. Other
     # processes would not do: the kernel lets a loop that mostly sleeps go first, however busy the processor is.
     monkeypatch.setattr(latency_budget, "HOLD_FRAMES", 3)

@@ -171,7 +171,7 @@ class Looking:
     @property
     def findings(self) -> tuple[Finding, ...]:
         """What is named now."""
-        return self._health.watch.findings
+        return self._health.electrodes.findings
 
     def show(self, response: Array, faults: Sequence[Fault] = ()) -> bool:
         """Show one frame and return whether something changed."""
