@@ -7,6 +7,18 @@ import eitskin
 from eitskin.skin import Skin
 
 
+class Taker:
+    """Takes every message and keeps none."""
+
+    wanted = True
+
+    def __init__(self, short):
+        self.short = short
+
+    def send(self, message):
+        assert len(message) > 100
+
+
 def test_a_frame_leaves_nothing_behind(virtual_skin, tiny_path):
     with (
         virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=200.0) as port,
@@ -15,9 +27,7 @@ def test_a_frame_leaves_nothing_behind(virtual_skin, tiny_path):
         skin.capture_reference(10)
         sizes = []
         tracemalloc.start(1)
-        for _ in skin.readings(lambda: True):
-            skin.pack(short=True)
-            skin.finish()
+        for _ in skin.publish(Taker(short=True)):
             if skin.statistics.frames % 100 == 0:
                 sizes.append(tracemalloc.get_traced_memory()[0])
             if len(sizes) == 6:
@@ -32,9 +42,7 @@ def test_what_a_frame_takes_for_a_moment_is_small(virtual_skin, tiny_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=200.0) as port, Skin(port, bundle=tiny_path) as skin:
         skin.capture_reference(10)
         tracemalloc.start(1)
-        for _ in skin.readings(lambda: True):
-            skin.pack()
-            skin.finish()
+        for _ in skin.publish(Taker(short=False)):
             if skin.statistics.frames > 100:
                 now, peak = tracemalloc.get_traced_memory()
                 peaks.append(peak - now)

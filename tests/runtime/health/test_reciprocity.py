@@ -11,7 +11,7 @@ from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import MOST_TOGETHER, health_of
 from eitskin.health.reciprocity import NEEDED, Reciprocity, electrode_gaps, row_gaps
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.engine import GeometryGraph
+from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
@@ -71,13 +71,13 @@ def test_a_suspect_needs_its_frames_in_a_row(counts):
 @pytest.fixture
 def watching(hello, counts):
     bundle = load_bundle(default_path("units"))
-    pipeline = Pipeline(bundle, replace(hello, rows=N_FULL_ROWS), budget_ns=None)
-    pipeline.health = health_of(bundle)
-    if pipeline.health is None:
+    health = health_of(bundle)
+    pipeline = Pipeline(bundle, replace(hello, rows=N_FULL_ROWS), budget_ns=None, health=health)
+    if health is None:
         pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
     reference = np.asarray(bundle.consistency_arrays()["reference"]) * 1e-3
     pipeline.use_reference(Reference(reference, np.abs(reference) * 3e-3, 100, "TEST-1", 0xABCD, "full208", ""))
-    pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
     return pipeline, both_ways(np.rint(reference / hello.volts_per_count))
 
 
@@ -104,7 +104,7 @@ def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):
         assert took <= 20, "named within 20 frames"
     assert health.electrodes.texts == ("5:not reciprocal:imputed",)
     go(pipeline, ill, 30 + took)
-    assert "electrode:5:not reciprocal:imputed" in pipeline.events
+    assert "electrode:5:not reciprocal:imputed" in pipeline.record.events
     np.testing.assert_array_equal(health.electrodes.missing, rows_of((5,)))
     begin, frames = 31 + took, 0
     while health.electrodes.texts:

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, FramePacker, unpack_frame
+from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, unpack_frame
+from eitskin.messaging.frame_packer import FramePacker
 
 
 @pytest.fixture

@@ -190,9 +190,11 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
     """Return the variants that a bundle offers; none where its labels are not these."""
     import numpy as np
 
+    from eitskin.model.buffers import Buffers
     from eitskin.model.bundle import load_bundle
-    from eitskin.model.engine import Buffers, GeometryGraph, engines
+    from eitskin.model.engine import engines
     from eitskin.model.gate import Gate
+    from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
     from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
     from eitskin_proto.sensor.normalise import relative_change

@@ -14,10 +14,12 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, load_bundle
-from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
+from eitskin.model.session import onnxruntime
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
