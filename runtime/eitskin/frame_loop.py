@@ -62,12 +62,12 @@ class FrameLoop:
     Args:
         device: It answered the handshake.
         pipeline: Made for it.
-        messages: Packs them.
         idle: When to ask the device for which mode; None leaves it scanning.
     """
 
-    def __init__(self, device: Device, pipeline: Pipeline, messages: FrameMessages, idle: IdleMode | None) -> None:
-        self._device, self._pipeline, self._messages, self._idle = device, pipeline, messages, idle
+    def __init__(self, device: Device, pipeline: Pipeline, idle: IdleMode | None) -> None:
+        self._device, self._pipeline, self.idle = device, pipeline, idle
+        self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number)
         self.statistics = Statistics()
         self.recoveries = 0
         """How often the device was greeted anew after silence or a reset."""
@@ -78,6 +78,11 @@ class FrameLoop:
         self._heard_ns = time.perf_counter_ns()
         self._pending_events: tuple[str, ...] = ()
         self._recapture: Recapture | None = None
+
+    @property
+    def published(self) -> int:
+        """Frames packed so far."""
+        return self._messages.published
 
     def run(self, taker: Taker, until_ns: int | None = None) -> Iterator[FrameRecord]:
         """Take frames through, and yield each one's record when it is done; the next frame overwrites it.
@@ -113,11 +118,11 @@ class FrameLoop:
 
     def _choose_mode(self, *, whole: bool) -> None:
         """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
-        if self._idle is not None:
+        if self.idle is not None:
             record, health = self._pipeline.record, self._pipeline.health
             lacking = health is not None and health.electrodes.missing.any()
             touched = whole or record.touched or bool(lacking)  # the idle gate knows no missing rows
-            mode = self._idle.step(record.stamps[READ], touched=touched, idle=record.idle)
+            mode = self.idle.step(record.stamps[READ], touched=touched, idle=record.idle)
             if mode is not None:
                 self._device.ask_mode(mode)
 

@@ -17,12 +17,11 @@ from eitskin.acquisition.device import Device
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import Transport
-from eitskin.errors import BundleError, SkinError
+from eitskin.errors import SkinError
 from eitskin.frame_loop import FrameLoop, Taker
-from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import health_of
 from eitskin.messaging.frame import Frame, unpack_frame
-from eitskin.messaging.frame_message import FrameMessages, LastMessage
+from eitskin.messaging.frame_message import LastMessage
 from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.regions import Region, union
 from eitskin.model.bundle import Bundle, load_bundle
@@ -33,14 +32,13 @@ from eitskin.pipeline.region_worker import RegionWorker
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.status import status_of
-from eitskin_proto.wire.codes import Mode
 
 
 class Skin:
     """An open skin; leave it with ``close`` or as a context manager.
 
     Args:
-        port: A serial port's path, ``usb:SERIAL``, or an open transport, which is then closed with the skin.
+        port: A serial port's path, ``usb:SERIAL``, or an open transport, which is closed with the skin.
         bundle: A bundle, or its path; None takes the shipped one.
         reference: A reference, or its path; None if it will be captured.
         budget_ms: From read to publish; None for no budget.
@@ -83,12 +81,12 @@ class Skin:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
         self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
         loaded = references.load(reference) if isinstance(reference, str | Path) else reference
-        self.transport: Transport = open_line(port, baud) if isinstance(port, str) else port
+        self.transport = open_line(port, baud) if isinstance(port, str) else port
         try:
             self.device = Device(self.transport)
             if loaded is not None:
                 loaded.check(self.device.hello)
-            self._idle = None if idle_after_s is None else IdleMode(idle_after_s)
+            idle = None if idle_after_s is None else IdleMode(idle_after_s)
             self.pipeline = Pipeline(
                 self.bundle,
                 self.device.hello,
@@ -96,12 +94,10 @@ class Skin:
                 solver=solver,
                 skip_unchanged=skip_unchanged,
                 health=health_of(self.bundle, exclude=exclude, compensate_drift=compensate_drift),
-                idle_gate=None if idle_after_s is None else IdleGate(self.bundle.gate_arrays(), self.device.hello),
+                idle_gate=None if idle is None else IdleGate(self.bundle.gate_arrays(), self.device.hello),
             )
-            self._clouds = CloudChange(self.pipeline, self.bundle)
-            hello, configuration = self.device.hello, self.device.configuration
-            self._messages = FrameMessages(configuration, self.bundle.id, hello.serial_number)
-            self.loop = FrameLoop(self.device, self.pipeline, self._messages, self._idle)
+            self._clouds = CloudChange(self.pipeline)
+            self.loop = FrameLoop(self.device, self.pipeline, idle)
             if loaded is not None:
                 self.loop.use(loaded)
         except BaseException:
@@ -114,8 +110,6 @@ class Skin:
     def __repr__(self) -> str:
         state = "closed" if self._closed else f"open, {self.statistics.frames} frames"
         return f"<Skin {self.device.hello.serial_number} on {self.transport.name}: {state}>"
-
-    # -- what it has, and what others want of it ----------------------------------------------------------------------
 
     @property
     def reference(self) -> Reference | None:
@@ -130,7 +124,7 @@ class Skin:
     @property
     def published(self) -> int:
         """Frames packed so far."""
-        return self._messages.published
+        return self.loop.published
 
     def capture_reference(self, frames: int = DEFAULT_FRAMES) -> Reference:
         """Take the mean of the next frames as the reference, and return it; the sheet must be flat and untouched.
@@ -177,8 +171,7 @@ class Skin:
     def set_regions(self, regions: Iterable[Region]) -> None:
         """Compute only the union of some regions, from a frame soon after; none of them means the whole sheet.
 
-        What computes them is made in a thread of its own, since cutting a network takes tens of milliseconds; until
-        then frames have what they had before. Every frame says what it has.
+        What computes them is made in a thread of its own, in tens of milliseconds; every frame says what it has.
         """
         self._region_worker.want(union(regions))
 
@@ -192,11 +185,7 @@ class Skin:
             BundleError: The bundle does not know how to go on without an electrode.
             ValueError: One does not exist, or there are too many.
         """
-        if self.pipeline.health is None:
-            raise BundleError(f"{self.bundle.path}: excluding electrodes is {MISSING}")
-        self.pipeline.health.exclude(electrodes)
-
-    # -- frames --------------------------------------------------------------------------------------------------------
+        self.pipeline.exclude(electrodes)
 
     def frames(self, *, timeout_s: float | None = None) -> Iterator[Frame]:
         """Yield frames as they come, in this process; each owns its map.
@@ -222,19 +211,16 @@ class Skin:
             until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stop``.
 
         Raises:
-            BadReference, PortLost, HandshakeError: As :meth:`frames`.
+            SkinError: As :meth:`frames`.
         """
         return self.loop.run(taker, until_ns)
 
-    # -- state ---------------------------------------------------------------------------------------------------------
-
     def status(self) -> dict[str, Any]:
         """Return counters and ids; may be called from any thread."""
-        switches = 0 if self._idle is None else self._idle.switches
-        return status_of(self.device, self.pipeline, self.loop, self.published, switches)
+        return status_of(self.device, self.pipeline, self.loop)
 
     def summary(self) -> dict[str, Any]:
-        """Return the statistics and the state as one flat object for ``--json``."""
+        """Return statistics and state as one flat object for ``--json``."""
         return {**self.status(), **self.statistics.summary()}
 
     @property
@@ -254,9 +240,7 @@ class Skin:
         self._closed = True
         self.loop.stopping = True
         with suppress(SkinError):  # the port may be gone; then there is nothing to stop
-            self.device.stop()
-            if self.device.idle:
-                self.device.ask_mode(Mode.ACTIVE)  # whoever comes next finds it as it was
+            self.device.leave()
         self.transport.close()
 
     def __enter__(self) -> Self:

@@ -7,20 +7,18 @@ from eitskin.frame_loop import FrameLoop
 from eitskin.pipeline.frame_pipeline import Pipeline
 
 
-def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop, published: int, switches: int) -> dict[str, Any]:
+def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, Any]:
     """Return counters and ids; may be called from any thread.
 
     Args:
         device: The skin's.
         pipeline: The skin's.
         loop: Between the two.
-        published: Frames packed so far.
-        switches: How often the device was asked for another mode.
     """
     record, intake, found = pipeline.record, pipeline.intake, loop.reference
     return {
         "frames": loop.statistics.frames,
-        "published": published,
+        "published": loop.published,
         "lost": intake.counter.lost,
         "corrupt": device.deframer.corrupt,
         "withheld": intake.withheld_total,
@@ -31,7 +29,7 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop, published: in
         "level": pipeline.budget.level,
         "cloud": record.cloud,
         "idle": record.idle,
-        "mode_changes": switches,
+        "mode_changes": 0 if loop.idle is None else loop.idle.switches,
         "regions": [list(region.bounds) for region in record.regions],
         "clock_drift_ppm": round(intake.clock.drift_ppm, 3),
         "wire_delay_us": intake.clock.shortest_delay_us,

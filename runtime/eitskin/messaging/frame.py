@@ -68,56 +68,68 @@ def host_id() -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """One tactile frame, as a subscriber sees it."""
+    """One tactile frame, as a subscriber sees it.
+
+    Attributes:
+        map: (30, 45) read-only: touched area fraction, or touch probability, of each pixel; row 0 at y = 0.
+        touched: What the gate says; an untouched frame's map is 0.
+        sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
+        number: Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber.
+        device_us: Device clock at the end of the scan, unwrapped past 2^32.
+        host_ns: ``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``.
+        received_ns: ``perf_counter_ns`` of this machine when the frame was taken from the socket.
+        age_us: From the scan to publishing, against the fastest frame seen.
+        solver: ``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed.
+        skipped: What was left out, and why: ``inference:untouched``.
+        events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``,
+            ``lost``.
+        electrodes: Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``.
+        drift_percent: How far the voltages have moved against the reference, all rows alike; None while that is
+            unknown.
+        gate_logit: The gate's logit; compare it with the bundle's threshold.
+        cloud: Revision of the cloud in use; 0 is the flat sheet.
+        weak_rows: Rows of the reference that carry no information, and are filled in from the others.
+        map_sequence: ``sequence`` of the frame that the map was computed for; an older one if nothing changed since,
+            beyond noise.
+        regions: What of the map was computed: the union of these rectangles; the rest is 0.
+        counts: Totals of the runtime: ``COUNTS``.
+        configuration: Name and digest of the device's active configuration.
+        bundle: Id of the bundle.
+        serial_number: Of the device.
+        run: Differs after each start of the runtime.
+        same_host: Whether the runtime runs on this machine, so that its stamps compare with ours.
+    """
 
     map: npt.NDArray[np.float32]
-    """(30, 45) read-only: touched area fraction, or touch probability, of each pixel; row 0 at y = 0."""
     touched: bool
-    """What the gate says; an untouched frame's map is 0."""
     sequence: int
-    """Of the device, unwrapped; a gap is a frame lost before the runtime."""
     number: int
-    """Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber."""
     device_us: int
-    """Device clock at the end of the scan, unwrapped past 2^32."""
     host_ns: Mapping[str, int]
-    """``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``."""
     received_ns: int
-    """``perf_counter_ns`` of this machine when the frame was taken from the socket."""
     age_us: int
-    """From the scan to publishing, against the fastest frame seen."""
     solver: str
-    """``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed."""
     skipped: tuple[str, ...]
-    """What was left out, and why: ``inference:untouched``."""
     events: tuple[str, ...]
-    """What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``, ``lost``."""
     electrodes: tuple[str, ...]
-    """Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``."""
     drift_percent: float | None
-    """How far the voltages have moved against the reference, all rows alike; None while that is unknown."""
     gate_logit: float
-    """The gate's logit; compare it with the bundle's threshold."""
     cloud: int
-    """Revision of the cloud in use; 0 is the flat sheet."""
     weak_rows: int
-    """Rows of the reference that carry no information, and are filled in from the others."""
     map_sequence: int
-    """``sequence`` of the frame that the map was computed for; an older one if nothing changed since, beyond noise."""
     regions: Regions
-    """What of the map was computed: the union of these rectangles; the rest is 0."""
     counts: Mapping[str, int]
-    """Totals of the runtime: ``COUNTS``."""
     configuration: str
-    """Name and digest of the device's active configuration."""
     bundle: str
-    """Id of the bundle."""
     serial_number: str
-    """Of the device."""
     run: str
-    """Differs after each start of the runtime."""
     same_host: bool
-    """Whether the runtime runs on this machine, so that its stamps compare with ours."""
+
+    def __repr__(self) -> str:
+        """Return one line: which frame, touched or not, by what, how old when it came."""
+        state = "touched" if self.touched else "untouched"
+        events = f", {' '.join(self.events)}" if self.events else ""
+        return f"<Frame {self.sequence} of {self.serial_number}: {state}, {self.solver}, {self.age_us} us old{events}>"
 
     @property
     def age_s(self) -> float:

@@ -6,7 +6,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference
-from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
@@ -18,15 +17,14 @@ class CloudChange:
 
     Args:
         pipeline: It has not seen a frame yet.
-        bundle: The one that it was made with.
 
     Raises:
         BundleError: The geometry graph cannot be loaded or has another signature.
     """
 
-    def __init__(self, pipeline: Pipeline, bundle: Bundle) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
-        self._graph = GeometryGraph(bundle)
+        self._graph = GeometryGraph(pipeline.bundle)
         self._lock = threading.Lock()
         self._revision = 0
         pipeline.start_with(self._graph.geometry(None, None, 0))

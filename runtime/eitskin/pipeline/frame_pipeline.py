@@ -13,6 +13,8 @@ from typing import Final
 
 import numpy as np
 
+from eitskin.errors import BundleError
+from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import Health
 from eitskin.messaging.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
 from eitskin.messaging.regions import WHOLE, Regions
@@ -133,6 +135,17 @@ class Pipeline:
             BundleError: A network cannot be cut down to them.
         """
         self._next_engines = self.maps.for_regions(self.bundle, regions)
+
+    def exclude(self, electrodes: tuple[int, ...]) -> None:
+        """Go on without these electrodes from the next frame on; may be called from another thread.
+
+        Raises:
+            BundleError: The bundle does not know how to go on without an electrode.
+            ValueError: One does not exist, or there are too many.
+        """
+        if self.health is None:
+            raise BundleError(f"{self.bundle.path}: excluding electrodes is {MISSING}")
+        self.health.exclude(electrodes)
 
     def accept(self, payload: bytes, read_ns: int) -> bool:
         """Decode a frame and return whether it may go on; the first half of a frame's way.

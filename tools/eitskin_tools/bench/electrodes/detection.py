@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.health.electrodes import NOT_RECIPROCAL, Finding
+from eitskin.health.electrodes import NOT_RECIPROCAL
+from eitskin.health.explanation import Finding
 from eitskin.health.imputation import UNPREDICTED, Consistency
 from eitskin.health.monitor import Health
 from eitskin_proto.sensor.normalise import relative_change

@@ -118,7 +118,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
-    from eitskin.serve import serve
+    from eitskin.serving import serve
 
     keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
     publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
