@@ -35,9 +35,8 @@ def streaming(virtual_skin, tiny_path):
 def test_a_frame_is_handed_over_before_it_is_counted_and_counted_before_it_is_told(streaming):
     taker = Taker()
     taker.skin = streaming
-    records, seen = set(), 0
-    for record in streaming.publish(taker):
-        seen += 1
+    records = set()
+    for seen, record in enumerate(streaming.publish(taker), 1):
         message, counted = taker.got[-1]
         assert (len(taker.got), counted, streaming.statistics.frames) == (seen, seen - 1, seen)
         assert record.stamps == sorted(record.stamps)
