@@ -1,4 +1,8 @@
-"""Which package may import which: the arrows of DESIGN.md, held by reading every module's syntax tree."""
+"""Which package may import which, and which room of a package which: held by reading every module's syntax tree.
+
+A room is a folder of a package, or a module beside its folders. Arrows between rooms are listed; a new one is a
+decision, to be written down here. No arrows may form a circle, neither between rooms nor between modules.
+"""
 
 import ast
 import sys
@@ -23,6 +27,94 @@ ALLOWED: dict[str, tuple[str, set[str]]] = {
     ),
 }
 """Package, its folder, and what it may import besides itself and the standard library."""
+
+Arrows = dict[str, set[str]]
+
+ROOMS: dict[str, Arrows] = {
+    "eitskin_proto": {
+        "__init__": set(),
+        "errors": set(),
+        "sensor": set(),
+        "wire": {"errors", "sensor"},
+    },
+    "eitskin": {
+        "errors": set(),
+        "model": {"errors"},
+        "reference": {"errors"},
+        "acquisition": {"errors", "reference"},
+        "health": {"errors", "model", "reference"},
+        "messaging": {"errors", "reference"},
+        "pipeline": {"acquisition", "errors", "health", "messaging", "model", "reference"},
+        "diagnostics": {"acquisition", "errors", "health", "messaging", "model", "reference"},
+        "frame_loop": {"acquisition", "errors", "messaging", "pipeline", "reference"},
+        "status": {"acquisition", "frame_loop", "pipeline"},
+        "skin": {
+            "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
+        },
+        "serving": {"messaging", "skin"},
+        "__init__": {"acquisition", "errors", "messaging", "model", "reference", "serving", "skin"},
+    },
+    "eitskin_sim": {
+        "__init__": set(),
+        "scene": set(),
+        "fem": {"scene"},
+        "measurement": {"fem"},
+        "unit_grid": {"fem", "scene"},
+        "freeform": {"fem", "scene", "unit_grid"},
+        "surface": {"fem", "scene"},
+        "solvers": {"fem", "scene", "surface"},
+        "dataset": {"fem", "freeform", "scene", "surface", "unit_grid"},
+        "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
+    },
+    "eitskin_training": {
+        "__init__": set(),
+        "network": set(),
+        "recipes": {"network"},
+        "samples": {"network", "recipes"},
+        "score": {"network", "samples"},
+        "card": {"network", "samples", "score"},
+        "gate": {"network", "samples"},
+        "train": {"network", "recipes", "samples", "score"},
+        "adapt": {"network", "recipes", "samples", "score", "train"},
+        "ablations": {"network", "recipes", "samples", "score", "train"},
+        "curves": {"train"},
+    },
+    "eitskin_export": {
+        "__init__": set(),
+        "bundle": set(),
+        "consistency": set(),
+        "fold": set(),
+        "parity": set(),
+        "projection": set(),
+        "gate_audit": {"parity"},
+        "graphs": {"fold"},
+        "quantise": {"graphs"},
+        "package": {
+            "bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise",
+        },
+    },
+    "eitskin_tools": {
+        "__init__": set(),
+        "choices": set(),
+        "errors": set(),
+        "flash": set(),
+        "phantoms": set(),
+        "pictures": set(),
+        "processes": set(),
+        "scripted_scene": set(),
+        "virtual_skin": {"scripted_scene"},
+        "emulator": {"flash", "scripted_scene", "virtual_skin"},
+        "evaluation": {"pictures"},
+        "demo": {"pictures", "processes", "scripted_scene"},
+        "fault_injection": {"emulator", "flash", "virtual_skin"},
+        "bench": {
+            "choices", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
+        },
+        "commands": {"demo", "errors", "evaluation", "flash", "virtual_skin"},
+        "cli": {"errors"},
+    },
+}  # fmt: skip
+"""Of each package: room, and what it may import of its neighbours."""
 
 
 def imported_names(source: str) -> set[str]:
@@ -73,3 +165,120 @@ def test_the_check_fails_when_it_is_given_a_forbidden_import(package: str, sourc
 def test_every_package_ships_its_types() -> None:
     for folder in [path for path, _ in ALLOWED.values()] + ["tools/eitskin_tools"]:
         assert (ROOT / folder / "py.typed").is_file()
+
+
+def modules_of(package: str) -> dict[str, str]:
+    """Return {dotted name: source} of a package's modules; ``package.__init__`` is the package itself."""
+    folder = ROOT / (ALLOWED[package][0] if package in ALLOWED else "tools/eitskin_tools")
+    found = {}
+    for path in sorted(folder.rglob("*.py")):
+        parts = (package, *path.relative_to(folder).with_suffix("").parts)
+        found[".".join(parts if len(parts) == 2 or parts[-1] != "__init__" else parts[:-1])] = path.read_text()
+    return found
+
+
+def imported_modules(source: str, known: set[str]) -> set[str]:
+    """Return which of the known modules a module imports, inside functions too; a package counts as itself alone."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            members = {f"{node.module}.{alias.name}" for alias in node.names}
+            found |= members & known or {node.module}
+        elif isinstance(node, ast.Call) and getattr(node.func, "attr", "") == "import_module" and node.args:
+            first = node.args[0]
+            if isinstance(first, ast.Constant) and isinstance(first.value, str):
+                found.add(first.value)
+    return {f"{name}.__init__" if f"{name}.__init__" in known else name for name in found} & known
+
+
+def module_arrows(modules: dict[str, str]) -> Arrows:
+    return {name: imported_modules(source, set(modules)) - {name} for name, source in modules.items()}
+
+
+def room_arrows(modules: dict[str, str]) -> Arrows:
+    found: Arrows = {name.split(".")[1]: set() for name in modules}
+    for name, targets in module_arrows(modules).items():
+        found[name.split(".")[1]] |= {target.split(".")[1] for target in targets}
+    return {room: targets - {room} for room, targets in found.items()}
+
+
+def forbidden_arrows(modules: dict[str, str], allowed: Arrows) -> list[str]:
+    """Return what is not listed, as ``room -> room``; a room that is not listed, by its name."""
+    found = room_arrows(modules)
+    unlisted = [room for room in found if room not in allowed]
+    return unlisted + [
+        f"{room} -> {target}" for room in found if room in allowed for target in sorted(found[room] - allowed[room])
+    ]
+
+
+def circle(arrows: Arrows) -> list[str]:
+    """Return the names on one circle of arrows, or none."""
+    done: set[str] = set()
+
+    def walk(name: str, way: list[str]) -> list[str]:
+        if name in way:
+            return way[way.index(name) :]
+        if name in done:
+            return []
+        for target in sorted(arrows.get(name, ())):
+            if found := walk(target, [*way, name]):
+                return found
+        done.add(name)
+        return []
+
+    return next((found for name in sorted(arrows) if (found := walk(name, []))), [])
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_rooms_import_only_what_their_arrows_allow(package: str) -> None:
+    modules = modules_of(package)
+    assert len(modules) > 5
+    assert forbidden_arrows(modules, ROOMS[package]) == []
+
+
+@pytest.mark.parametrize("package", ROOMS)
+def test_there_is_no_circle_between_rooms_nor_between_modules(package: str) -> None:
+    modules = modules_of(package)
+    assert circle(ROOMS[package]) == []
+    assert circle(room_arrows(modules)) == []
+    assert circle(module_arrows(modules)) == []
+
+
+HOUSE = {
+    "house.errors": "",
+    "house.cellar.wine": "from house.errors import Corked",
+    "house.kitchen.__init__": "",
+    "house.kitchen.stove": "from house.cellar import wine",
+    "house.kitchen.oven": "from house.kitchen.stove import heat",
+}
+
+HOUSE_ARROWS: Arrows = {"errors": set(), "cellar": {"errors"}, "kitchen": {"cellar"}}
+
+
+def test_a_house_in_order_passes() -> None:
+    assert forbidden_arrows(HOUSE, HOUSE_ARROWS) == []
+    assert circle(module_arrows(HOUSE)) == circle(room_arrows(HOUSE)) == []
+
+
+@pytest.mark.parametrize(
+    ("module", "source", "found"),
+    [
+        ("house.cellar.wine", "from house.kitchen.stove import heat", ["cellar -> kitchen"]),
+        ("house.cellar.wine", "def late():\n    import house.kitchen.oven", ["cellar -> kitchen"]),
+        ("house.kitchen.stove", "from house.errors import Burnt", ["kitchen -> errors"]),
+        ("house.kitchen.stove", "import importlib\nimportlib.import_module('house.errors')", ["kitchen -> errors"]),
+        ("house.attic.trunk", "", ["attic"]),
+    ],
+)
+def test_an_arrow_or_a_room_that_is_not_listed_is_found(module: str, source: str, found: list[str]) -> None:
+    assert forbidden_arrows(HOUSE | {module: source}, HOUSE_ARROWS) == found
+
+
+def test_a_circle_is_found_between_rooms_and_between_the_modules_of_one_room() -> None:
+    between = HOUSE | {"house.cellar.wine": "from house.kitchen.oven import bake"}
+    assert circle(room_arrows(between)) == ["cellar", "kitchen"]
+    within = HOUSE | {"house.kitchen.stove": "def late():\n    from house.kitchen.oven import bake"}
+    assert circle(room_arrows(within)) == []
+    assert circle(module_arrows(within)) == ["house.kitchen.oven", "house.kitchen.stove"]

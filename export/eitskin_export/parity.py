@@ -16,12 +16,14 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 import torch
 from torch import nn
 
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
-from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
+from eitskin.model.session import onnxruntime
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.normalise import relative_change

@@ -9,7 +9,9 @@ import tempfile
 from pathlib import Path
 
 import onnx
-from onnxruntime.quantization import QuantType, quantize_dynamic
+
+import eitskin.model.session  # noqa: F401 -- before the next line: it sends no telemetry  # isort: skip
+from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
 
 from eitskin_export.graphs import check, quiet
 

@@ -13,6 +13,7 @@ import importlib
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
+    from eitskin.acquisition.transport import Transport
     from eitskin.errors import (
         BadReference,
         BudgetError,
@@ -32,13 +33,18 @@ if TYPE_CHECKING:
         StaleFrame,
         TransportError,
     )
-    from eitskin.messaging.control import request, send_cloud
+    from eitskin.messaging.control import ControlServer, request, send_cloud
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
+    from eitskin.messaging.publish import Publisher
     from eitskin.messaging.subscription import Subscription, subscribe
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
+    from eitskin.serving import serve
     from eitskin.skin import Skin
+    from eitskin_proto.sensor.grid import pixel_centres_mm
+
+    __version__: str
 
 __all__ = [
     "BadReference",
@@ -47,6 +53,7 @@ __all__ = [
     "BundleError",
     "ClientKeys",
     "ControlError",
+    "ControlServer",
     "EndpointError",
     "Frame",
     "FrameError",
@@ -58,43 +65,69 @@ __all__ = [
     "PortLost",
     "PortMissing",
     "ProtocolError",
+    "Publisher",
     "Reference",
     "Skin",
     "SkinError",
     "StaleFrame",
     "Subscription",
+    "Transport",
     "TransportError",
+    "__version__",
     "load_bundle",
     "load_client_keys",
     "make_keys",
+    "pixel_centres_mm",
     "request",
     "send_cloud",
+    "serve",
     "subscribe",
 ]
 
 _HOMES: Final = {
-    "Bundle": "model.bundle",
-    "ClientKeys": "messaging.curve_keys",
-    "Frame": "messaging.frame",
-    "Reference": "reference.captured",
-    "Skin": "skin",
-    "Subscription": "messaging.subscription",
-    "load_bundle": "model.bundle",
-    "load_client_keys": "messaging.curve_keys",
-    "make_keys": "messaging.curve_keys",
-    "request": "messaging.control",
-    "send_cloud": "messaging.control",
-    "subscribe": "messaging.subscription",
+    "Bundle": "eitskin.model.bundle",
+    "ClientKeys": "eitskin.messaging.curve_keys",
+    "ControlServer": "eitskin.messaging.control",
+    "Frame": "eitskin.messaging.frame",
+    "Publisher": "eitskin.messaging.publish",
+    "Reference": "eitskin.reference.captured",
+    "Skin": "eitskin.skin",
+    "Subscription": "eitskin.messaging.subscription",
+    "Transport": "eitskin.acquisition.transport",
+    "load_bundle": "eitskin.model.bundle",
+    "load_client_keys": "eitskin.messaging.curve_keys",
+    "make_keys": "eitskin.messaging.curve_keys",
+    "pixel_centres_mm": "eitskin_proto.sensor.grid",
+    "request": "eitskin.messaging.control",
+    "send_cloud": "eitskin.messaging.control",
+    "serve": "eitskin.serving",
+    "subscribe": "eitskin.messaging.subscription",
 }
-"""Where each public name lives; the errors live in ``errors``."""
+"""Where each public name lives; the errors live in ``eitskin.errors``."""
+
+UNKNOWN_VERSION: Final = "0+unknown"
+"""The version of a source tree that was never installed."""
 
 
 def __getattr__(name: str) -> object:
     if name not in __all__:
         raise AttributeError(f"module 'eitskin' has no attribute {name!r}")
-    found = getattr(importlib.import_module(f"eitskin.{_HOMES.get(name, 'errors')}"), name)
+    if name == "__version__":
+        found: object = _version()
+    else:
+        found = getattr(importlib.import_module(_HOMES.get(name, "eitskin.errors")), name)
     globals()[name] = found
     return found
+
+
+def _version() -> str:
+    """Return the version of the installed distribution."""
+    from importlib import metadata  # noqa: PLC0415 -- it loads more than a subscriber needs
+
+    try:
+        return metadata.version("eitskin")
+    except metadata.PackageNotFoundError:
+        return UNKNOWN_VERSION
 
 
 def __dir__() -> list[str]:

@@ -18,7 +18,9 @@ from pathlib import Path
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
-from onnxruntime.quantization import QuantType, quantize_dynamic
+
+import eitskin.model.session  # noqa: F401 -- before the next line: it sends no telemetry  # isort: skip
+from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
 
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 

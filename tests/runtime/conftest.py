@@ -13,7 +13,7 @@ import pytest
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.publish import Publisher
 from eitskin.model.bundle import load_bundle
-from eitskin.serve import serve
+from eitskin.serving import serve
 from eitskin.skin import Skin
 from eitskin_proto.wire.messages import Hello
 

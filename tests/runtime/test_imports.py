@@ -1,5 +1,10 @@
 import subprocess
 import sys
+from importlib import metadata
+
+import numpy as np
+
+import eitskin
 
 
 def modules_after(statement):
@@ -20,10 +25,47 @@ def test_a_subscriber_loads_neither_inference_nor_serial_ports():
 
 def test_the_whole_runtime_loads_neither_torch_nor_scipy():
     loaded = modules_after(
-        "import eitskin; eitskin.Skin; import eitskin.serve, eitskin.diagnostics.doctor, eitskin.diagnostics.realtime"
+        "import eitskin; eitskin.Skin; import eitskin.serving, eitskin.diagnostics.doctor, eitskin.diagnostics.realtime"
     )
     assert not loaded & {"torch", "scipy", "onnx", "eitskin_sim"}
     assert "onnxruntime" in loaded
+
+
+def test_a_host_that_takes_frames_by_itself_finds_what_it_needs_at_the_top():
+    code = (
+        "import eitskin, eitskin.serving\n"
+        "assert callable(eitskin.serve) and eitskin.pixel_centres_mm().shape == (30, 45, 2)\n"
+        "assert {'read', 'write', 'cancel', 'report', 'close'} <= set(dir(eitskin.Transport))\n"
+        "assert eitskin.Publisher.send and eitskin.ControlServer.close\n"
+    )
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
+def test_the_version_is_that_of_the_installed_distribution_and_costs_a_subscriber_nothing():
+    loaded = modules_after("import eitskin; eitskin.subscribe")
+    assert "importlib.metadata" not in loaded
+    try:
+        expected = metadata.version("eitskin")
+    except metadata.PackageNotFoundError:
+        expected = eitskin.UNKNOWN_VERSION
+    assert eitskin.__version__ == expected
+
+
+def test_a_tree_that_was_never_installed_says_so(monkeypatch):
+    def missing(name):
+        raise metadata.PackageNotFoundError(name)
+
+    monkeypatch.setattr(metadata, "version", missing)
+    monkeypatch.delitem(vars(eitskin), "__version__", raising=False)
+    assert eitskin.__version__ == "0+unknown"
+    del eitskin.__version__
+
+
+def test_what_people_look_at_prints_one_short_line(tiny):
+    voltages = np.ones(104)
+    reference = eitskin.Reference(voltages, 0 * voltages, 100, "S-1", 7, "paper", "2026-01-01T00:00:00Z")
+    assert repr(reference) == "<Reference of 100 frames of S-1, captured 2026-01-01T00:00:00Z>"
+    assert repr(tiny) == f"<Bundle {tiny.id} of {tiny.labels} labels: {tiny.path}>"
 
 
 def test_every_public_name_exists_and_a_wrong_one_is_an_attribute_error():

@@ -155,6 +155,16 @@ class Device:
         """
         self._request(requests.Stop(self._next_tag()))
 
+    def leave(self) -> None:
+        """Stop streaming, and let whoever comes next find the mode as it was.
+
+        Raises:
+            SkinError: The device refused or did not answer, or the line is gone.
+        """
+        self.stop()
+        if self.idle:
+            self.ask_mode(Mode.ACTIVE)
+
     def ask_mode(self, mode: Mode) -> None:
         """Ask for another mode and return at once; the frames say when it has come about.
 

@@ -2,25 +2,24 @@
 
 Each electrode has 26 of the 104 rows, and the others say what those should be (:mod:`eitskin.health.imputation`). What
 a frame says of each is in :mod:`eitskin.health.evidence`: surprise, silence, reversal, jumps. All of it is counted:
-``NEEDED`` of the last ``WINDOW`` frames must agree. What then explains the frame best, one electrode's rows unexplained
-or two wires exchanged, by likelihood, is what is reported.
+``NEEDED`` of the last ``WINDOW`` frames must agree. What then explains the frame best
+(:mod:`eitskin.health.explanation`) is what is reported.
 
 An electrode is taken back after ``HEALTHY`` frames in a row without any of this. Nothing here is in a frame's way: a
 frame is looked at after it was published, and several of them at a time.
 """
 
-from dataclasses import dataclass
-from itertools import combinations
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
+from eitskin.health.explanation import Explanation, Finding
 from eitskin.health.imputation import UNPREDICTED, Array, Consistency, Imputation, rows_of
 from eitskin.health.swapped_wires import Rewiring, rewiring
 from eitskin.reference.row_noise import lost_rows, relative_spread, weighed_rows
-from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
+from eitskin_proto.sensor.table import N_ELECTRODES
 
 WINDOW: Final = 14
 """Frames over which evidence is counted."""
@@ -37,37 +36,10 @@ MOST_OUT: Final = 4
 USUAL_NOISE: Final = 0.005
 """Relative noise of a row that the samples had; where a reference's frames vary by more, so may these."""
 
-UNKNOWN_ROW: Final = 3.8
-"""Cost of a row that is left unexplained: twice the logarithm of the range of l that a faulty row can have."""
-
-SUSPECTS: Final = 6
-"""Electrodes of the largest surprise among which an exchange of wires is looked for."""
-
 WELL: Final = "well"
 
 NOT_RECIPROCAL: Final = "not reciprocal"
 """State of an electrode that :mod:`eitskin.health.reciprocity` found; it goes back into use by the same evidence."""
-
-
-@dataclass(frozen=True, slots=True)
-class Finding:
-    """One electrode that is out of order."""
-
-    electrode: int
-    state: str
-    """``detached``, ``shorted``, ``swapped``, ``noisy``, ``not reciprocal``; ``excluded`` by hand."""
-    partner: int | None = None
-    """The other electrode of a short or an exchange."""
-
-    @property
-    def remedy(self) -> str:
-        """``rearranged`` where the rows can be had by sums of others, else ``imputed``."""
-        return "rearranged" if self.state == "swapped" else "imputed"
-
-    def text(self) -> str:
-        """Return what a frame says: ``5:detached:imputed``, ``7:swapped with 8:rearranged``."""
-        partner = "" if self.partner is None else f" with {self.partner}"
-        return f"{self.electrode}:{self.state}{partner}:{self.remedy}"
 
 
 class ElectrodeWatch:
@@ -99,13 +71,12 @@ class ElectrodeWatch:
         self._weigher = Weigher(
             consistency.mean, self.precision, consistency.ratio_range, reference_V, self.sigma, thresholds
         )
-        self._of = self._weigher.of
-        self._pairs = np.array([np.equal(TABLE, pair).any(axis=1) for pair in range(N_ELECTRODES)])
+        self._explanation = Explanation(self._weigher, self.precision, reference_V)
         self._history: Votes = np.zeros((WINDOW, N_VOTES), dtype=np.bool_)
         self._suspected = False
         """Whether any vote is in the history."""
         self._seen = 0
-        self._resting = 0
+        self._pause = 0
         self._pair_in_use = np.ones(N_ELECTRODES, dtype=np.bool_)
         self._healthy: dict[int, int] = {}
         self.imputation = Imputation(self._mean, self.precision, self._range, consistency.layers)
@@ -203,7 +174,7 @@ class ElectrodeWatch:
             change = np.where(measured, raw, change)  # P knows of their noise: evidence is what was measured
         votes = self._weigher.weigh(raw, change, self._pair_in_use)
         suspicious = bool(votes.any())
-        if not (suspicious or self._suspected or self.findings or self._resting or self.unclear):
+        if not (suspicious or self._suspected or self.findings or self._pause or self.unclear):
             self._row = -1
             self._seen += len(raw)  # nothing to write down: the history holds no vote
             return False
@@ -220,8 +191,8 @@ class ElectrodeWatch:
         changed = False
         if self.findings:
             changed = self._take_back(raw, change)
-        if self._resting:
-            self._resting -= 1
+        if self._pause:
+            self._pause -= 1
             return changed
         counts = self._history.sum(axis=0)
         self._suspected = bool(counts.any())
@@ -235,11 +206,6 @@ class ElectrodeWatch:
         surprise, total = self._weigher.surprise(change[None])
         return surprise[0], float(total[0])
 
-    def _score(self, change: npt.NDArray[np.floating]) -> tuple[Array, Array]:
-        """Return (104,) y and l - mean."""
-        scores, logs = self._weigher.scores(change[None])
-        return scores[0], logs[0]
-
     def _judge(self, counts: npt.NDArray[np.intp], change: npt.NDArray[np.float32]) -> bool:
         """Say what explains the frame best, and act on it."""
         out = {finding.electrode for finding in self.findings}
@@ -248,66 +214,20 @@ class ElectrodeWatch:
         pair = int(np.argmax(counts[PAIR_WRONG]))
         found: tuple[Finding, ...] = ()
         if counts[PAIR_WRONG][pair] >= NEEDED and shorted[pair]:
-            found = self._shorted_or_detached(pair, change)
+            found = self._explanation.shorted_or_detached(pair, change)
         elif jumping:
             found = (Finding(max(jumping, key=lambda e: counts[JUMPING][e]), "noisy"),)
         else:
-            found = self._most_likely(change)
+            found = self._explanation.most_likely(change, self.evidence.surprise, swapped=self.rearranged is not None)
         found = tuple(finding for finding in found if finding.electrode not in out)
         self._history[:] = False
         if not found or len(out) + len(found) > MOST_OUT:
             self.unclear = True
-            self._resting = WINDOW
+            self._pause = WINDOW
             return False
         self.unclear = False
         self._use((*self.findings, *found))
         return True
-
-    def _shorted_or_detached(self, pair: int, change: npt.NDArray[np.float32]) -> tuple[Finding, ...]:
-        """Return a short across a silent pair, or the one of its electrodes whose loss explains more.
-
-        Electrode 0 drives every row of pair 0: detached, it silences that pair as a short does.
-        """
-        after = (pair + 1) % N_ELECTRODES
-        best: tuple[Finding, ...] = (Finding(pair, "shorted", after), Finding(after, "shorted", pair))
-        scores, logs = self._score(change)
-        cost = self._without(np.flatnonzero(self._pairs[pair]), scores, float(logs @ scores))
-        for electrode in (pair, after):
-            detached = self._without(self._of[electrode], scores, float(logs @ scores))
-            if detached < cost:
-                best, cost = (Finding(electrode, "detached"),), detached
-        return best
-
-    def _without(self, rows: npt.NDArray[np.intp], scores: Array, total: float) -> float:
-        """Return the cost of a frame some rows of which are left unexplained, -2 log likelihood."""
-        inner = self.precision[np.ix_(rows, rows)]
-        own = float(scores[rows] @ np.linalg.solve(inner, scores[rows]))
-        return total - own + float(np.linalg.slogdet(inner)[1]) + UNKNOWN_ROW * len(rows)
-
-    def _most_likely(self, change: npt.NDArray[np.float32]) -> tuple[Finding, ...]:
-        """Return the one failure that explains a frame best by likelihood, or none."""
-        scores, logs = self._score(change)
-        total = float(logs @ scores)
-        best: tuple[Finding, ...] = ()
-        costs = total
-        for electrode in range(N_ELECTRODES):
-            cost = self._without(self._of[electrode], scores, total)
-            if cost < costs:
-                best, costs = (Finding(electrode, "detached"),), cost
-        if self.rearranged is None:
-            volts = (np.asarray(change, dtype=np.float64) + 1.0) * self._reference
-            suspects = sorted(np.argsort(self.evidence.surprise)[-SUSPECTS:].tolist())
-            for first, second in combinations(suspects, 2):
-                cost = self._cost_of_exchange(rewiring(first, second), volts)
-                if cost < costs:
-                    costs = cost
-                    best = (Finding(first, "swapped", second), Finding(second, "swapped", first))
-        return best
-
-    def _cost_of_exchange(self, undone: Rewiring, volts: Array) -> float:
-        change = undone.matrix @ volts / self._reference - 1.0
-        scores, logs = self._score(change)
-        return self._without(np.flatnonzero(undone.missing), scores, float(logs @ scores))
 
     def _take_back(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
         """Count healthy frames of electrodes that are out, and use them again after ``HEALTHY`` of them."""

@@ -39,7 +39,7 @@ SEED: Final = 0x6A7E
 """The same sheets every time: a threshold is no matter of luck."""
 
 
-class Resting:
+class GateWithoutRows:
     """Fills rows in for a gate and sets its threshold.
 
     Args:

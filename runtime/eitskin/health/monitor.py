@@ -17,7 +17,7 @@ import numpy.typing as npt
 from eitskin.errors import BundleError
 from eitskin.health.drift import Drift
 from eitskin.health.electrodes import HEALTHY, NOT_RECIPROCAL, ElectrodeWatch
-from eitskin.health.gate_without_rows import Resting
+from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import MISSING, UNPREDICTED, Consistency, without_rows
 from eitskin.health.reciprocity import LARGEST_GAP, Reciprocity
 from eitskin.model.bundle import Bundle
@@ -59,12 +59,12 @@ class Health:
         self._events: tuple[str, ...] = ()
         self._unclear = False
         self.drift = Drift(consistency, compensate=compensate_drift)
-        self.watch = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
+        self.electrodes = ElectrodeWatch(consistency, consistency.reference, np.zeros(N_ROWS), exclude)
         self.reciprocity = Reciprocity()
         """Of a device that scans all 208 rows; idle for any other."""
         self._reciprocal_again: dict[int, int] = {}
-        self._rows_before = self.watch.missing
-        self.resting: Resting | None = None
+        self._rows_before = self.electrodes.missing
+        self.gate_without_rows: GateWithoutRows | None = None
         """Cares for a gate on frames that lack rows; None without one."""
 
     def use(
@@ -80,14 +80,14 @@ class Health:
             spread_V: (104,) V, standard deviation of its single frames.
             gate: What judges the frames; its threshold is set by what they can show.
         """
-        by_hand = tuple(finding.electrode for finding in self.watch.findings if finding.state == "excluded")
-        self.watch = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
-        self._rows_before = self.watch.missing
-        self.resting = None
+        by_hand = tuple(finding.electrode for finding in self.electrodes.findings if finding.state == "excluded")
+        self.electrodes = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
+        self._rows_before = self.electrodes.missing
+        self.gate_without_rows = None
         if gate is not None:
-            self.resting = Resting(self._consistency, gate, self.watch.sigma)
-            self.resting.leave_out(self.watch.missing)
-            self.resting.finish()
+            self.gate_without_rows = GateWithoutRows(self._consistency, gate, self.electrodes.sigma)
+            self.gate_without_rows.leave_out(self.electrodes.missing)
+            self.gate_without_rows.finish()
         self.drift.restart()
         self.reciprocity.restart()
         self._reciprocal_again = {}
@@ -99,19 +99,19 @@ class Health:
         Raises:
             ValueError: One does not exist, or there are too many.
         """
-        self.watch.check(electrodes)
+        self.electrodes.check(electrodes)
         with self._lock:
             self._wanted = electrodes
 
     def prepare(self, change: npt.NDArray[np.float32]) -> None:
         """Keep (104,) dV as measured, and put it right, in place, as far as a gate needs it."""
         np.copyto(self._raw[self._waiting], change)
-        alters = self.watch.alters
+        alters = self.electrodes.alters
         if alters:
-            self.watch.rearrange(change)
+            self.electrodes.rearrange(change)
         self.drift.correct(change)
-        if alters and self.resting is not None:
-            self.resting.fill(change)
+        if alters and self.gate_without_rows is not None:
+            self.gate_without_rows.fill(change)
 
     def complete(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
         """Fill in, in place, what a solver needs, behind :meth:`prepare`.
@@ -120,8 +120,8 @@ class Health:
             change: (104,) dV.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
         """
-        if self.watch.alters:
-            self.watch.imputation.fill(change, predicted)
+        if self.electrodes.alters:
+            self.electrodes.imputation.fill(change, predicted)
 
     def put_aside(self, counts: npt.NDArray[np.int32] | None = None, *, touched: bool) -> bool:
         """Keep the frame that was corrected last, to be looked at, and return whether that must be done now.
@@ -131,7 +131,7 @@ class Health:
             touched: What the gate said.
         """
         if counts is not None and len(counts) == N_FULL_ROWS:
-            self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.watch.findings))
+            self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.electrodes.findings))
             self._count_reciprocal()
         self._waiting += 1
         self._touched |= touched
@@ -140,7 +140,7 @@ class Health:
     @property
     def due(self) -> bool:
         """Whether enough frames wait, or the gate's threshold is to be set, or somebody wants electrodes left out."""
-        calibrating = self.resting is not None and self.resting.due
+        calibrating = self.gate_without_rows is not None and self.gate_without_rows.due
         return self._waiting >= TOGETHER or self._wanted is not None or calibrating
 
     def look(self, predicted: npt.NDArray[np.float32]) -> bool:
@@ -150,41 +150,41 @@ class Health:
             predicted: (104,) log(V_pred / V0) of the cloud in use.
         """
         raw, self._waiting = self._raw[: self._waiting], 0
-        watch, before = self.watch, self.watch.texts
+        electrodes, before = self.electrodes, self.electrodes.texts
         with self._lock:
             wanted, self._wanted = self._wanted, None
         if wanted is not None:
-            watch.exclude(wanted)
+            electrodes.exclude(wanted)
         if len(raw):
             self._weigh(raw, predicted)
         self._hold_reciprocal()
-        if watch.texts != before:
-            self._tell(tuple(f"electrode:{text}" for text in watch.texts if text not in before))
-            self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in watch.texts))
-        if watch.unclear and not self._unclear:
+        if electrodes.texts != before:
+            self._tell(tuple(f"electrode:{text}" for text in electrodes.texts if text not in before))
+            self._tell(tuple(f"electrode:{text.split(':')[0]}:back" for text in before if text not in electrodes.texts))
+        if electrodes.unclear and not self._unclear:
             self._tell(("electrodes:unclear",))
-        self._unclear = watch.unclear
-        if watch.missing is self._rows_before:
-            if self.resting is not None:
-                self.resting.step()
+        self._unclear = electrodes.unclear
+        if electrodes.missing is self._rows_before:
+            if self.gate_without_rows is not None:
+                self.gate_without_rows.step()
             return False
-        self._rows_before = watch.missing
-        if self.resting is not None:
-            self.resting.leave_out(watch.missing)
+        self._rows_before = electrodes.missing
+        if self.gate_without_rows is not None:
+            self.gate_without_rows.leave_out(electrodes.missing)
         return True
 
     def _weigh(self, raw: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
         change = raw
-        if self.watch.alters:
+        if self.electrodes.alters:
             change = raw.copy()
             for row in change:
-                self.watch.correct(row, predicted)
-        self.watch.look(raw, change)
+                self.electrodes.correct(row, predicted)
+        self.electrodes.look(raw, change)
         self._follow(change, predicted)
 
     def _count_reciprocal(self) -> None:
         """Count the frames in a row in which each electrode that was given up reads both ways alike."""
-        for finding in self.watch.findings:
+        for finding in self.electrodes.findings:
             if finding.state == NOT_RECIPROCAL:
                 well = self.reciprocity.gaps[finding.electrode] < LARGEST_GAP / 2.0
                 before = self._reciprocal_again.get(finding.electrode, 0)
@@ -195,9 +195,9 @@ class Health:
         for electrode, frames in tuple(self._reciprocal_again.items()):
             if frames >= HEALTHY:
                 del self._reciprocal_again[electrode]
-                self.watch.trust(electrode)
+                self.electrodes.trust(electrode)
         suspect = self.reciprocity.suspect
-        if suspect is not None and self.watch.give_up(suspect):
+        if suspect is not None and self.electrodes.give_up(suspect):
             self._reciprocal_again[suspect] = 0
 
     def _follow(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32]) -> None:
@@ -213,7 +213,7 @@ class Health:
 
     def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the bundle's projection without the rows that are missing."""
-        return without_rows(matrix, self._consistency.projection_inverse, self.watch.missing)
+        return without_rows(matrix, self._consistency.projection_inverse, self.electrodes.missing)
 
     def take_events(self) -> tuple[str, ...]:
         """Return what happened since the last call."""

@@ -73,7 +73,7 @@ class Publisher:
         self.takes_short = False
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
-        """Somebody came or went since this was set to False: the next frame must carry its map."""
+        """Somebody came or went since the last frame was sent: the next one must carry its map."""
         self.endpoint = ""
         """Where frames are published, with the port that a ``*`` became."""
         try:
@@ -137,12 +137,18 @@ class Publisher:
         if self._connections.look() > MOST_CONNECTIONS:
             self._start_anew()
 
+    @property
+    def short(self) -> bool:
+        """Whether the next message may go without a map that has not changed."""
+        return self.takes_short and not self.joined
+
     def send(self, message: memoryview) -> None:
         """Hand one message to every subscriber's queue; the memory may be reused at once."""
         try:
             self._send(message, _NOBLOCK, True)
         except zmq.Again:
             self.dropped += 1
+        self.joined = False
 
     def _start_anew(self) -> None:
         self._close_socket()

@@ -93,6 +93,9 @@ class Bundle:
     id: str
     """16 hex digits."""
 
+    def __repr__(self) -> str:
+        return f"<Bundle {self.id} of {self.labels} labels: {self.path}>"
+
     @property
     def labels(self) -> str:
         """``area`` or ``units``: what a value of the map means."""

@@ -1,29 +1,23 @@
 """Turns dV into a map: the network's head, its int8 twin, or one matrix; all read and write the same fixed memory.
 
-:class:`Buffers` is made once. Every engine is bound to it, so that a frame costs one call and no array. The geometry
-graph is not part of the loop: :class:`GeometryGraph` runs when a cloud arrives, in the thread that brought it, and
-yields a :class:`Geometry` that the frame loop copies in between two frames. ::
+:class:`eitskin.model.buffers.Buffers` is made once. Every engine is bound to it, so that a frame costs one call and no
+array. What a cloud means was computed before (:mod:`eitskin.model.geometry`). ::
 
     cloud --GeometryGraph--> Geometry(bias, log_predicted) --Buffers.take--> bias, log_predicted
     dV ----------------------------------------------------------> change --Engine.infer--> map
-
-ONNX Runtime gets one thread that is the caller's: its own pool escapes CPU pinning and costs 8 ms at p99 under load.
 """
 
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 
-from eitskin.errors import BundleError, MismatchError, UncutError
-from eitskin.model.bundle import EXPORT_HINT, Bundle
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin.errors import UncutError
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import Bundle
+from eitskin.model.session import check_signature, onnxruntime, open_session
 from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.sensor.table import N_ROWS
 
 HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx"}
 """What frames call a head, and its file."""
@@ -33,47 +27,6 @@ QUANTISED: Final = "vd2t-int8"
 
 SMALLEST_MAP: Final = 1e-12
 """A projection below this is zero, not something to scale up."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Geometry:
-    """What a cloud means to the head; immutable, so that it may cross threads."""
-
-    bias: npt.NDArray[np.float32]
-    """(1, H) what the cloud adds in the first fusion layer."""
-    log_predicted: npt.NDArray[np.float32]
-    """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
-    revision: int
-    """Counts clouds since the start; 0 is the flat sheet."""
-
-
-class Buffers:
-    """The memory that all engines share.
-
-    Args:
-        bias_width: H.
-        change: (104,) memory for dV that somebody else reads as well; None makes it.
-    """
-
-    __slots__ = ("bias", "change", "log_predicted", "map", "revision")
-
-    def __init__(self, bias_width: int, change: npt.NDArray[np.float32] | None = None) -> None:
-        self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
-        """(1, 104) dV of the frame."""
-        self.bias = np.zeros((1, bias_width), dtype=np.float32)
-        """(1, H)."""
-        self.log_predicted = np.zeros((1, N_ROWS), dtype=np.float32)
-        """(1, 104)."""
-        self.map = np.zeros((1, N_PIXELS), dtype=np.float32)
-        """(1, 1350) the result."""
-        self.revision = 0
-        """Of the cloud in use."""
-
-    def take(self, geometry: Geometry) -> None:
-        """Use another geometry from the next frame on."""
-        self.bias[:] = geometry.bias
-        self.log_predicted[:] = geometry.log_predicted
-        self.revision = geometry.revision
 
 
 class Engine(Protocol):
@@ -102,7 +55,7 @@ class HeadEngine:
         BundleError: The graph cannot be loaded, or has another signature.
     """
 
-    __slots__ = ("_binding", "_map", "_part", "_pixels", "_session", "_values", "name")
+    __slots__ = ("_binding", "_cropped", "_map", "_pixels", "_session", "_values", "name")
 
     def __init__(
         self,
@@ -116,26 +69,26 @@ class HeadEngine:
         self.name = name
         self._pixels = pixels
         self._map = buffers.map[0]
-        self._part = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
-        self._session = _session(bundle, file, bundle.files[file] if graph is None else graph)
+        self._cropped = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
+        self._session = open_session(bundle, file, bundle.files[file] if graph is None else graph)
         arrays = {"dv": buffers.change, "bias": buffers.bias}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
         shapes = {key: value.shape for key, value in arrays.items()}
-        _check_signature(file, self._session, shapes, "map", self._part.shape)
+        check_signature(file, self._session, shapes, "map", self._cropped.shape)
         self._binding = self._session.io_binding()
         # The OrtValues borrow the arrays' memory; both must outlive the binding.
         self._values = {key: onnxruntime.OrtValue.ortvalue_from_numpy(value) for key, value in arrays.items()}
         for key, value in self._values.items():
             self._binding.bind_ortvalue_input(key, value)
-        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(self._part)
+        self._values["map"] = onnxruntime.OrtValue.ortvalue_from_numpy(self._cropped)
         self._binding.bind_ortvalue_output("map", self._values["map"])
 
     def infer(self) -> None:
         """Fill the map, or its pixels."""
         self._session.run_with_iobinding(self._binding)
         if self._pixels is not None:
-            self._map[self._pixels] = self._part[0]
+            self._map[self._pixels] = self._cropped[0]
 
 
 class ProjectionEngine:
@@ -147,7 +100,7 @@ class ProjectionEngine:
         pixels: (n,) the only pixels that are computed, ascending; None for all. The largest of them becomes 1.
     """
 
-    __slots__ = ("_change", "_map", "_matrix", "_part", "_pixels", "_whole", "name")
+    __slots__ = ("_change", "_cropped", "_map", "_matrix", "_pixels", "_whole", "name")
 
     def __init__(self, bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None) -> None:
         self.name = "tikhonov"
@@ -156,7 +109,7 @@ class ProjectionEngine:
         self._change = buffers.change[0]
         self._map = buffers.map[0]
         self._pixels = pixels
-        self._part = self._map if pixels is None else np.zeros(len(pixels), dtype=np.float32)
+        self._cropped = self._map if pixels is None else np.zeros(len(pixels), dtype=np.float32)
 
     def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Use what ``change`` makes of the bundle's matrix from the next frame on: one without some rows."""
@@ -164,13 +117,13 @@ class ProjectionEngine:
 
     def infer(self) -> None:
         """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""
-        np.matmul(self._matrix, self._change, out=self._part)
-        np.maximum(self._part, 0.0, out=self._part)
-        largest = float(self._part.max())
+        np.matmul(self._matrix, self._change, out=self._cropped)
+        np.maximum(self._cropped, 0.0, out=self._cropped)
+        largest = float(self._cropped.max())
         if largest > SMALLEST_MAP:
-            np.divide(self._part, largest, out=self._part)
+            np.divide(self._cropped, largest, out=self._cropped)
         if self._pixels is not None:
-            self._map[self._pixels] = self._part
+            self._map[self._pixels] = self._cropped
 
 
 class MaskedEngine:
@@ -195,58 +148,6 @@ class MaskedEngine:
         """Fill the map."""
         self._engine.infer()
         np.multiply(self._map, self._kept, out=self._map)
-
-
-class GeometryGraph:
-    """From clouds to geometries; not part of the frame loop.
-
-    The session is made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs it once.
-
-    Args:
-        bundle: Where the graph is.
-
-    Raises:
-        BundleError: The graph cannot be loaded or has another signature.
-    """
-
-    def __init__(self, bundle: Bundle) -> None:
-        self._bundle = bundle
-        self._session: Any = None
-        self._open()
-
-    def _open(self) -> Any:
-        if self._session is None:
-            bundle = self._bundle
-            self._session = _session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
-            expected = {"cloud": (1, 3, 30, 45)}
-            _check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
-        return self._session
-
-    def rest(self) -> None:
-        """Give the session's 5 MB back until the next cloud, which then takes 15 ms more."""
-        self._session = None
-
-    def geometry(
-        self, cloud: npt.ArrayLike | None, log_predicted: npt.NDArray[np.float32] | None, revision: int
-    ) -> Geometry:
-        """Return what a cloud means to the head.
-
-        Args:
-            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
-            log_predicted: (104,) of :func:`eitskin.reference.predicted.log_ratio`; None for zeros.
-            revision: Number of this cloud.
-
-        Raises:
-            ValueError: The cloud is malformed, or the network answers it with values that are not finite.
-        """
-        points = network_input(flat_cloud() if cloud is None else cloud)
-        bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
-        if not np.isfinite(bias).all():
-            raise ValueError("the geometry graph answers this cloud with non-finite values; scan the sheet again")
-        predicted = np.zeros((1, N_ROWS), dtype=np.float32)
-        if log_predicted is not None:
-            predicted[0] = log_predicted
-        return Geometry(bias, predicted, revision)
 
 
 def engines(
@@ -313,42 +214,3 @@ def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.ND
         return HeadEngine(bundle, file, name, buffers, pixels, cut(bundle.files[file], pixels, N_PIXELS))
     except UncutError:
         return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)
-
-
-def _session(bundle: Bundle, file: str, graph: bytes) -> Any:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.inter_op_num_threads = 1
-    options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
-    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
-    options.add_session_config_entry("session.intra_op.allow_spinning", "0")
-    options.log_severity_level = 3
-    try:
-        session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
-    except Exception as error:  # onnxruntime's exceptions share no base of their own
-        raise BundleError(f"{bundle.path}: {file} cannot be loaded ({_first_line(error)}); {EXPORT_HINT}") from error
-    if hasattr(session, "_model_bytes"):
-        session._model_bytes = b""  # kept for a change of provider, which never comes: as many bytes as the weights
-    metadata = session.get_modelmeta().custom_metadata_map
-    for key, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
-        if metadata.get(key, expected) != expected:
-            raise MismatchError(f"{file}: {key}", found=metadata[key], expected=expected, hint=EXPORT_HINT)
-    return session
-
-
-def _check_signature(
-    file: str, session: Any, inputs: Mapping[str, tuple[int, ...]], output: str, shape: tuple[int, ...]
-) -> None:
-    found = {value.name: tuple(value.shape) for value in session.get_inputs()}
-    if found != inputs:
-        raise BundleError(f"{file}: inputs found {found}, expected {inputs}; {EXPORT_HINT}")
-    outputs = {value.name: tuple(value.shape) for value in session.get_outputs()}
-    if outputs != {output: shape}:
-        raise BundleError(f"{file}: outputs found {outputs}, expected {{{output!r}: {shape}}}; {EXPORT_HINT}")
-    kinds = {value.type for value in (*session.get_inputs(), *session.get_outputs())}
-    if kinds != {"tensor(float)"}:
-        raise BundleError(f"{file}: types found {sorted(kinds)}, expected tensor(float) alone; {EXPORT_HINT}")
-
-
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().partition("\n")[0][:200]

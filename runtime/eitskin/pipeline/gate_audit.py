@@ -42,7 +42,7 @@ def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None) -> int | 
     return int(found.reshape(-1)[0])
 
 
-class Watch:
+class GateAudit:
     """Counts untouched frames and judges the maps of those that are looked at; allocates nothing a frame.
 
     Args:

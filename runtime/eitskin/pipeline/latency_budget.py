@@ -6,7 +6,7 @@
     vd2t    ->   vd2t-int8 -> tikhonov     ->  tikhonov, and of several waiting frames only the newest
 
 An overrun goes down one level at once. Going up takes a while of frames that use less than half of the budget, and
-twice as long each time that going up led straight to another overrun, so that the ladder does not flutter.
+twice as long each time that going up led straight to another overrun, so that it does not flutter.
 """
 
 from typing import Final
@@ -21,7 +21,7 @@ EASY: Final = 0.5
 """A frame that took less than this part of the budget is easy."""
 
 
-class Ladder:
+class LatencyBudget:
     """Follows the latency of frames against a budget.
 
     Args:

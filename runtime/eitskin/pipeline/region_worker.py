@@ -1,7 +1,7 @@
-"""Makes what computes a part of the map, beside the frame loop: one thread, one part at a time, the newest wish wins.
+"""Makes what computes some regions, beside the frame loop: one thread, one union at a time, the newest wish wins.
 
 Regions come with subscribers, whoever they are, so a subscriber that comes and goes all the time must not keep a core
-busy: after each part the thread rests.
+busy: after each union the thread rests.
 """
 
 import threading
@@ -9,29 +9,26 @@ from typing import Final
 
 from eitskin.errors import BundleError
 from eitskin.messaging.regions import WHOLE, Regions
-from eitskin.model.bundle import Bundle
 from eitskin.pipeline.frame_pipeline import Pipeline
 
 REST_S: Final = 0.5
-"""Between two parts."""
+"""Between two unions."""
 
 
-class Cutter:
-    """Gives a pipeline its parts.
+class RegionWorker:
+    """Gives a pipeline the engines of its regions.
 
     Args:
         pipeline: Takes them over between two frames.
-        bundle: The one that it was made with.
     """
 
-    def __init__(self, pipeline: Pipeline, bundle: Bundle) -> None:
+    def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
-        self._bundle = bundle
         self._lock = threading.Lock()
         self._wanted: Regions = (WHOLE,)
         self._running = False
         self.made = 0
-        """Parts made so far."""
+        """Unions made so far."""
         self.failure = ""
         """Why the last wish could not be met; the whole sheet is computed then."""
 
@@ -54,10 +51,10 @@ class Cutter:
                     self._running = False
                     return
             try:
-                self._pipeline.use_part(self._pipeline.part(self._bundle, wanted))
+                self._pipeline.use_regions(wanted)
                 self.failure = ""
             except (BundleError, MemoryError) as error:
-                self._pipeline.use_part(self._pipeline.part(self._bundle, (WHOLE,)))
+                self._pipeline.use_regions((WHOLE,))
                 self.failure = str(error)
             made = wanted
             self.made += 1

@@ -63,6 +63,9 @@ class Reference:
     captured_utc: str
     """Wall clock, for people."""
 
+    def __repr__(self) -> str:
+        return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
+
     @property
     def weak(self) -> npt.NDArray[np.intp]:
         """Rows that carry no information."""

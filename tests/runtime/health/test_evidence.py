@@ -93,7 +93,7 @@ def test_a_stream_has_its_failure_named_within_20_frames():
         if health.due and health.look(NO_SCAN):
             assert 53 + 10 <= number + 1 <= 53 + 20
             break
-    assert health.watch.texts == ("6:detached:imputed",)
+    assert health.electrodes.texts == ("6:detached:imputed",)
     assert health.take_events() == ("electrode:6:detached:imputed",)
     assert WINDOW + MOST_TOGETHER - 1 <= 20  # frames of evidence, and those that wait for the others
 

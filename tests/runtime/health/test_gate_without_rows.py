@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin.health.gate_without_rows import BLOCKS, FALSE_ALARMS, Resting
+from eitskin.health.gate_without_rows import BLOCKS, FALSE_ALARMS, GateWithoutRows
 from eitskin.health.imputation import Consistency, rows_of
 from eitskin.health.monitor import Health
 from eitskin.model.bundle import default_path, load_bundle
@@ -29,11 +29,11 @@ def untouched(known, count, sigma, seed=9):
     return np.expm1(logs) + sigma * rng.standard_normal(logs.shape)
 
 
-def alarms(gate, resting, changes):
+def alarms(gate, gate_without_rows, changes):
     """Return the share of frames that are called touched, one at a time as the runtime does it."""
     tripped = 0
     for change in changes.astype(np.float32):
-        resting.fill(change)
+        gate_without_rows.fill(change)
         gate.change[:] = change
         tripped += gate.touched()
     return tripped / len(changes)
@@ -56,43 +56,43 @@ def test_many_frames_are_judged_as_each_by_itself(shipped):
 def test_without_electrodes_the_gate_keeps_its_rate_of_false_alarms(shipped, electrodes):
     known, arrays = shipped
     gate = Gate(arrays)
-    resting = Resting(known, gate, QUIET)
-    resting.leave_out(rows_of(electrodes))
+    gate_without_rows = GateWithoutRows(known, gate, QUIET)
+    gate_without_rows.leave_out(rows_of(electrodes))
     assert gate.threshold == gate.usual_threshold  # until the sheets are judged
-    resting.finish()
+    gate_without_rows.finish()
     changes = untouched(known, 3000, QUIET)
     changes[:, rows_of(electrodes)] = 7.0  # whatever a dead electrode reads
     # 3000 frames at a rate of 0.003 trip it 9 times, give or take 3; the threshold's own 2000 make that 5 more
-    assert alarms(gate, resting, changes) < FALSE_ALARMS + 5 * np.sqrt(2 * FALSE_ALARMS / 3000)
-    assert alarms(Gate(arrays), Resting(known, Gate(arrays), QUIET), changes) == 1.0  # without any of this
+    assert alarms(gate, gate_without_rows, changes) < FALSE_ALARMS + 5 * np.sqrt(2 * FALSE_ALARMS / 3000)
+    assert alarms(Gate(arrays), GateWithoutRows(known, Gate(arrays), QUIET), changes) == 1.0  # without any of this
 
 
 def test_noise_beyond_what_the_gate_learned_raises_its_threshold_and_less_does_not_lower_it(shipped):
     known, arrays = shipped
     gate, sigma = Gate(arrays), np.full(N_ROWS, 0.02)
-    resting = Resting(known, gate, sigma)
-    assert resting.due
-    resting.finish()
+    gate_without_rows = GateWithoutRows(known, gate, sigma)
+    assert gate_without_rows.due
+    gate_without_rows.finish()
     assert gate.threshold > gate.usual_threshold
     changes = untouched(known, 2000, sigma)
-    assert alarms(gate, resting, changes) < FALSE_ALARMS + 5 * np.sqrt(2 * FALSE_ALARMS / 2000)
+    assert alarms(gate, gate_without_rows, changes) < FALSE_ALARMS + 5 * np.sqrt(2 * FALSE_ALARMS / 2000)
     assert (Gate(arrays).logits(changes) > gate.usual_threshold).mean() > 0.1  # as it would be
-    assert not Resting(known, Gate(arrays), QUIET).due
+    assert not GateWithoutRows(known, Gate(arrays), QUIET).due
 
 
 def test_thresholds_are_no_matter_of_luck_and_come_back_with_the_rows(shipped):
     known, arrays = shipped
     gate = Gate(arrays)
-    resting = Resting(known, gate, QUIET)
+    gate_without_rows = GateWithoutRows(known, gate, QUIET)
     found = []
     for _ in range(2):
-        resting.leave_out(rows_of((3,)))
-        resting.finish()
+        gate_without_rows.leave_out(rows_of((3,)))
+        gate_without_rows.finish()
         found.append(gate.threshold)
     assert found[0] == found[1] != gate.usual_threshold
-    resting.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
+    gate_without_rows.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
     assert gate.threshold == gate.usual_threshold
-    assert not resting.due
+    assert not gate_without_rows.due
 
 
 def test_the_threshold_is_set_while_the_line_rests_a_block_at_a_time(shipped):

@@ -10,7 +10,8 @@ from eitskin.health.electrodes import HEALTHY
 from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.engine import GeometryGraph, ProjectionEngine
+from eitskin.model.engine import ProjectionEngine
+from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame
@@ -19,12 +20,12 @@ from eitskin_proto.wire.frames import Frame
 @pytest.fixture
 def watching(hello, counts):
     bundle = load_bundle(default_path("units"))
-    pipeline = Pipeline(bundle, hello, budget_ns=10**10)  # with a budget it keeps every solver ready
-    pipeline.health = health_of(bundle, exclude=(5,))
-    if pipeline.health is None:
+    health = health_of(bundle, exclude=(5,))
+    pipeline = Pipeline(bundle, hello, budget_ns=10**10, health=health)  # with a budget it keeps every solver ready
+    if health is None:
         pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
     pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 3e-12, 100, "TEST-1", 0xABCD, "paper", ""))
-    pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
     return pipeline
 
 
@@ -44,11 +45,11 @@ def test_what_a_dead_electrode_reads_does_not_reach_the_gate(watching, counts):
     change = watching.buffers.change[0]
     assert np.abs(change[~rows_of((5,))]).max() < 1e-3
     assert np.abs(change[rows_of((5,))]).max() < 0.9  # as measured they are at -1
-    assert watching.health.watch.texts == ("5:excluded:imputed",)
+    assert watching.health.electrodes.texts == ("5:excluded:imputed",)
 
 
 def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
-    gate = watching.health.resting
+    gate = watching.health.gate_without_rows
     assert gate is not None
     assert not gate.due  # its threshold was set when the reference came
     rng = np.random.default_rng(0)
@@ -56,7 +57,7 @@ def test_a_dead_electrode_does_not_touch_the_sheet(watching, counts):
         dead = np.rint(counts * (1.0 + 0.003 * rng.standard_normal(104))).astype(np.int32)
         dead[rows_of((5,))] = rng.integers(-10_000, 10_000, 26)
         assert go(watching, dead, number)
-        assert not watching.touched
+        assert not watching.record.touched
 
 
 def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(watching, counts):
@@ -72,7 +73,7 @@ def test_a_row_that_does_not_stand_out_of_its_noise_is_filled_in_and_counted(wat
     change = watching.buffers.change[0]
     assert abs(change[7]) < 0.02  # as measured it is 2
     assert 0.0 < change[60] < 0.1  # as measured it is 0.2, twice its noise
-    assert not watching.touched
+    assert not watching.record.touched
 
 
 def test_the_projection_has_no_column_of_a_missing_row(watching):
@@ -93,11 +94,11 @@ def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
     watching.health.exclude((5, 9))
     go(watching, counts, 2)
     go(watching, counts, 3)
-    assert "electrode:9:excluded:imputed" in watching.events
+    assert "electrode:9:excluded:imputed" in watching.record.events
     watching.health.exclude(())
     go(watching, counts, 4)
     go(watching, counts, 5)
-    assert {"electrode:5:back", "electrode:9:back"} <= set(watching.events)
+    assert {"electrode:5:back", "electrode:9:back"} <= set(watching.record.events)
     assert HEALTHY > 5  # by hand it does not take a second
 
 

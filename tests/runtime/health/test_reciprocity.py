@@ -11,7 +11,7 @@ from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import MOST_TOGETHER, health_of
 from eitskin.health.reciprocity import NEEDED, Reciprocity, electrode_gaps, row_gaps
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.engine import GeometryGraph
+from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
@@ -71,13 +71,13 @@ def test_a_suspect_needs_its_frames_in_a_row(counts):
 @pytest.fixture
 def watching(hello, counts):
     bundle = load_bundle(default_path("units"))
-    pipeline = Pipeline(bundle, replace(hello, rows=N_FULL_ROWS), budget_ns=None)
-    pipeline.health = health_of(bundle)
-    if pipeline.health is None:
+    health = health_of(bundle)
+    pipeline = Pipeline(bundle, replace(hello, rows=N_FULL_ROWS), budget_ns=None, health=health)
+    if health is None:
         pytest.skip("the shipped bundle has no consistency.npz; 'eitskin export' makes one")
     reference = np.asarray(bundle.consistency_arrays()["reference"]) * 1e-3
     pipeline.use_reference(Reference(reference, np.abs(reference) * 3e-3, 100, "TEST-1", 0xABCD, "full208", ""))
-    pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+    pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
     return pipeline, both_ways(np.rint(reference / hello.volts_per_count))
 
 
@@ -95,19 +95,19 @@ def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):
     health = pipeline.health
     for sequence in range(30):
         go(pipeline, whole, sequence)
-    assert health.watch.texts == ()
+    assert health.electrodes.texts == ()
     ill = weak(whole, 5, 0.9)  # a gap of 5 %, a change of 5 % in 26 averaged rows: less than a touch
     took = 0
-    while not health.watch.texts:
+    while not health.electrodes.texts:
         took += 1
         go(pipeline, ill, 29 + took)
         assert took <= 20, "named within 20 frames"
-    assert health.watch.texts == ("5:not reciprocal:imputed",)
+    assert health.electrodes.texts == ("5:not reciprocal:imputed",)
     go(pipeline, ill, 30 + took)
-    assert "electrode:5:not reciprocal:imputed" in pipeline.events
-    np.testing.assert_array_equal(health.watch.missing, rows_of((5,)))
+    assert "electrode:5:not reciprocal:imputed" in pipeline.record.events
+    np.testing.assert_array_equal(health.electrodes.missing, rows_of((5,)))
     begin, frames = 31 + took, 0
-    while health.watch.texts:
+    while health.electrodes.texts:
         go(pipeline, whole, begin + frames)
         frames += 1
         assert frames < 2 * HEALTHY
@@ -117,7 +117,7 @@ def test_the_stream_names_it_in_time_fills_it_in_and_takes_it_back(watching):
 
 def test_no_more_than_can_be_filled_in_are_given_up(watching):
     pipeline, _ = watching
-    watch = pipeline.health.watch
+    watch = pipeline.health.electrodes
     assert [watch.give_up(electrode) for electrode in range(MOST_OUT + 1)] == [True] * MOST_OUT + [False]
     assert not watch.give_up(0)
     watch.trust(0)

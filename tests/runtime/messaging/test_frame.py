@@ -1,4 +1,6 @@
 import contextlib
+import dataclasses
+import inspect
 import math
 import struct
 import time
@@ -9,7 +11,8 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, FramePacker, unpack_frame
+from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, Frame, unpack_frame
+from eitskin.messaging.frame_packer import FramePacker
 
 
 @pytest.fixture
@@ -165,3 +168,11 @@ def test_the_specification_lists_exactly_the_published_fields(packer):
     section = specification.read_text().partition("## 7. The published frame")[2].partition("Control requests")[0]
     listed = [line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")][1:]
     assert listed == list(msgpack.unpackb(filled(packer)))
+
+
+def test_help_tells_what_every_field_is_and_a_frame_prints_one_line(packer):
+    told = inspect.getdoc(Frame)
+    for field in dataclasses.fields(Frame):
+        assert f"\n    {field.name}: " in told
+    text = repr(unpack_frame(filled(packer), 0))
+    assert text == "<Frame 7 of S-1: touched, vd2t, 400 us old, lost overrun>"

@@ -13,7 +13,7 @@ from eitskin.errors import EndpointError, NoFrame, StaleFrame
 from eitskin.messaging import publish
 from eitskin.messaging.curve_keys import ServerKeys, load_client_keys, load_server_keys, make_keys
 from eitskin.messaging.endpoints import needs_keys
-from eitskin.messaging.frame import FramePacker
+from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
 
 

@@ -8,11 +8,13 @@ import pytest
 import eitskin
 from eitskin.errors import BundleError, UncutError
 from eitskin.messaging.regions import WHOLE, Region, pixels, union
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
 from eitskin.model.onnx.crop import cut
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.region_worker import Cutter
+from eitskin.pipeline.region_worker import RegionWorker
 
 
 @pytest.fixture(scope="module", params=["area", "units"])
@@ -128,13 +130,13 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
 
     monkeypatch.setattr(region_worker, "REST_S", 0.05)
     pipeline = Pipeline(tiny, hello)
-    worker = Cutter(pipeline, tiny)
+    worker = RegionWorker(pipeline)
     for row in range(29):
         worker.want((Region(row, row + 1, 0, 45),))
     end = time.perf_counter() + 10
-    while time.perf_counter() < end and (pipeline._next_part is None or worker._running):
+    while time.perf_counter() < end and (pipeline._next_engines is None or worker._running):
         time.sleep(0.01)
-    assert pipeline._next_part.regions == (Region(28, 29, 0, 45),)
+    assert pipeline._next_engines.regions == (Region(28, 29, 0, 45),)
     assert 1 <= worker.made < 10
 
 

@@ -75,7 +75,7 @@ def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
 
 
 def test_a_graph_whose_metadata_names_another_grid_is_refused(tmp_path, tiny, parts):
-    from eitskin.model.engine import GeometryGraph
+    from eitskin.model.geometry import GeometryGraph
 
     model = parts["geometry.onnx"].replace(GRID_ID.encode(), b"feedfeedfeedfeed")
     path = write(tmp_path / "b.eitskin", parts | {"geometry.onnx": model}, checksums=True)

@@ -2,12 +2,14 @@ import tracemalloc
 from dataclasses import replace
 
 import numpy as np
-import onnxruntime
 import pytest
 
 from eitskin.errors import BundleError
-from eitskin.model.engine import Buffers, GeometryGraph, HeadEngine, ProjectionEngine, default_solver, engines
+from eitskin.model.buffers import Buffers
+from eitskin.model.engine import HeadEngine, ProjectionEngine, default_solver, engines
 from eitskin.model.gate import Gate
+from eitskin.model.geometry import GeometryGraph
+from eitskin.model.session import onnxruntime
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.cloud import flat_cloud

@@ -9,10 +9,10 @@ import pytest
 
 from eitskin.errors import BudgetError, BundleError
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import GeometryGraph
+from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline import latency_budget
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.gate_audit import AUDIT_FRAMES, Watch, audit_pixels
+from eitskin.pipeline.gate_audit import AUDIT_FRAMES, GateAudit, audit_pixels
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.wire.frames import Frame
@@ -23,7 +23,7 @@ from eitskin_proto.wire.scan_rows import row_count
 def pipeline(tiny, hello, counts):
     pipeline = Pipeline(tiny, hello)
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline.buffers.take(GeometryGraph(tiny).geometry(None, None, 0))
+    pipeline.start_with(GeometryGraph(tiny).geometry(None, None, 0))
     return pipeline
 
 
@@ -42,20 +42,20 @@ def go(pipeline, packed, wanted=True):
 
 def test_a_touched_frame_is_computed_and_an_untouched_one_is_not(pipeline, counts, touched):
     assert go(pipeline, payload(touched, 1))
-    assert pipeline.touched
-    assert pipeline.solver == "vd2t"
-    assert np.frombuffer(pipeline.map_bytes, np.float32).max() > 0
+    assert pipeline.record.touched
+    assert pipeline.record.solver == "vd2t"
+    assert np.frombuffer(pipeline.record.map, np.float32).max() > 0
     assert go(pipeline, payload(counts, 2))
-    assert not pipeline.touched
-    assert pipeline.solver == "none"
-    assert "inference:untouched" in pipeline.skipped
-    assert not any(pipeline.zero_bytes)
+    assert not pipeline.record.touched
+    assert pipeline.record.solver == "none"
+    assert "inference:untouched" in pipeline.record.skipped
+    assert not any(pipeline.record.map)
 
 
 def test_a_frame_that_nobody_wants_is_only_judged(pipeline, touched):
     assert go(pipeline, payload(touched, 1), wanted=False)
-    assert pipeline.touched
-    assert (pipeline.solver, pipeline.skipped[0]) == ("none", "inference:no_subscriber")
+    assert pipeline.record.touched
+    assert (pipeline.record.solver, pipeline.record.skipped[0]) == ("none", "inference:no_subscriber")
 
 
 def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, counts):
@@ -72,7 +72,7 @@ def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, cou
         "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "no_signal": 0,
         "stale": 0,
     }  # fmt: skip
-    assert pipeline.generation_differs
+    assert pipeline.intake.generation_differs
 
 
 def test_a_frame_without_any_voltage_is_no_touch_and_the_next_frame_says_why_it_was_withheld(pipeline, counts, touched):
@@ -80,9 +80,9 @@ def test_a_frame_without_any_voltage_is_no_touch_and_the_next_frame_says_why_it_
     assert not go(pipeline, payload(0 * counts, 2))
     assert pipeline.withheld["no_signal"] == 2
     assert go(pipeline, payload(touched, 3))
-    assert pipeline.events.count("withheld:no_signal") == 1
+    assert pipeline.record.events.count("withheld:no_signal") == 1
     assert go(pipeline, payload(touched, 4))
-    assert not any("withheld" in event for event in pipeline.events)
+    assert not any("withheld" in event for event in pipeline.record.events)
     # A sheet that is touched all over keeps a fiftieth of its voltages: that is a signal.
     assert go(pipeline, payload((counts // 50).astype(counts.dtype), 5))
 
@@ -109,44 +109,52 @@ class Sees:
 
 
 def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
-    pipeline._gate, pipeline.engines[0], pipeline.watch = Blind(), Sees(pipeline.buffers), Watch(9)
+    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9)
     for sequence in range(1, AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
-        assert pipeline.solver == "none"
+        assert pipeline.record.solver == "none"
     for sequence in range(AUDIT_FRAMES, AUDIT_FRAMES + 3):  # and from then on every frame
         assert go(pipeline, payload(touched, sequence))
-        assert (pipeline.touched, pipeline.solver, pipeline.events) == (True, "vd2t", ("gate_overruled",))
-        assert not pipeline.map_is_zero
-    assert pipeline.watch.overruled == 3
+        assert (pipeline.record.touched, pipeline.record.solver, pipeline.record.events) == (
+            True,
+            "vd2t",
+            ("gate_overruled",),
+        )
+        assert not pipeline.record.map_is_zero
+    assert pipeline.audit.overruled == 3
     assert go(pipeline, payload(counts, AUDIT_FRAMES + 3))  # the touch is over: one more look, then the gate alone
-    assert (pipeline.touched, pipeline.solver, pipeline.skipped[0]) == (False, "none", "map:untouched")
+    assert (pipeline.record.touched, pipeline.record.solver, pipeline.record.skipped[0]) == (
+        False,
+        "none",
+        "map:untouched",
+    )
     assert go(pipeline, payload(counts, AUDIT_FRAMES + 4))
-    assert pipeline.skipped[0] == "inference:untouched"
+    assert pipeline.record.skipped[0] == "inference:untouched"
 
 
 def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
-    pipeline.engines[0], pipeline.watch = Sees(pipeline.buffers), Watch(9)
+    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9)
     solvers, skipped = set(), []
     for sequence in range(1, 2 * AUDIT_FRAMES + 1):
         assert go(pipeline, payload(counts, sequence))
-        solvers.add(pipeline.solver)
-        skipped.append(pipeline.skipped[0])
+        solvers.add(pipeline.record.solver)
+        skipped.append(pipeline.record.skipped[0])
     assert solvers == {"none"}
     assert skipped.count("map:untouched") == 2
     assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
-    pipeline.watch = Watch(9)
+    pipeline.audit = GateAudit(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(counts, sequence), wanted=False)
-        assert not pipeline.inferred
+        assert not pipeline.record.inferred
 
 
 def test_a_bundle_that_does_not_say_what_is_strong_is_not_looked_after(pipeline, counts):
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(counts, sequence))
-        assert not pipeline.inferred
+        assert not pipeline.record.inferred
 
 
 @pytest.mark.parametrize("value", [0, 1351, 2.5, [3, 4], "many"])
@@ -160,10 +168,10 @@ def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
     pipeline = Pipeline(tiny, hello, solver="tikhonov")
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline._gate, pipeline.watch = Blind(), Watch(9)
+    pipeline._gate, pipeline.audit = Blind(), GateAudit(9)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
-        assert pipeline.solver == "none"
+        assert pipeline.record.solver == "none"
 
 
 class Broken:
@@ -187,23 +195,23 @@ def test_a_map_that_is_not_finite_is_never_published(pipeline, touched, value):
 
 def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, counts):
     assert go(pipeline, payload(counts, 10))
-    assert pipeline.events == ()
+    assert pipeline.record.events == ()
     assert go(pipeline, payload(counts, 13))
-    assert pipeline.events == ("lost",)
+    assert pipeline.record.events == ("lost",)
     assert pipeline.counter.lost == 2
     assert go(pipeline, payload(counts, 14, saturation=0b101))
-    assert pipeline.events == ("saturated",)
+    assert pipeline.record.events == ("saturated",)
     assert go(pipeline, payload(counts, 0))
-    assert pipeline.events == ("device_reset",)
+    assert pipeline.record.events == ("device_reset",)
     assert go(pipeline, payload(counts, 1))
-    assert pipeline.events == ()
+    assert pipeline.record.events == ()
 
 
 def test_the_device_time_goes_on_over_the_wrap_of_its_counter(pipeline, counts):
     for sequence in range(6):
         device_us = (2**32 - 12_000 + sequence * 5000) % 2**32
         assert go(pipeline, Frame(sequence=sequence, device_us=device_us, counts=counts).pack())
-    assert pipeline.device_us == 2**32 - 12_000 + 25_000
+    assert pipeline.record.device_us == 2**32 - 12_000 + 25_000
 
 
 def test_thousands_of_frames_leave_no_memory_behind(pipeline, counts, touched):
@@ -224,7 +232,7 @@ def test_a_bundle_without_a_gate_computes_every_frame(tiny, hello, counts):
     pipeline = Pipeline(Bundle(tiny.path, tiny.manifest, files, tiny.id), hello)
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
     assert go(pipeline, payload(counts, 1))
-    assert pipeline.solver == "vd2t"
+    assert pipeline.record.solver == "vd2t"
 
 
 def test_a_budget_below_the_fastest_solver_is_refused_with_its_time(tiny, hello):
@@ -245,7 +253,7 @@ class Slow:
         self.engine.infer()
 
 
-def test_under_pressure_the_ladder_goes_down_and_comes_back(virtual_skin, tiny_path, monkeypatch):
+def test_under_pressure_a_faster_solver_takes_over_and_gives_back(virtual_skin, tiny_path, monkeypatch):
     monkeypatch.setattr(latency_budget, "HOLD_FRAMES", 10)
     with (
         virtual_skin(touches=[[0.15, 60, 0.3]], rate_hz=50.0) as port,
@@ -286,7 +294,7 @@ def test_when_nothing_is_fast_enough_stale_frames_are_dropped_for_the_newest(vir
     assert np.median([frame.age_us for frame in frames[10:]]) < 500_000
 
 
-def test_real_engines_under_load_go_down_the_ladder_and_come_back(virtual_skin, tiny_path, monkeypatch):
+def test_real_engines_under_load_give_way_to_faster_ones_and_come_back(virtual_skin, tiny_path, monkeypatch):
     # The load is threads that hold the interpreter for 5 ms in turn whenever an engine has let go of it. Other
     # processes would not do: the kernel lets a loop that mostly sleeps go first, however busy the processor is.
     monkeypatch.setattr(latency_budget, "HOLD_FRAMES", 3)

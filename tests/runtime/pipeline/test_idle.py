@@ -55,7 +55,7 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
         frames = []
         for frame in skin.frames(timeout_s=30.0):
             frames.append(frame)
-            if skin.pipeline.idle and any(seen.map.any() for seen in frames):
+            if skin.pipeline.record.idle and any(seen.map.any() for seen in frames):
                 break  # it has been idle, awake, and is idle again
         assert skin.pipeline.withheld["partial"] == 0
     idle = ["acquisition:idle" in frame.skipped for frame in frames]
@@ -86,7 +86,7 @@ def test_a_host_finds_whole_scans_whatever_the_one_before_left(virtual_skin, wat
         with Skin(port, bundle=watchful) as skin:
             skin.capture_reference(5)
             assert skin.pipeline.withheld["partial"] == 0
-            assert not skin.pipeline.idle
+            assert not skin.pipeline.record.idle
 
 
 def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):

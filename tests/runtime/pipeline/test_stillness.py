@@ -8,7 +8,8 @@ import pytest
 
 import eitskin
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import MAP_BYTES, FramePacker, MapMissing, unpack_frame
+from eitskin.messaging.frame import MAP_BYTES, MapMissing, unpack_frame
+from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.pipeline.stillness import LARGEST_SPREAD, REFRESH_FRAMES, Stillness
 

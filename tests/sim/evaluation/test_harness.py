@@ -292,7 +292,7 @@ def test_network_explains_which_references_it_takes(tiny, file, capsys):
 def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_sheet(
     tiny, phantoms, monkeypatch, prediction
 ):
-    from eitskin.model.engine import GeometryGraph
+    from eitskin.model.geometry import GeometryGraph
 
     fed, clouds = [], []
     geometry = GeometryGraph.geometry

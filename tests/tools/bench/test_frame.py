@@ -8,8 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
-from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
 from eitskin_tools.bench.footprint import bench as footprint
 from eitskin_tools.bench.frame import bench as frame
 from eitskin_tools.bench.frame import line_floor

@@ -3,7 +3,7 @@ from pathlib import Path
 
 import pytest
 
-from eitskin_tools.bench.tradeoff.bench import markdown
+from eitskin_tools.bench.tradeoff.report import markdown
 from eitskin_tools.cli import main
 
 PHANTOMS = [

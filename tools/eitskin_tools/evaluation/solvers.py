@@ -91,8 +91,10 @@ def named(request: Request, labels: str) -> Named:
 
 
 def _network(request: Request, labels: str) -> Named:
+    from eitskin.model.buffers import Buffers
     from eitskin.model.bundle import default_path, load_bundle
-    from eitskin.model.engine import Buffers, GeometryGraph, engines
+    from eitskin.model.engine import engines
+    from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
 
     loaded = load_bundle(request.bundle or default_path(labels))

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.health.gate_without_rows import Resting
+from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency, Imputation, rows_of
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.table import N_ROWS
@@ -117,13 +117,13 @@ def _ways(
 ) -> dict[str, Callable[[Lost], Judge]]:
     """Return what makes a judge of each way of seeing rows that are gone."""
     gate = Gate(arrays)
-    resting = Resting(consistency, gate, np.maximum(sigma, 5e-4))
+    gate_without_rows = GateWithoutRows(consistency, gate, np.maximum(sigma, 5e-4))
 
     def runtime(lost: Lost) -> Judge:
-        resting.leave_out(rows_of(lost))
-        resting.finish()
+        gate_without_rows.leave_out(rows_of(lost))
+        gate_without_rows.finish()
         threshold = gate.threshold
-        return lambda dv: gate.logits(resting.filled(dv)) > threshold
+        return lambda dv: gate.logits(gate_without_rows.filled(dv)) > threshold
 
     if not count:
         return {"whole": runtime}

@@ -18,8 +18,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import HEADS, Buffers, GeometryGraph, engines
+from eitskin.model.engine import HEADS, engines
+from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -64,7 +66,8 @@ def streamed_bytes(bundle: Bundle, solver: str = "vd2t") -> int:
 
 def _unsplit(bundle: Bundle, buffers: Buffers, threads: int) -> Infer:
     import onnx
-    import onnxruntime
+
+    from eitskin.model.session import onnxruntime
 
     geometry, head = (onnx.load(io.BytesIO(bundle.files[name])) for name in ("geometry.onnx", "head.onnx"))
     joined = onnx.compose.merge_models(

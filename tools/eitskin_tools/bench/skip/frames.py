@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import GeometryGraph
+from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame
@@ -54,10 +54,9 @@ class Frames:
 
     def pipeline(self, bundle: Bundle, *, skip_unchanged: bool = False) -> Pipeline:
         """Return a pipeline for the flat sheet's cloud, ready for frames."""
-        pipeline = Pipeline(bundle, self.hello, skip_unchanged=skip_unchanged)
-        pipeline.health = health_of(bundle)
+        pipeline = Pipeline(bundle, self.hello, skip_unchanged=skip_unchanged, health=health_of(bundle))
         pipeline.use_reference(self.reference)
-        pipeline.buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
+        pipeline.start_with(GeometryGraph(bundle).geometry(None, None, 0))
         return pipeline
 
 

@@ -8,7 +8,7 @@ import numpy.typing as npt
 
 from eitskin.messaging.regions import Region
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import GeometryGraph
+from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_tools.bench.skip.cost import interleaved, saving
@@ -62,14 +62,14 @@ class Redone(Way):
 
     def __call__(self) -> bool:
         """Take the prepared frame."""
-        self.pipeline.buffers.take(self._graph.geometry(self._cloud, None, 1))
+        self.pipeline.start_with(self._graph.geometry(self._cloud, None, 1))
         return super().__call__()
 
 
 def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
     """Return the row of "cloud unchanged": the map is the same to the last bit."""
     kept = Way(frames, frames.pipeline(bundle), touched_V)
-    kept.pipeline.buffers.take(GeometryGraph(bundle).geometry(flat_cloud(), None, 1))
+    kept.pipeline.start_with(GeometryGraph(bundle).geometry(flat_cloud(), None, 1))
     redone = Redone(frames, bundle, touched_V)
     row = saving(interleaved({"with": kept, "without": redone}, count))
     return {**row, "largest_map_error": _largest(kept, redone, slice(None))}
@@ -87,7 +87,7 @@ def regions(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dic
     """Return the row of "regions": the map inside the region against that of the whole sheet."""
     region = Region.from_mm(*REGION_MM)
     part, whole = (Way(frames, frames.pipeline(bundle), touched_V) for _ in range(2))
-    part.pipeline.use_part(part.pipeline.part(bundle, (region,)))
+    part.pipeline.use_regions((region,))
     row = saving(interleaved({"with": part, "without": whole}, count))
     inside = np.zeros(GRID_SHAPE, dtype=np.bool_)
     inside[region.first_row : region.last_row, region.first_column : region.last_column] = True
@@ -115,7 +115,7 @@ def unchanged(bundle: Bundle, frames: Frames, resting_V: Array, changed_V: Array
         for way in (kept, computed):
             way.prepare(index)
             way()
-        fresh.append(kept.pipeline.inferred)
+        fresh.append(kept.pipeline.record.inferred)
         likeness.append(float(np.corrcoef(kept.pipeline.buffers.map[0], computed.pipeline.buffers.map[0])[0, 1]))
     first = len(resting_V)
     late = np.flatnonzero(fresh[first:])

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.bench.tradeoff.report import markdown, plot
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -32,10 +33,6 @@ PERIOD_S: Final = 0.005
 
 L1_STEPS: Final = (10, 50, 200, 400)
 """Iterations of FISTA that are compared; the last is the solver's own."""
-
-
-SMALLEST_ERROR: Final = 1e-4
-"""Where the picture's axis ends."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -190,9 +187,11 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
     """Return the variants that a bundle offers; none where its labels are not these."""
     import numpy as np
 
+    from eitskin.model.buffers import Buffers
     from eitskin.model.bundle import load_bundle
-    from eitskin.model.engine import Buffers, GeometryGraph, engines
+    from eitskin.model.engine import engines
     from eitskin.model.gate import Gate
+    from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
     from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
     from eitskin_proto.sensor.normalise import relative_change
@@ -247,53 +246,3 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
 
         found.append(Variant(f"gate alone{suffix}", judge, lambda case, truth, touched: float(not touched)))
     return found
-
-
-def markdown(rows: Sequence[dict[str, Any]]) -> str:
-    """Return the table, the most accurate first."""
-    lines = ["| variant | 1 - CC | p50, us | p99, us | on the front |", "|---|---|---|---|---|"]
-    for row in sorted(rows, key=lambda row: row["error"]):
-        front = "yes" if row["pareto"] else ""
-        lines.append(f"| {row['variant']} | {row['error']:.4f} | {row['p50']:.0f} | {row['p99']:.0f} | {front} |")
-    return "\n".join(lines)
-
-
-def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Draw error against run time, one panel a file, the Pareto front as a line."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from eitskin_tools.bench.tradeoff.point_names import beside
-
-    figure, panels = pyplot.subplots(
-        1, len(found), figsize=(7.0 * len(found), 5.2), layout="constrained", squeeze=False
-    )
-    for axes, (name, rows) in zip(panels[0], found.items(), strict=True):
-        shown = _shown(rows)
-        front = sorted((row for row in shown if row["pareto"]), key=lambda row: row["p50"])
-        axes.plot(*zip(*map(_point, front), strict=True), color="tab:red", zorder=1)
-        for row in shown:
-            axes.scatter(*_point(row), color="tab:red" if row["pareto"] else "tab:grey", zorder=2)
-        axes.set(xscale="log", yscale="log", xlabel="paced run time, us (p50)", ylabel="1 - CC", title=name)
-        axes.grid(alpha=0.3)
-    figure.canvas.draw()  # gives the panels their places
-    figure.set_layout_engine("none")
-    for axes, rows in zip(panels[0], found.values(), strict=True):
-        shown = _shown(rows)
-        beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
-    try:
-        figure.savefig(path, dpi=100)
-    finally:
-        pyplot.close(figure)
-
-
-def _shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows that the picture shows: the gate's error is one of another kind."""
-    return [row for row in rows if not row["variant"].startswith("gate")]
-
-
-def _point(row: dict[str, Any]) -> tuple[float, float]:
-    """Return where a variant stands in the picture; an error of 0 cannot stand on a logarithmic axis."""
-    return row["p50"], max(row["error"], SMALLEST_ERROR)

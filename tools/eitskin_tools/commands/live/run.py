@@ -118,7 +118,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
-    from eitskin.serve import serve
+    from eitskin.serving import serve
 
     keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
     publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
@@ -168,7 +168,7 @@ def _report(skin: Any) -> None:
         f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
         f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
     )
-    solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.engine_ns.items())
+    solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
     _say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
     gate = skin.bundle.manifest.get("gate") or {}
     _say(f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle")

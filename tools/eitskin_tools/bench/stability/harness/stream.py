@@ -13,7 +13,8 @@ import numpy.typing as npt
 
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine, Geometry, GeometryGraph, engines
+from eitskin.model.engine import Engine, engines
+from eitskin.model.geometry import Geometry, GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import log_ratio
@@ -58,8 +59,7 @@ class Stream:
             files = {name: data for name, data in bundle.files.items() if name != "gate.npz"}
             bundle = replace(bundle, files=files)
         self.bundle, self.tally = bundle, tally
-        self.pipeline = Pipeline(bundle, HELLO)
-        self.pipeline.health = health_of(bundle)
+        self.pipeline = Pipeline(bundle, HELLO, health=health_of(bundle))
         self._engines = {engine.name: engine for engine in engines(bundle, self.pipeline.buffers)}
         self._graph = GeometryGraph(bundle)
         self._sequence = 0
@@ -94,10 +94,9 @@ class Stream:
             self._reference = np.zeros(0)  # the next sample is of a stream that has seen nothing yet
         if not self._passes(counts, saturation):
             return None
-        shown = pipeline.zero_bytes if pipeline.map_is_zero else pipeline.map_bytes
-        image = np.frombuffer(shown, dtype=np.float32).reshape(GRID_SHAPE)
+        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(GRID_SHAPE)
         self.tally.take(image)
-        self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.events
+        self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.record.events
         return image.astype(np.float64)
 
     def _passes(self, counts: npt.NDArray[np.int32], saturation: int) -> bool:
@@ -118,7 +117,7 @@ class Stream:
     @property
     def touched(self) -> bool:
         """What the gate said of the last frame, before the map that is looked at now and then overruled it."""
-        return self.pipeline.touched and "gate_overruled" not in self.pipeline.events
+        return self.pipeline.record.touched and "gate_overruled" not in self.pipeline.record.events
 
     def _prepare(self, sample: Sample) -> None:
         """Give the pipeline the sample's scale, reference and cloud, where they changed."""
@@ -133,7 +132,7 @@ class Stream:
             self._reference = reference
         cloud = sample.sheet.cloud_mm
         if cloud is not self._cloud:
-            self.pipeline.buffers.take(self._geometry(sample.sheet))
+            self.pipeline.start_with(self._geometry(sample.sheet))
             self._cloud = cloud
 
     def _geometry(self, sheet: Sheet) -> Geometry:

@@ -14,17 +14,19 @@ from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
-import onnxruntime
 
+from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, load_bundle
-from eitskin.model.engine import Buffers, GeometryGraph, engines
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
+from eitskin.model.session import onnxruntime
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
 from eitskin_tools.bench.stability.harness.rows import Row, rounded
 from eitskin_tools.bench.stability.harness.samples import Sample
 
-Array = npt.NDArray[np.float32]
+Floats = npt.NDArray[np.float32]
 
 BATCH: Final = 16
 
@@ -33,7 +35,7 @@ SHARED_SCALE: Final = (
 )
 
 
-def inputs_of(samples: Sequence[Sample]) -> Array:
+def inputs_of(samples: Sequence[Sample]) -> Floats:
     """Return (n, 104) dV of some samples, repeated with small changes up to a batch."""
     base = np.stack([relative_change(s.read, s.flat) for s in samples])
     rng = np.random.default_rng(0)
@@ -41,7 +43,7 @@ def inputs_of(samples: Sequence[Sample]) -> Array:
     return np.asarray(more + 0.01 * rng.standard_normal(more.shape), dtype=np.float32)
 
 
-def maps_of(bundle: Bundle, changes: Array, engine: int = 0) -> Array:
+def maps_of(bundle: Bundle, changes: Floats, engine: int = 0) -> Floats:
     """Return (n, 1350) maps on the flat sheet, one at a time through the runtime's engine."""
     buffers = Buffers(bundle.bias_width)
     found = engines(bundle, buffers)[engine]
@@ -54,7 +56,7 @@ def maps_of(bundle: Bundle, changes: Array, engine: int = 0) -> Array:
     return np.stack(maps)
 
 
-def digest(maps: Array) -> str:
+def digest(maps: Floats) -> str:
     """Return the SHA-256 of some maps."""
     return hashlib.sha256(np.ascontiguousarray(maps, dtype="<f4").tobytes()).hexdigest()
 
@@ -118,7 +120,7 @@ def _row(
     }
 
 
-def _digest_elsewhere(bundle: Bundle, changes: Array) -> str:
+def _digest_elsewhere(bundle: Bundle, changes: Floats) -> str:
     done = subprocess.run(
         [sys.executable, "-m", "eitskin_tools.bench.stability.sweeps.repeat", str(bundle.path)],
         input=changes.astype("<f4").tobytes(), capture_output=True, check=True, timeout=120,
@@ -126,7 +128,7 @@ def _digest_elsewhere(bundle: Bundle, changes: Array) -> str:
     return done.stdout.decode().strip()
 
 
-def _session_maps(bundle: Bundle, name: str, changes: Array, *, threads: int) -> Array:
+def _session_maps(bundle: Bundle, name: str, changes: Floats, *, threads: int) -> Floats:
     options = onnxruntime.SessionOptions()
     options.intra_op_num_threads = threads
     options.log_severity_level = 3
@@ -138,7 +140,7 @@ class UnbatchedError(ValueError):
     """A head that takes one frame at a time."""
 
 
-def _batch_maps(bundle: Bundle, name: str, changes: Array) -> Array:
+def _batch_maps(bundle: Bundle, name: str, changes: Floats) -> Floats:
     """Return the maps of a head whose batch of one was made a free dimension.
 
     Raises:
@@ -158,7 +160,7 @@ def _batch_maps(bundle: Bundle, name: str, changes: Array) -> Array:
     return np.asarray(session.run(["map"], _feed(bundle, changes))[0])
 
 
-def _feed(bundle: Bundle, changes: Array) -> dict[str, Array]:
+def _feed(bundle: Bundle, changes: Floats) -> dict[str, Floats]:
     geometry = GeometryGraph(bundle).geometry(None, None, 0)
     feed = {"dv": changes, "bias": np.repeat(geometry.bias, len(changes), axis=0)}
     if bundle.uses_prediction:

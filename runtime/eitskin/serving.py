@@ -3,6 +3,7 @@
 import time
 from typing import Final
 
+from eitskin.messaging.frame_record import READ
 from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin
 
@@ -31,16 +32,10 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
     next_look_ns = next_join_ns = time.perf_counter_ns()
     regions = publisher.regions
     publisher.look()
-    for _ in skin.readings(lambda: publisher.wanted, until_ns):
-        if publisher.wanted:
-            publisher.send(skin.pack(short=publisher.takes_short and not publisher.joined))
-            publisher.joined = False
-        else:
-            skin.pass_over()
-        skin.finish()
+    for record in skin.publish(publisher, until_ns):
         if frames is not None and skin.statistics.frames >= frames:
             return
-        now_ns = skin.pipeline.stamps[0]
+        now_ns = record.stamps[READ]
         if now_ns >= next_join_ns:  # behind a frame, not before it
             next_join_ns = now_ns + JOIN_NS
             publisher.look()

@@ -1,0 +1,298 @@
+"""The order of a frame's way, and what happens when frames do not come.
+
+::
+
+    read -> accept -> capture -> compute -> mode -> pack -> publish -> finish
+     ^       |  withheld                |  withheld
+     |<------+--------------------------+            silence, a reset, a port that returned: greet the device anew
+
+The loop blocks in the transport's ``read`` and nowhere else. Each step is somebody else's: the device reads, the
+pipeline accepts and computes, messages are packed and handed to a taker. Between them goes one
+:class:`eitskin.messaging.frame_record.FrameRecord`.
+"""
+
+import time
+from collections.abc import Iterator
+from typing import Final, Protocol
+
+from eitskin.acquisition.device import Device
+from eitskin.errors import BadReference, HandshakeError, PortReturned, SkinError
+from eitskin.messaging.frame_message import FrameMessages
+from eitskin.messaging.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.idle import IdleMode
+from eitskin.pipeline.stats import Statistics
+from eitskin.reference.captured import Reference, ReferenceBuilder
+from eitskin.reference.recapture import Recapture
+from eitskin_proto.wire.answers import Event
+from eitskin_proto.wire.codes import MessageType
+from eitskin_proto.wire.frames import FRAME_TYPE
+
+CAPTURE_S: Final = 30.0
+"""How long capturing a reference may take before it is given up, beyond what its frames take."""
+
+LEISURE_S: Final = 0.001
+"""The line rests if nothing comes for so long; what was published has been handed over by then."""
+
+MOST_FRUITLESS: Final = 5
+"""How often a device is greeted anew without a single payload in between."""
+
+MOST_AT_ONCE: Final = 64
+"""Payloads of which the newest is looked for; a device faster than this loop has its rest dropped next time."""
+
+
+class Taker(Protocol):
+    """Who takes the messages of frames: a publisher, or this process."""
+
+    @property
+    def wanted(self) -> bool:
+        """Whether anybody takes frames; otherwise they are neither computed nor packed."""
+
+    @property
+    def short(self) -> bool:
+        """Whether the next message may go without a map that has not changed."""
+
+    def send(self, message: memoryview) -> None:
+        """Take one message, whose memory the next one overwrites."""
+
+
+class FrameLoop:
+    """Takes frames from a device through a pipeline to whoever takes them.
+
+    Args:
+        device: It answered the handshake.
+        pipeline: Made for it.
+        idle: When to ask the device for which mode; None leaves it scanning.
+    """
+
+    def __init__(self, device: Device, pipeline: Pipeline, idle: IdleMode | None) -> None:
+        self._device, self._pipeline, self.idle = device, pipeline, idle
+        self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number)
+        self.statistics = Statistics()
+        self.recoveries = 0
+        """How often the device was greeted anew after silence or a reset."""
+        self.reference: Reference | None = None
+        self.stopping = False
+        self._started = False
+        self._fruitless = 0
+        self._heard_ns = time.perf_counter_ns()
+        self._pending_events: tuple[str, ...] = ()
+        self._recapture: Recapture | None = None
+
+    @property
+    def published(self) -> int:
+        """Frames packed so far."""
+        return self._messages.published
+
+    def run(self, taker: Taker, until_ns: int | None = None) -> Iterator[FrameRecord]:
+        """Take frames through, and yield each one's record when it is done; the next frame overwrites it.
+
+        Args:
+            taker: Who takes their messages.
+            until_ns: When to end, on ``perf_counter_ns``; None goes on until ``stop``.
+
+        Raises:
+            BadReference: There is no reference yet.
+            PortLost: The port vanished.
+            HandshakeError: The device fell silent and does not answer, or came back as another one.
+        """
+        if self.reference is None:
+            raise BadReference(
+                "there is no reference: call capture_reference() with the sheet flat and untouched, or open the skin "
+                "with reference=FILE"
+            )
+        pipeline, record = self._pipeline, self._pipeline.record
+        for _ in self._accepted(until_ns):
+            recapture = self._recapture
+            if recapture is not None and not record.idle:
+                self._feed(recapture)
+            wanted = taker.wanted
+            if pipeline.compute(wanted):
+                self._choose_mode(whole=recapture is not None)
+                if wanted:
+                    taker.send(self._pack(short=taker.short))
+                else:
+                    record.stamps[PACK] = record.stamps[INFER]
+                self._finish()
+                yield record
+
+    def _choose_mode(self, *, whole: bool) -> None:
+        """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
+        if self.idle is not None:
+            record, health = self._pipeline.record, self._pipeline.health
+            lacking = health is not None and health.electrodes.missing.any()
+            touched = whole or record.touched or bool(lacking)  # the idle gate knows no missing rows
+            mode = self.idle.step(record.stamps[READ], touched=touched, idle=record.idle)
+            if mode is not None:
+                self._device.ask_mode(mode)
+
+    def _pack(self, *, short: bool) -> memoryview:
+        record = self._pipeline.record
+        self._messages.begin(record, short=short)
+        self._pipeline.judge(record.stamps[PACK])
+        record.corrupt = self._device.deframer.corrupt
+        return self._messages.finish(record)
+
+    def _finish(self) -> None:
+        """Take note of the frame, after it was handed over."""
+        record = self._pipeline.record
+        record.stamps[PUBLISH] = time.perf_counter_ns()
+        self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
+        self._pipeline.note_health()
+
+    # -- reference -----------------------------------------------------------------------------------------------------
+
+    def use(self, found: Reference) -> None:
+        """Normalise against a reference from the next frame on; before the loop runs, or in its thread."""
+        self._pipeline.use_reference(found)
+        self.reference = found
+
+    def capture(self, frames: int) -> Reference:
+        """Use the mean of the next frames as the reference, and return it; the loop must not run.
+
+        Raises:
+            BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+            PortLost: The port vanished.
+            ValueError: Fewer than 2 frames.
+        """
+        builder = ReferenceBuilder(frames)
+        for _ in self._accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
+            if self._fit_for_reference() and builder.add(self._pipeline.normaliser.voltages()):
+                found = builder.finish(self._device.hello)
+                self.use(found)
+                return found
+        if self.stopping:
+            raise BadReference("stopped while the reference was captured")
+        raise BadReference(f"only {builder.taken} of {frames} frames for the reference came; is the device streaming?")
+
+    def recapture(self, frames: int) -> Reference:
+        """Capture a new reference while the loop runs, from another thread.
+
+        Raises:
+            BadReference: As in :meth:`capture`; the old reference stays.
+        """
+        recapture = Recapture(frames)
+        self._recapture = recapture
+        if not recapture.wait(self._patience_s(frames)):
+            self._recapture = None
+            raise recapture.too_few()
+        assert self.reference is not None
+        return self.reference
+
+    def _patience_s(self, frames: int) -> float:
+        return CAPTURE_S + frames / max(self._device.hello.rate_mHz / 1000, 1e-3)
+
+    def _fit_for_reference(self) -> bool:
+        return "saturated" not in self._pipeline.record.events
+
+    def _feed(self, recapture: Recapture) -> None:
+        if not self._fit_for_reference() or not recapture.builder.add(self._pipeline.normaliser.voltages()):
+            return
+        self._recapture = None
+        try:
+            found = recapture.builder.finish(self._device.hello)
+            self.use(found)
+            self._pipeline.record.note("reference")
+        except SkinError as error:
+            recapture.settle(error)
+        else:
+            recapture.settle()
+
+    # -- reading -------------------------------------------------------------------------------------------------------
+
+    def _accepted(self, until_ns: int | None) -> Iterator[None]:
+        """Yield whenever the pipeline has accepted a frame; the loop that blocks in ``read``.
+
+        What came before anybody asked is left out: a robot's first frame must not be an old one.
+        """
+        device, pipeline = self._device, self._pipeline
+        self._start()
+        backlog = True
+        self._heard_ns = time.perf_counter_ns()
+        while not self.stopping:
+            wait_s = device.silence_s
+            if until_ns is not None:
+                wait_s = min(wait_s, (until_ns - time.perf_counter_ns()) * 1e-9)
+                if wait_s <= 0:
+                    return
+            try:
+                payloads = self._payloads(wait_s)
+                if payloads and (backlog or pipeline.budget.drops_stale):
+                    payloads = self._newest(payloads)
+                    backlog = False
+            except PortReturned:
+                self._recover()
+                continue
+            read_ns = device.read_ns
+            if not payloads:
+                if not self.stopping and (read_ns - self._heard_ns) * 1e-9 >= device.silence_s:
+                    self._recover()
+                continue
+            self._heard_ns = read_ns
+            self._fruitless = 0
+            held = device.held
+            held.extend(payloads)
+            while held:  # what is left when the caller stops asking comes again the next time
+                payload = held.popleft()
+                if payload[0] != FRAME_TYPE:
+                    self._take_note(payload)
+                elif pipeline.accept(payload, read_ns):
+                    if self._pending_events:
+                        pipeline.record.note(*self._pending_events)
+                        self._pending_events = ()
+                    yield
+                    if self.stopping:
+                        return
+            if pipeline.intake.generation_differs:
+                self._recover()
+
+    def _payloads(self, wait_s: float) -> list[bytes]:
+        """Return what comes, waiting for it; if nothing comes for a moment, do what can wait, and wait on."""
+        if self._pipeline.has_leisure_work:
+            if payloads := self._device.payloads(LEISURE_S):
+                return payloads
+            self._pipeline.look_at_health()
+        return self._device.payloads(wait_s)
+
+    def _start(self) -> None:
+        """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""
+        if not self._started:
+            self._started = True
+            self._device.start()
+            self._pipeline.clock.anchor(self._device.time_sample)
+
+    def _newest(self, payloads: list[bytes]) -> list[bytes]:
+        """Return what to compute when time is short: of all frames that wait, the newest."""
+        while more := self._device.payloads(0.0):
+            payloads += more
+            if len(payloads) > MOST_AT_ONCE:
+                break
+        for payload in payloads[:-1]:
+            if payload[0] == FRAME_TYPE:
+                self._pipeline.intake.discard(payload)
+            else:
+                self._take_note(payload)
+        return payloads[-1:]
+
+    def _recover(self) -> None:
+        if self._fruitless >= MOST_FRUITLESS:
+            raise HandshakeError(
+                f"{self._device.transport.name} answers and acknowledges START, but sent no frame after "
+                f"{MOST_FRUITLESS} attempts: power the device off and on; if that does not help, flash it"
+            )
+        self._fruitless += 1
+        while True:
+            try:
+                self._device.recover()
+                break
+            except PortReturned:
+                continue  # it vanished once more while it was greeted
+        self.recoveries += 1
+        self._pipeline.greet(self._device.hello)
+        self._pipeline.clock.anchor(self._device.time_sample)
+        self._pending_events = (*self._pending_events, "recovered")
+        self._heard_ns = time.perf_counter_ns()
+
+    def _take_note(self, payload: bytes) -> None:
+        if payload[0] == MessageType.EVENT and len(payload) == Event.LAYOUT.size and len(self._pending_events) < 8:
+            self._pending_events = (*self._pending_events, f"device:{Event.unpack(payload).text.lower()}")

@@ -1,0 +1,87 @@
+"""From a frame's record to its message: numbered, the map copied only when it is another one, stamped at the very end.
+
+Packing has two halves, since between them the frame is held against its latency budget::
+
+    begin     number, map                           stamp: pack
+    finish    texts, all numbers, the age           stamp: publish
+"""
+
+import os
+import time
+from typing import Final
+
+from eitskin.messaging.frame import TOUCHED
+from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_record import PACK, PUBLISH, FrameRecord
+
+MAP_UNCHANGED: Final = "map:unchanged"
+
+
+class FrameMessages:
+    """Makes the message of one frame after another, in the memory of one.
+
+    Args:
+        configuration: Name and digest of the device's configuration.
+        bundle: Id.
+        serial_number: Of the device.
+    """
+
+    __slots__ = ("_packed_map", "_packer", "_sent_map", "_short", "published")
+
+    def __init__(self, configuration: str, bundle: str, serial_number: str) -> None:
+        run = os.urandom(4).hex()  # differs after each start
+        self._packer = FramePacker(configuration=configuration, bundle=bundle, serial_number=serial_number, run=run)
+        self.published = 0
+        """Frames packed so far."""
+        self._sent_map = -1
+        """The frame whose map went out last."""
+        self._packed_map = -2
+        """The frame whose map the packer holds; -1 for one that is zero."""
+        self._short = False
+
+    def begin(self, record: FrameRecord, *, short: bool) -> None:
+        """Give a frame its number and copy its map.
+
+        Args:
+            record: The frame.
+            short: Leave the map out if it is that of the frame before, which every subscriber has.
+        """
+        self.published += 1
+        self._short = short and record.map_sequence == self._sent_map
+        self._sent_map = record.map_sequence
+        if self._short:
+            record.skipped += (MAP_UNCHANGED,)
+        else:
+            packed = -1 if record.solver == "none" else record.map_sequence
+            if packed != self._packed_map:
+                self._packer.put_map(record.map)
+                self._packed_map = packed
+        record.stamps[PACK] = time.perf_counter_ns()
+
+    def finish(self, record: FrameRecord) -> memoryview:
+        """Return the message of the frame, with publishing stamped as now; the next frame overwrites it."""
+        packer, stamps = self._packer, record.stamps
+        packer.put_texts(record.solver, record.skipped, record.events, record.regions, record.electrodes)
+        stamps[PUBLISH] = time.perf_counter_ns()
+        age_us = max(0, (stamps[PUBLISH] - record.scanned_ns) // 1000)
+        packer.put_numbers(
+            (self.published, record.sequence, record.device_us, age_us, TOUCHED[record.touched], record.gate_logit,
+             record.cloud, record.weak_rows, record.map_sequence, record.drift_percent, *stamps, record.lost,
+             record.corrupt, record.withheld, record.overrun)
+        )  # fmt: skip
+        return packer.short_message() if self._short else packer.message()
+
+
+class LastMessage:
+    """Takes every message, whole, in this process."""
+
+    __slots__ = ("message",)
+    wanted, short = True, False
+
+    def __init__(self) -> None:
+        self.message = b""
+        """A copy of the last one."""
+
+    def send(self, message: memoryview) -> None:
+        """Keep a copy."""
+        self.message = bytes(message)

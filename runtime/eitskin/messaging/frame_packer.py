@@ -1,0 +1,169 @@
+"""One frame's message in memory, overwritten for each frame: the publisher's half of :mod:`eitskin.messaging.frame`.
+
+Everything that changes with each frame has a fixed width and stands first, so that it is overwritten in place and the
+time of publishing can be stamped last. Only the texts at the end vary in length. ::
+
+    v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
+"""
+
+import struct
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from eitskin.messaging.frame import (
+    COUNTS,
+    FIRST_BYTE,
+    LARGEST_MESSAGE,
+    MAP_BYTES,
+    MAX_TEXT,
+    MAX_TEXTS,
+    NUMBERS,
+    STAGES,
+    VERSION,
+    host_id,
+)
+from eitskin.messaging.regions import WHOLE, Regions
+from eitskin_proto.sensor.grid import GRID_SHAPE
+
+
+class FramePacker:
+    """One message in memory, overwritten for each frame.
+
+    Args:
+        configuration: Name and digest of the device's configuration.
+        bundle: Id.
+        serial_number: Of the device.
+        run: Differs after each start.
+    """
+
+    __slots__ = (
+        "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
+        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view",
+    )  # fmt: skip
+
+    _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
+
+    def __init__(self, *, configuration: str, bundle: str, serial_number: str, run: str) -> None:
+        head = bytearray()
+        self._slots: dict[str, tuple[struct.Struct, int]] = {}
+
+        def key(name: str) -> None:
+            head.extend(msgpack.packb(name))
+
+        def slot(name: str, kind: str) -> None:
+            code, layout, width = self._KINDS[kind]
+            head.append(code)
+            self._slots[name] = (struct.Struct(layout), len(head) - (width == 0))
+            head.extend(bytes(width))
+
+        constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
+        self._constant: dict[str, object] = {**constant, "host": host_id()}
+        plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"))  # fmt: skip
+        assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
+        entries = 1 + len(plain) + 4 + 5 + len(self._constant)
+        head += FIRST_BYTE + struct.pack(">H", entries)
+        key("v")
+        head.append(VERSION)
+        for name, kind in plain:
+            key(name)
+            slot(name, kind)
+        for group, names in (("host_ns", STAGES), ("counts", COUNTS)):
+            key(group)
+            head.append(0x80 | len(names))
+            for name in names:
+                key(name)
+                slot(name, "u")
+        self._map_at = len(head)
+        head += msgpack.packb("shape") + msgpack.packb(list(GRID_SHAPE)) + msgpack.packb("map")
+        head += b"\xc5" + struct.pack(">H", MAP_BYTES)
+        map_at = len(head)
+        self._tail_at = map_at + MAP_BYTES
+        self._buffer = bytearray(head) + bytes(LARGEST_MESSAGE - len(head))
+        self._view = memoryview(self._buffer)
+        self._map = self._view[map_at : self._tail_at]
+        self._short = bytearray(LARGEST_MESSAGE - MAP_BYTES)
+        self._short[: self._map_at] = head[: self._map_at]
+        struct.pack_into(">H", self._short, 1, entries - 2)
+        self._short_view = memoryview(self._short)
+        self._at, self._layout, self._arguments = self._whole()
+        self._tails: dict[tuple[str, tuple[str, ...], tuple[str, ...], Regions, tuple[str, ...]], bytes] = {}
+        self._texts: object = None
+        self._end = self._tail_at
+        self._short_end = self._map_at
+
+    def _whole(self) -> tuple[int, struct.Struct, list[Any]]:
+        """Return where the numbers begin, and what writes all of them, and the names between them, in one call."""
+        first = end = self._slots[NUMBERS[0]][1]
+        layout, arguments = ">", list[Any]()
+        for name in NUMBERS:
+            one, at = self._slots[name]
+            between = bytes(self._buffer[end:at])
+            layout += f"{len(between)}s{one.format.lstrip('>')}"
+            arguments += [between, 0]
+            end = at + one.size
+        return first, struct.Struct(layout), arguments
+
+    def put_numbers(self, numbers: tuple[float, ...]) -> None:
+        """Overwrite all numbers.
+
+        Args:
+            numbers: In the order of ``NUMBERS``; touched as ``TOUCHED[bool]``.
+        """
+        self._arguments[1::2] = numbers
+        self._layout.pack_into(self._buffer, self._at, *self._arguments)
+
+    def put(self, name: str, value: float) -> None:
+        """Overwrite one number of ``NUMBERS``."""
+        layout, at = self._slots[name]
+        layout.pack_into(self._buffer, at, value)
+
+    def put_map(self, values: memoryview) -> None:
+        """Copy the map.
+
+        Args:
+            values: 5400 bytes, float32 little-endian.
+        """
+        self._map[:] = values
+
+    def put_texts(
+        self,
+        solver: str,
+        skipped: tuple[str, ...],
+        events: tuple[str, ...],
+        regions: Regions = (WHOLE,),
+        electrodes: tuple[str, ...] = (),
+    ) -> None:
+        """Replace the texts; recurring combinations are kept ready."""
+        wanted = (solver, skipped, events, regions, electrodes)
+        if wanted == self._texts:
+            return  # it is there already
+        self._texts = wanted
+        tail = self._tails.get(wanted)
+        if tail is None:
+            content = {
+                "solver": solver,
+                "skipped": [text[:MAX_TEXT] for text in skipped[:MAX_TEXTS]],
+                "events": [text[:MAX_TEXT] for text in events[:MAX_TEXTS]],
+                "regions": [list(region.bounds) for region in regions],
+                "electrodes": [text[:MAX_TEXT] for text in electrodes[:MAX_TEXTS]],
+                **self._constant,
+            }
+            tail = b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in content.items())
+            if len(self._tails) < 256:  # bounded, since events can combine in many ways
+                self._tails[wanted] = tail
+        self._end = self._tail_at + len(tail)
+        self._view[self._tail_at : self._end] = tail
+        self._short_end = self._map_at + len(tail)
+
+    def message(self) -> memoryview:
+        """Return the message as it stands; the next ``put`` changes it."""
+        return self._view[: self._end]
+
+    def short_message(self) -> memoryview:
+        """Return the message as it stands without shape and map; the next call changes it."""
+        short, whole, at = self._short_view, self._view, self._map_at
+        short[3:at] = whole[3:at]
+        short[at : self._short_end] = whole[self._tail_at : self._end]
+        return short[: self._short_end]

@@ -1,0 +1,86 @@
+"""What is known of one frame between its payload and its message: the pipeline fills it in, the packer reads it.
+
+One record is made at the start and overwritten by every frame, so a frame costs no object. Who fills in what::
+
+    intake      sequence, device_us, scanned_ns, idle, first events       stamps: read, decode
+    pipeline    touched, gate_logit, solver, skipped, map, totals ...     stamps: normalise, gate, infer
+    packer      what is only known while packing                          stamps: pack, publish
+
+Whoever needs more than one frame of it copies what it needs.
+"""
+
+import math
+
+from eitskin.messaging.frame import MAP_BYTES, STAGES
+from eitskin.messaging.regions import WHOLE, Regions
+
+READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
+"""Where each stage's stamp stands."""
+
+NOTHING = memoryview(bytes(MAP_BYTES))
+"""The map of a frame for which nothing was computed."""
+
+
+class FrameRecord:
+    """The frame in hand.
+
+    Args:
+        computed_map: 5400 bytes of float32 that solvers write to.
+    """
+
+    __slots__ = (
+        "_computed_map", "cloud", "corrupt", "device_us", "drift_percent", "electrodes", "events", "gate_logit", "idle",
+        "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence", "skipped", "solver",
+        "stamps", "touched", "weak_rows", "withheld",
+    )  # fmt: skip
+
+    def __init__(self, computed_map: memoryview) -> None:
+        self._computed_map = computed_map
+        self.stamps = [0] * len(STAGES)
+        """``perf_counter_ns`` at the end of each of ``STAGES``."""
+        self.sequence = 0
+        """Of the device, unwrapped."""
+        self.device_us = 0
+        """Device clock at the end of the scan, unwrapped."""
+        self.scanned_ns = 0
+        """When it was scanned, on the host's clock."""
+        self.idle = False
+        """It is a scan of a few drives."""
+        self.touched = False
+        self.gate_logit = 0.0
+        self.solver = "none"
+        """Name of the engine whose map this is, or ``none``."""
+        self.skipped: tuple[str, ...] = ()
+        self.events: tuple[str, ...] = ()
+        self.inferred = False
+        """Whether an engine ran for this frame."""
+        self.map_sequence = 0
+        """The frame that the map was computed for."""
+        self.regions: Regions = (WHOLE,)
+        """What of the map is computed."""
+        self.electrodes: tuple[str, ...] = ()
+        """Those that are not well."""
+        self.drift_percent = math.nan
+        """Of the reference; not a number while unknown."""
+        self.cloud = 0
+        """Revision of the cloud in use."""
+        self.weak_rows = 0
+        self.lost = 0
+        self.corrupt = 0
+        self.withheld = 0
+        self.overrun = 0
+        """Totals up to this frame."""
+
+    @property
+    def map_is_zero(self) -> bool:
+        """Whether the map is all zero because nothing was computed."""
+        return self.solver == "none"
+
+    @property
+    def map(self) -> memoryview:
+        """The map as float32, little-endian; the next frame overwrites it."""
+        return NOTHING if self.solver == "none" else self._computed_map
+
+    def note(self, *events: str) -> None:
+        """Add what happened at this frame."""
+        self.events += events

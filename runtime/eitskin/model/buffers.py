@@ -1,0 +1,37 @@
+"""The memory that all engines share: what a frame and a cloud bring, and the map that comes of it."""
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.model.geometry import Geometry
+from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_proto.sensor.table import N_ROWS
+
+
+class Buffers:
+    """The memory that all engines share.
+
+    Args:
+        bias_width: H.
+        change: (104,) memory for dV that somebody else reads as well; None makes it.
+    """
+
+    __slots__ = ("bias", "change", "log_predicted", "map", "revision")
+
+    def __init__(self, bias_width: int, change: npt.NDArray[np.float32] | None = None) -> None:
+        self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
+        """(1, 104) dV of the frame."""
+        self.bias = np.zeros((1, bias_width), dtype=np.float32)
+        """(1, H)."""
+        self.log_predicted = np.zeros((1, N_ROWS), dtype=np.float32)
+        """(1, 104)."""
+        self.map = np.zeros((1, N_PIXELS), dtype=np.float32)
+        """(1, 1350) the result."""
+        self.revision = 0
+        """Of the cloud in use."""
+
+    def take(self, geometry: Geometry) -> None:
+        """Use another geometry from the next frame on."""
+        self.bias[:] = geometry.bias
+        self.log_predicted[:] = geometry.log_predicted
+        self.revision = geometry.revision

@@ -1,0 +1,79 @@
+"""What a cloud means to the head: the geometry graph runs when a cloud arrives, in the thread that brought it.
+
+It yields a :class:`Geometry`, which the frame loop copies in between two frames.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.model.bundle import Bundle
+from eitskin.model.session import check_signature, open_session
+from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin_proto.sensor.table import N_ROWS
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Geometry:
+    """What a cloud means to the head; immutable, so that it may cross threads."""
+
+    bias: npt.NDArray[np.float32]
+    """(1, H) what the cloud adds in the first fusion layer."""
+    log_predicted: npt.NDArray[np.float32]
+    """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
+    revision: int
+    """Counts clouds since the start; 0 is the flat sheet."""
+
+
+class GeometryGraph:
+    """From clouds to geometries; not part of the frame loop.
+
+    The session is made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs it once.
+
+    Args:
+        bundle: Where the graph is.
+
+    Raises:
+        BundleError: The graph cannot be loaded or has another signature.
+    """
+
+    def __init__(self, bundle: Bundle) -> None:
+        self._bundle = bundle
+        self._session: Any = None
+        self._open()
+
+    def _open(self) -> Any:
+        if self._session is None:
+            bundle = self._bundle
+            self._session = open_session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
+            expected = {"cloud": (1, 3, 30, 45)}
+            check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
+        return self._session
+
+    def rest(self) -> None:
+        """Give the session's 5 MB back until the next cloud, which then takes 15 ms more."""
+        self._session = None
+
+    def geometry(
+        self, cloud: npt.ArrayLike | None, log_predicted: npt.NDArray[np.float32] | None, revision: int
+    ) -> Geometry:
+        """Return what a cloud means to the head.
+
+        Args:
+            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            log_predicted: (104,) of :func:`eitskin.reference.predicted.log_ratio`; None for zeros.
+            revision: Number of this cloud.
+
+        Raises:
+            ValueError: The cloud is malformed, or the network answers it with values that are not finite.
+        """
+        points = network_input(flat_cloud() if cloud is None else cloud)
+        bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
+        if not np.isfinite(bias).all():
+            raise ValueError("the geometry graph answers this cloud with non-finite values; scan the sheet again")
+        predicted = np.zeros((1, N_ROWS), dtype=np.float32)
+        if log_predicted is not None:
+            predicted[0] = log_predicted
+        return Geometry(bias, predicted, revision)

@@ -1,0 +1,66 @@
+"""A scanned surface takes effect: the geometry graph runs in the thread that brought the cloud, frames do not wait."""
+
+import threading
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BadReference
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.reference.captured import Reference
+from eitskin.reference.predicted import log_ratio
+
+
+class CloudChange:
+    """Gives a pipeline the flat sheet first, and then every cloud that comes.
+
+    Args:
+        pipeline: It has not seen a frame yet.
+
+    Raises:
+        BundleError: The geometry graph cannot be loaded or has another signature.
+    """
+
+    def __init__(self, pipeline: Pipeline) -> None:
+        self._pipeline = pipeline
+        self._graph = GeometryGraph(pipeline.bundle)
+        self._lock = threading.Lock()
+        self._revision = 0
+        pipeline.start_with(self._graph.geometry(None, None, 0))
+        self._graph.rest()
+
+    def use(
+        self,
+        cloud: npt.ArrayLike | None,
+        predicted: npt.ArrayLike | None,
+        predicted_flat: npt.ArrayLike | None,
+        reference: Reference | None,
+    ) -> int:
+        """Use a surface from the next frame on, and return its revision; from any thread.
+
+        Args:
+            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            predicted: (104,) V of this surface untouched; None for no prediction.
+            predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
+            reference: What frames are held against.
+
+        Raises:
+            ValueError: The cloud or the voltages are malformed; with the value and the bound.
+            BadReference: There is a prediction, but nothing to hold it against.
+        """
+        ratio: npt.NDArray[np.float32] | None = None
+        if predicted is not None:
+            against = predicted_flat
+            if against is None:
+                if reference is None:
+                    raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
+                against = reference.voltages_V
+            ratio = log_ratio(predicted, against)
+            if reference is not None and (predicted_flat is None or self._pipeline.health is None):
+                ratio[reference.weak] = 0.0  # else those rows are filled in, and held against the prediction
+        with self._lock:
+            geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
+            self._revision += 1
+            self._pipeline.use_geometry(geometry)
+            return geometry.revision

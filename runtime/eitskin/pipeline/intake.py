@@ -1,0 +1,141 @@
+"""From a payload to counts that belong to a time, or a reason why not.
+
+A frame that is not fit to publish is withheld, with a reason and a count:
+
+====================  ===============================================================
+``malformed``         an intact packet that is no frame of this device
+``duplicate``         the same sequence number again
+``configuration``     made under another generation than HELLO named
+``partial``           a scan of some drives only, without a gate for them
+``implausible``       dV is not finite or beyond 1e6, or the map is not finite
+``no_signal``         no row reaches a thousandth of its reference: no current flows
+``stale``             over budget, and a newer frame was waiting
+====================  ===============================================================
+
+The next frame that is published says so in its events: ``withheld:implausible``.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.acquisition.clock import DeviceClock
+from eitskin.messaging.frame_record import READ, FrameRecord
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.unwrap import StreamCounter
+
+REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stale")
+"""Why frames are withheld."""
+
+WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
+"""The event of the next published frame."""
+
+
+class Intake:
+    """Decodes frames and counts those that are not fit to publish.
+
+    Args:
+        hello: Of the device.
+        record: Where a frame's numbers go.
+        idle_drives: What a scan of some drives may consist of; None where nothing can judge one.
+    """
+
+    __slots__ = (
+        "_idle_drives", "_record", "_since", "_view", "clock", "counter", "generation", "generation_differs",
+        "withheld", "withheld_total",
+    )  # fmt: skip
+
+    def __init__(self, hello: Hello, record: FrameRecord, idle_drives: int | None) -> None:
+        self._record = record
+        self._idle_drives = idle_drives
+        self._view = FrameView()
+        self.counter = StreamCounter()
+        self.clock = DeviceClock()
+        self.generation = hello.generation
+        """Of the configuration that frames must carry."""
+        self.generation_differs = False
+        """A frame carried another one: the device must be asked what it runs now."""
+        self.withheld = dict.fromkeys(REASONS, 0)
+        """Frames that were not fit to publish."""
+        self.withheld_total = 0
+        self._since: tuple[str, ...] = ()
+        """What the next published frame will say of those before it."""
+
+    @property
+    def counts(self) -> npt.NDArray[np.int32]:
+        """Of the frame accepted last."""
+        return self._view.counts
+
+    def greet(self, hello: Hello) -> None:
+        """Take over what a device said after it was greeted anew."""
+        self.generation = hello.generation
+        self.generation_differs = False
+
+    def accept(self, payload: bytes, read_ns: int) -> bool:
+        """Decode a frame and return whether it may go on.
+
+        Args:
+            payload: Of a FRAME message.
+            read_ns: When its last byte was in hand.
+        """
+        view, record = self._view, self._record
+        try:
+            view.load(payload)
+        except ProtocolError:
+            return self.withhold("malformed")
+        step = self.counter.step(view.sequence, view.device_us)
+        if step.duplicate:
+            return self.withhold("duplicate")
+        events: tuple[str, ...] = ()
+        if step.reset:
+            self.clock.restart()
+            events = ("device_reset",)
+        elif step.lost:
+            events = ("lost",)
+        if view.generation != self.generation:
+            self.generation_differs = True
+            return self.withhold("configuration")
+        idle = view.drives != ALL_DRIVES
+        if idle and view.drives != self._idle_drives:
+            return self.withhold("partial")
+        if idle != record.idle:
+            record.idle = idle
+            events += ("idle" if idle else "awake",)
+        if view.saturation:
+            events += ("saturated",)
+        record.events = events
+        record.sequence, record.device_us = step.sequence, step.device_us
+        record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
+        record.stamps[READ] = read_ns
+        return True
+
+    def discard(self, payload: bytes) -> None:
+        """Take note of a frame that is left out because a newer one waits; it is not counted as lost."""
+        try:
+            self._view.load(payload)
+        except ProtocolError:
+            self.withhold("malformed")
+            return
+        self.counter.step(self._view.sequence, self._view.device_us)
+        self.withhold("stale")
+
+    def withhold(self, reason: str) -> bool:
+        """Count a frame that is not published, and return False."""
+        self.withheld[reason] += 1
+        self.withheld_total += 1
+        event = WITHHELD[reason]
+        if event not in self._since:
+            self._since += (event,)
+        return False
+
+    def name_withheld(self) -> None:
+        """Let the frame in hand say what was withheld before it, and put the totals into it."""
+        record = self._record
+        if self._since:
+            record.events += self._since
+            self._since = ()
+        record.lost, record.withheld = self.counter.lost, self.withheld_total

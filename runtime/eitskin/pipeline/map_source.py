@@ -1,0 +1,182 @@
+"""Where a frame's map comes from: an engine that runs now, the memory that holds an earlier frame's, or nowhere.
+
+The engines run from the most accurate to the fastest; which one is next, the latency budget says. What the memory holds
+is remembered by solver and frame, and forgotten whenever anything changes that the map depends on.
+"""
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BudgetError
+from eitskin.messaging.frame_record import FrameRecord
+from eitskin.messaging.regions import WHOLE, Regions, pixels
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import Bundle
+from eitskin.model.engine import Engine, ProjectionEngine, engines
+from eitskin.pipeline.latency_budget import LatencyBudget
+from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
+
+PROJECTION: Final = "tikhonov"
+"""The solver whose maps cannot say that nothing touches: they are scaled to 1 whatever they show."""
+
+WARM_UPS: Final = 10
+"""Runs of each engine before the first frame; ONNX Runtime plans its memory in the first."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RegionEngines:
+    """Engines that compute some regions only; made in one thread, used in another."""
+
+    regions: Regions
+    engines: list[Engine]
+
+
+class MapSource:
+    """Engines, and what their common memory holds.
+
+    Args:
+        bundle: The solvers.
+        buffers: What they read and write.
+        record: The frame in hand; solver, map_sequence and inferred are set in it.
+        budget_ns: From read to publish; None for no budget.
+        solver: The most accurate solver to use; None for the bundle's own choice
+            (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
+        skip_unchanged: Whether a map is kept while only noise lies between two frames.
+
+    Raises:
+        BundleError: A solver of the bundle cannot be used.
+        BudgetError: Not even the fastest solver meets the budget.
+        ValueError: The bundle has no such solver.
+    """
+
+    __slots__ = (
+        "_buffers", "_change", "_held", "_held_sequence", "_record", "_stillness", "_whole", "budget", "engine_ns",
+        "engines", "map",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        bundle: Bundle,
+        buffers: Buffers,
+        record: FrameRecord,
+        budget_ns: int | None,
+        *,
+        solver: str | None,
+        skip_unchanged: bool,
+    ) -> None:
+        self._buffers, self._record = buffers, record
+        self._change = buffers.change[0]
+        self.map = buffers.map[0]
+        """(1350,) what was computed last."""
+        self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
+        self._whole = self.engines
+        self._stillness = Stillness() if skip_unchanged else None
+        self._held = ""
+        """The solver of the map that is held; empty if none is."""
+        self._held_sequence = 0
+        record.map_sequence = -REFRESH_FRAMES
+        self.budget = LatencyBudget(budget_ns, len(self.engines))
+        self.engine_ns = self._warm_up()
+        """{engine: median time in ns}, measured at the start."""
+        self._check_budget(budget_ns)
+
+    def _warm_up(self) -> dict[str, float]:
+        medians = {}
+        for engine in self.engines:
+            spans = []
+            for _ in range(WARM_UPS):
+                start = time.perf_counter_ns()
+                engine.infer()
+                spans.append(time.perf_counter_ns() - start)
+            medians[engine.name] = float(np.median(spans))
+        return medians
+
+    def _check_budget(self, budget_ns: int | None) -> None:
+        """Refuse a budget that not even the fastest solver meets."""
+        fastest = self.engines[-1].name
+        if budget_ns is not None and self.engine_ns[fastest] > budget_ns:
+            raise BudgetError(
+                f"a budget of {budget_ns / 1e6:g} ms cannot be met: the fastest solver, {fastest}, takes "
+                f"{self.engine_ns[fastest] / 1e6:.3f} ms here; give --budget-ms more than that"
+            )
+
+    @property
+    def can_overrule(self) -> bool:
+        """Whether the next map can say that nothing touches."""
+        return self.engines[self.budget.engine].name != PROJECTION
+
+    def for_regions(self, bundle: Bundle, regions: Regions) -> RegionEngines:
+        """Return what computes only some regions; made in the caller's thread, in tens of milliseconds.
+
+        Args:
+            bundle: The one that this was made with.
+            regions: Of which the union is computed.
+        """
+        if regions == (WHOLE,):
+            return RegionEngines(regions, self._whole)
+        best, alone = self._whole[0].name, len(self._whole) == 1
+        return RegionEngines(regions, engines(bundle, self._buffers, pixels(regions), best=best, alone=alone))
+
+    def use(self, found: RegionEngines) -> None:
+        """Compute other regions from this frame on."""
+        self.engines = found.engines
+        self._record.regions = found.regions
+        self._buffers.map[:] = 0.0
+        self._held = ""
+
+    def change_projection(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
+        """Let the projections use what ``change`` makes of the bundle's matrix, and the map that is held go."""
+        self._held = ""
+        for engine in (*self.engines, *self._whole):
+            if isinstance(engine, ProjectionEngine):
+                engine.change_matrix(change)
+
+    def forget(self) -> None:
+        """Hold no map: what it depends on has changed."""
+        self._held = ""
+
+    def compare_by(
+        self, voltages_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64], frames: int, step_V: float
+    ) -> None:
+        """Hold frames against each other by another reference's noise; see :meth:`Stillness.use`."""
+        self._held = ""
+        if self._stillness is not None:
+            self._stillness.use(voltages_V, spread_V, frames, step_V)
+
+    def infer(self) -> bool:
+        """Compute the map of the frame in hand, and return whether it is finite."""
+        record = self._record
+        engine = self.engines[self.budget.engine]
+        engine.infer()
+        self._held = ""
+        if not math.isfinite(np.dot(self.map, self.map)):
+            return False
+        record.inferred = True
+        record.solver = self._held = engine.name
+        record.map_sequence = self._held_sequence = record.sequence
+        if self._stillness is not None:
+            self._stillness.keep(self._change)
+        return True
+
+    def keep(self) -> bool:
+        """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since."""
+        stillness = self._stillness
+        if stillness is None or self._held != self.engines[self.budget.engine].name:
+            return False
+        if not stillness.still(self._change):
+            return False
+        self._record.solver, self._record.map_sequence = self._held, self._held_sequence
+        return True
+
+    def leave(self) -> None:
+        """Leave the map at zero; it is a new one, if the last was not, and again now and then."""
+        record = self._record
+        if record.solver != "none" or not 0 <= record.sequence - record.map_sequence < REFRESH_FRAMES:
+            record.map_sequence = record.sequence
+        record.solver = "none"

@@ -1,0 +1,88 @@
+"""From record to message: numbers, when a map is copied, when a message may go without, and what a taker keeps."""
+
+import numpy as np
+import pytest
+
+from eitskin.messaging.frame import STAGES, unpack_frame
+from eitskin.messaging.frame_message import FrameMessages, LastMessage
+from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.frame_record import FrameRecord
+
+
+@pytest.fixture
+def memory():
+    return np.full(1350, 0.25, np.float32)
+
+
+@pytest.fixture
+def record(memory):
+    record = FrameRecord(memoryview(memory).cast("B"))
+    record.sequence = record.map_sequence = 7
+    record.solver, record.touched, record.events = "vd2t", True, ("lost",)
+    record.lost, record.corrupt, record.withheld, record.overrun = 1, 2, 3, 4
+    record.scanned_ns = -3_000_000
+    return record
+
+
+@pytest.fixture
+def messages():
+    return FrameMessages("paper/1", "b", "S-1")
+
+
+def packed(messages, record, short=False):
+    messages.begin(record, short=short)
+    return bytes(messages.finish(record))
+
+
+def test_a_message_says_what_the_record_says(messages, record):
+    frame = unpack_frame(packed(messages, record), 0)
+    assert (frame.number, frame.sequence, frame.map_sequence, frame.solver) == (1, 7, 7, "vd2t")
+    assert frame.counts == {"lost": 1, "corrupt": 2, "withheld": 3, "overrun": 4}
+    assert (frame.events, frame.electrodes, frame.drift_percent) == (("lost",), (), None)
+    assert list(frame.host_ns) == list(STAGES)
+    assert frame.host_ns["pack"] <= frame.host_ns["publish"]
+    assert frame.age_us >= 3000
+    assert (frame.map == 0.25).all()
+
+
+def test_a_frame_for_which_nothing_was_computed_has_a_map_of_zeros_whatever_the_memory_holds(messages, record):
+    record.solver = "none"
+    assert record.map_is_zero
+    assert not unpack_frame(packed(messages, record), 0).map.any()
+
+
+def test_a_map_is_copied_once_and_again_when_it_is_another_ones(messages, record, memory, monkeypatch):
+    copied = []
+    put_map = FramePacker.put_map
+    monkeypatch.setattr(FramePacker, "put_map", lambda packer, values: (copied.append(1), put_map(packer, values)))
+    for _ in range(3):
+        record.sequence += 1
+        packed(messages, record)
+    assert len(copied) == 1
+    record.map_sequence = record.sequence
+    memory[:] = 0.5
+    assert (unpack_frame(packed(messages, record), 0).map == 0.5).all()
+    record.solver = "none"
+    packed(messages, record)
+    packed(messages, record)
+    assert len(copied) == 3
+
+
+def test_a_message_goes_without_a_map_only_if_the_last_one_had_it(messages, record):
+    first = packed(messages, record, short=True)
+    assert unpack_frame(first, 0).skipped == ()
+    second = packed(messages, record, short=True)
+    frame = unpack_frame(second, 0, unpack_frame(first, 0))
+    assert (frame.number, frame.skipped) == (2, ("map:unchanged",))
+    assert len(second) < len(first) - 5000
+    assert len(packed(messages, record)) > 5000  # whoever has not said that it can do without
+
+
+def test_whoever_takes_messages_in_this_process_keeps_a_copy(messages, record):
+    here = LastMessage()
+    messages.begin(record, short=here.short)
+    here.send(messages.finish(record))
+    kept = here.message
+    record.sequence = 8
+    packed(messages, record)
+    assert unpack_frame(kept, 0).sequence == 7

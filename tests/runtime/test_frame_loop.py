@@ -1,0 +1,95 @@
+"""The order of a frame's way: who does what before what, one record for all frames, and who may write where."""
+
+import ast
+from pathlib import Path
+
+import pytest
+
+from eitskin.messaging.frame import STAGES, unpack_frame
+from eitskin.skin import Skin
+
+RUNTIME = Path(__file__).parents[2] / "runtime" / "eitskin"
+
+
+class Taker:
+    """Takes what comes, and notes what the loop had done by then."""
+
+    short = False
+
+    def __init__(self, wanted=True):
+        self.wanted = wanted
+        self.skin = None
+        self.got = []
+
+    def send(self, message):
+        self.got.append((bytes(message), self.skin.statistics.frames))
+
+
+@pytest.fixture
+def streaming(virtual_skin, tiny_path):
+    with virtual_skin(touches=[[0.1, 60, 0.3]], rate_hz=100.0) as port, Skin(port, bundle=tiny_path) as skin:
+        skin.capture_reference(5)
+        yield skin
+
+
+def test_a_frame_is_handed_over_before_it_is_counted_and_counted_before_it_is_told(streaming):
+    taker = Taker()
+    taker.skin = streaming
+    records = set()
+    for seen, record in enumerate(streaming.publish(taker), 1):
+        message, counted = taker.got[-1]
+        assert (len(taker.got), counted, streaming.statistics.frames) == (seen, seen - 1, seen)
+        assert record.stamps == sorted(record.stamps)
+        assert unpack_frame(message, 0).sequence == record.sequence
+        records.add(id(record))
+        if seen == 20:
+            break
+    assert len(records) == 1  # one record, overwritten
+    assert streaming.published == 20
+
+
+def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming):
+    taker = Taker(wanted=False)
+    for record in streaming.publish(taker):
+        assert (record.solver, record.inferred) == ("none", False)
+        assert record.stamps[STAGES.index("pack")] == record.stamps[STAGES.index("infer")]
+        if streaming.statistics.frames == 10:
+            break
+    assert taker.got == []
+    assert streaming.published == 0
+    taker.wanted, taker.skin = True, streaming
+    next(iter(streaming.publish(taker)))
+    assert unpack_frame(taker.got[0][0], 0).number == 1
+
+
+def written_from_outside(source):
+    """Return the attributes of something called ``pipeline`` that a module sets."""
+    found = []
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Assign):
+            targets = node.targets
+        else:
+            targets = [node.target] if isinstance(node, ast.AugAssign | ast.AnnAssign) else []
+        for target in targets:
+            owner = getattr(target, "value", None)
+            if isinstance(target, ast.Attribute) and getattr(owner, "attr", getattr(owner, "id", "")).endswith(
+                "pipeline"
+            ):
+                found.append(target.attr)
+    return found
+
+
+def test_nobody_outside_writes_the_pipelines_state():
+    modules = [path for path in RUNTIME.rglob("*.py") if path.parent.name != "pipeline"]
+    assert len(modules) > 30
+    assert {path.name: names for path in modules if (names := written_from_outside(path.read_text()))} == {}
+
+
+def test_a_hand_on_the_pipelines_state_is_found():
+    assert written_from_outside(
+        "self.pipeline.health = 1\nskin._pipeline.events += ('x',)\npipeline.idle: bool = True"
+    ) == [
+        "health",
+        "events",
+        "idle",
+    ]
