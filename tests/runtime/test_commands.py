@@ -68,6 +68,22 @@ def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_s
     assert not (tmp_path / "control").exists()
 
 
+def test_a_subscriber_that_names_no_endpoint_finds_a_runtime_that_names_none(
+    virtual_skin, tiny_path, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port:
+        process = command("run", "--port", port, "--bundle", tiny_path, "--reference-frames", 20)
+        wait_until_ready(process)
+        with eitskin.subscribe() as frames:
+            assert next(frames).map.shape == (30, 45)
+        code, out, err = finished("subscribe", "--frames", 5, "--json")
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=10)
+    assert code == 0, err
+    assert json.loads(out)["frames"] == 5
+
+
 def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_skin, tiny_path, tmp_path, endpoints):
     stored = tmp_path / "skin.json"
     with virtual_skin() as port:
@@ -200,7 +216,8 @@ def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
     start = time.perf_counter()
     code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")
     assert (code, out) == (1, "")
-    assert "is the runtime running" in err
+    assert "nobody listens there" in err
+    assert "'eitskin run --port PORT'" in err
     assert time.perf_counter() - start < 20
     assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
 
