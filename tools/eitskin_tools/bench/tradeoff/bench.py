@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -40,7 +41,9 @@ SMALLEST_ERROR: Final = 1e-4
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--phantoms", action="append", default=[], metavar="FILE", help="JSON list; repeatable")
+    parser.add_argument(
+        "--phantoms", action="append", default=[], metavar="FILE", help="a file, paper_units or paper_mm; repeatable"
+    )
     parser.add_argument("--bundle", action="append", default=[], metavar="FILE", help="another network; repeatable")
     parser.add_argument("--noise", choices=["N1", "N2", "N3", "none"], default="N2", help="default: N2")
     parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws (default 1)")
@@ -61,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--calls must be at least 10 and --seeds at least 1")
     found: dict[str, list[dict[str, Any]]] = {}
     for path in arguments.phantoms:
-        phantoms = load_phantoms(path)
+        phantoms = load_phantoms(files.find(path, files.PHANTOMS))
         for labels in dict.fromkeys(one.truth for one in phantoms):
             group = [one for one in phantoms if one.truth == labels]
             print(f"eitskin bench tradeoff: {len(group)} phantoms of {path}", file=sys.stderr)

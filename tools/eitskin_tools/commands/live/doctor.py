@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -64,7 +65,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference)
     if arguments.recorded is not None:
-        recording = electrode_checkup.load_recording(arguments.recorded)
+        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
     else:
         recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
     found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)

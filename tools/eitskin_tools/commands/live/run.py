@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
 
 SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
@@ -152,7 +153,7 @@ def _check(arguments: argparse.Namespace) -> None:
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
-        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+        raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
