@@ -476,6 +476,7 @@ class Skin:
         return {
             "frames": self.statistics.frames,
             "published": self.published,
+            "touched": self.statistics.touched,
             "lost": pipeline.counter.lost,
             "corrupt": self.device.deframer.corrupt,
             "withheld": pipeline.withheld_total,

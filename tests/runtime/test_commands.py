@@ -181,6 +181,27 @@ def test_bad_usage_of_run_exits_2(words):
     assert words[0] in err
 
 
+def test_what_run_says_is_json_where_it_is_asked_to_and_nearly_nothing_where_quiet(
+    virtual_skin, tiny_path, tmp_path, endpoints
+):
+    words = ["--bundle", tiny_path, "--frames", 300, "--reference-frames", 20, *endpoints]
+    with virtual_skin(faults=["drop@1.2/0.4"]) as port:
+        code, _, err = finished("run", "--port", port, *words, "--log-format", "json")
+        assert code == 0, err
+        found = [json.loads(line) for line in err.splitlines()]
+        events = [one["event"] for one in found]
+        assert events.count("ready") == 1
+        statuses = [one for one in found if one["event"] == "status"]
+        assert statuses[-1]["lost"] > 0
+        assert {"rate_hz", "touched", "corrupt", "withheld_by_reason", "electrodes"} <= set(statuses[-1])
+        code, out, err = finished("run", "--port", port, *words, "--quiet", "--json")
+        assert (code, err.splitlines()[0].split()[0], len(err.splitlines())) == (0, "ready", 1)
+        assert json.loads(out)["frames"] == 300
+    code, _, err = finished("run", "--port", "/dev/ttyNONE9", "--bundle", tiny_path, "--log-format", "json")
+    assert code == 1
+    assert json.loads(err.splitlines()[-1])["event"] == "error"
+
+
 def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
     cpu = min(os.sched_getaffinity(0))
     words = ["--affinity", str(cpu), "--mlock", "--sched-fifo", "1"]
@@ -195,10 +216,14 @@ def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
 
 def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
-        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all")
         assert code == 0, err
         assert len(out.splitlines()) == 20
         assert "solver vd2t" in out
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
+        assert code == 0, err
+        assert 1 <= len(out.splitlines()) < 10  # one a second, and the last
+        assert "vd2t" in out
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all", "--json")
         assert code == 0, err
         summary = json.loads(out)

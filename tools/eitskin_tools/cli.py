@@ -6,6 +6,7 @@ Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr
 
 import argparse
 import importlib
+import json
 import os
 import signal
 import sys
@@ -117,11 +118,18 @@ def _main(words: list[str]) -> int:
     except BrokenPipeError:
         raise
     except UsageError as error:
-        print(f"eitskin {arguments.command}: {error}", file=sys.stderr)
-        return 2
+        return _fail(arguments, str(error), 2)
     except (SkinError, ValueError, OSError, ModuleNotFoundError) as error:
-        print(f"eitskin {arguments.command}: {_one_line(error)}", file=sys.stderr)
-        return 1
+        return _fail(arguments, _one_line(error), 1)
+
+
+def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
+    """Say what is wrong, in the format of the log where there is one, and return the exit status."""
+    if getattr(arguments, "log_format", "text") == "json":
+        print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
+    else:
+        print(f"eitskin {arguments.command}: {text}", file=sys.stderr)
+    return status
 
 
 def _one_line(error: BaseException) -> str:

@@ -1,4 +1,4 @@
-"""A subscriber to whom nothing comes: where it waited, who is there, and what to do; and the endpoint it takes unasked."""
+"""A subscriber to whom nothing comes: where it waited, who is there, what to do; the endpoint it takes unasked."""
 
 import math
 import os
