@@ -289,7 +289,8 @@ def test_the_demonstration_needs_no_torch() -> None:
     code = (
         f"from eitskin_tools.demo import {modules}\n"
         "from eitskin_tools.virtual_skin import process\n"
-        "import eitskin_tools.scripted_scene.prepare, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics, sys\n"
+        "import eitskin_tools.scripted_scene.prepare, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics\n"
+        "import sys\n"
         "print('torch' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

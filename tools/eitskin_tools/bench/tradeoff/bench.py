@@ -2,8 +2,9 @@
 
 Error is 1 - CC, the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``. Run
 time is one call a 5 ms period, the variants taking turns on one thread, as a robot sees it; classical solvers have
-their operators of the sheet ready, as the network has its geometry. Of the variants that give a whole map, those that
-no other one beats in both are on the Pareto front.
+their operators of the sheet ready, as the network has its geometry. What no variant that gives a whole map beats in
+both is on the Pareto front (``pareto``). What gives a part of a map beats nobody (``whole`` is false): its error is of
+another image.
 
 ::
 
@@ -31,12 +32,11 @@ from eitskin_tools.processes.threads import one_blas_thread
 PERIOD_S: Final = 0.005
 """Between two calls."""
 
+GATE: Final = "gate alone"
+"""Judges and gives no map; its error is of another kind."""
+
 L1_STEPS: Final = (10, 50, 200, 400)
 """Iterations of FISTA that are compared; the last is the solver's own."""
-
-
-SMALLEST_ERROR: Final = 1e-4
-"""Where the picture's axis ends."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,6 +71,8 @@ def run(arguments: argparse.Namespace) -> int:
             rows = measure(group, arguments.bundle, arguments.noise, arguments.seeds, arguments.calls)
             found[f"{Path(path).stem}, {labels} labels"] = rows
     if arguments.plot is not None:
+        from eitskin_tools.bench.tradeoff.picture import plot
+
         plot(found, arguments.plot)
     if arguments.json:
         print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, "files": found, "machine": machine()}))
@@ -131,14 +133,24 @@ def measure(
         {"variant": way.name, "error": round(errors[way.name], 5), **percentiles_us(np.array(spans[way.name]))}
         for way in ways
     ]
-    whole = {way.name for way in ways if way.error is _whole_error}
-    rivals = [row for row in rows if row["variant"] in whole]
-    for row in rows:
-        beaten = any(
-            other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row for other in rivals
-        )
-        row["pareto"] = row["variant"] in whole and not beaten
+    for row, way in zip(rows, ways, strict=True):
+        row["whole"] = way.error is _whole_error
+    mark_front(rows)
     return rows
+
+
+def mark_front(rows: Sequence[dict[str, Any]]) -> None:
+    """Say of each row in ``pareto`` whether nothing that gives a whole map beats it in both."""
+    for row in rows:
+        row["pareto"] = not row["variant"].startswith(GATE) and not _beaten(row, rows)
+
+
+def _beaten(row: dict[str, Any], rows: Sequence[dict[str, Any]]) -> bool:
+    """Return whether another variant, one that gives a whole map, is as good in both and not the same."""
+    return any(
+        other["whole"] and other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row
+        for other in rows
+    )
 
 
 def _cases(phantoms: Sequence[Any], noise: Any, seeds: int) -> list[tuple[Any, Any]]:
@@ -248,7 +260,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
             gate.change[:] = relative_change(case.voltages, case.flat_reference).astype(np.float32)
             return gate.touched()
 
-        found.append(Variant(f"gate alone{suffix}", judge, lambda case, truth, touched: float(not touched)))
+        found.append(Variant(f"{GATE}{suffix}", judge, lambda case, truth, touched: float(not touched)))
     return found
 
 
@@ -256,47 +268,6 @@ def markdown(rows: Sequence[dict[str, Any]]) -> str:
     """Return the table, the most accurate first."""
     lines = ["| variant | 1 - CC | p50, us | p99, us | on the front |", "|---|---|---|---|---|"]
     for row in sorted(rows, key=lambda row: row["error"]):
-        front = "yes" if row["pareto"] else ""
+        front = ("yes" if row["whole"] else "yes, for its part") if row["pareto"] else ""
         lines.append(f"| {row['variant']} | {row['error']:.4f} | {row['p50']:.0f} | {row['p99']:.0f} | {front} |")
     return "\n".join(lines)
-
-
-def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
-    """Draw error against run time, one panel a file, the Pareto front as a line."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    from eitskin_tools.bench.tradeoff.point_names import beside
-
-    figure, panels = pyplot.subplots(
-        1, len(found), figsize=(7.0 * len(found), 5.2), layout="constrained", squeeze=False
-    )
-    for axes, (name, rows) in zip(panels[0], found.items(), strict=True):
-        shown = _shown(rows)
-        front = sorted((row for row in shown if row["pareto"]), key=lambda row: row["p50"])
-        axes.plot(*zip(*map(_point, front), strict=True), color="tab:red", zorder=1)
-        for row in shown:
-            axes.scatter(*_point(row), color="tab:red" if row["pareto"] else "tab:grey", zorder=2)
-        axes.set(xscale="log", yscale="log", xlabel="paced run time, us (p50)", ylabel="1 - CC", title=name)
-        axes.grid(alpha=0.3)
-    figure.canvas.draw()  # gives the panels their places
-    figure.set_layout_engine("none")
-    for axes, rows in zip(panels[0], found.values(), strict=True):
-        shown = _shown(rows)
-        beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
-    try:
-        figure.savefig(path, dpi=100)
-    finally:
-        pyplot.close(figure)
-
-
-def _shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the rows that the picture shows: the gate's error is one of another kind."""
-    return [row for row in rows if not row["variant"].startswith("gate")]
-
-
-def _point(row: dict[str, Any]) -> tuple[float, float]:
-    """Return where a variant stands in the picture; an error of 0 cannot stand on a logarithmic axis."""
-    return row["p50"], max(row["error"], SMALLEST_ERROR)

@@ -9,6 +9,7 @@ import contextlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         keys=keys,
     )
     view = StreamView(sys.stdout)
-    show = (lambda frame: None) if arguments.json else _print if arguments.mode == "all" else view.show
+    show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
@@ -72,7 +73,8 @@ def run(arguments: argparse.Namespace) -> int:
             latencies.append(frame.latency_s * 1e6)
             for stage, span in frame.stages_us().items():
                 stages.setdefault(stage, []).append(span)
-            show(frame)
+            if not arguments.json:
+                show(frame)
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
             if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
