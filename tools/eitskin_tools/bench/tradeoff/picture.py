@@ -50,13 +50,13 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         shown = _shown(rows)
         front = sorted((row for row in shown if row["pareto"] and row["whole"]), key=lambda row: row["p50"])
         axes.plot(*zip(*map(_point, front), strict=True), color="tab:red", zorder=1)
-        for whole, pareto, meaning in MEANINGS:
+        for whole, pareto, _ in MEANINGS:
             group = [row for row in shown if (row["whole"], row["pareto"]) == (whole, pareto)]
             if group:
-                axes.scatter(*zip(*map(_point, group), strict=True), **style(group[0]), zorder=2, label=meaning)
+                axes.scatter(*zip(*map(_point, group), strict=True), **style(group[0]), zorder=2)
         axes.set(xscale="log", yscale="log", xlabel="paced run time, us (p50)", ylabel="1 - CC", title=name)
         axes.grid(alpha=0.3)
-        axes.legend(loc="upper right", fontsize=7, framealpha=1.0)
+    figure.legend(handles=_legend(), loc="outside lower center", ncols=len(MEANINGS), fontsize=8, frameon=False)
     figure.canvas.draw()  # gives the panels their places
     figure.set_layout_engine("none")
     for axes, rows in zip(panels[0], found.values(), strict=True):
@@ -66,6 +66,21 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         figure.savefig(path, dpi=100)
     finally:
         pyplot.close(figure)
+
+
+def _legend() -> list[Any]:
+    from matplotlib.lines import Line2D
+
+    found = []
+    for whole, pareto, meaning in MEANINGS:
+        colours = style({"whole": whole, "pareto": pareto})
+        found.append(
+            Line2D(
+                [], [], linestyle="", marker="o", markeredgecolor=colours["edgecolors"],
+                markerfacecolor=colours["facecolors"], label=meaning,
+            )
+        )  # fmt: skip
+    return found
 
 
 def _shown(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

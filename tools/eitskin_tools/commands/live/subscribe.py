@@ -70,10 +70,11 @@ def run(arguments: argparse.Namespace) -> int:
         stack.callback(view.end)
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
         for frame in stack.enter_context(subscription):
-            latencies.append(frame.latency_s * 1e6)
-            for stage, span in frame.stages_us().items():
-                stages.setdefault(stage, []).append(span)
-            if not arguments.json:
+            if arguments.json:
+                latencies.append(frame.latency_s * 1e6)
+                for stage, span in frame.stages_us().items():
+                    stages.setdefault(stage, []).append(span)
+            else:
                 show(frame)
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
