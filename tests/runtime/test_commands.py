@@ -237,6 +237,31 @@ def test_a_region_outside_the_sheet_exits_2_and_names_the_sheet():
     assert "x is 0 to 150, y 0 to 100 mm" in err
 
 
+def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_frame(
+    virtual_skin, running, tmp_path, monkeypatch
+):
+    from eitskin.messaging.publish import Publisher
+
+    silent = Publisher(f"ipc://{tmp_path}/silent")
+    process = command("subscribe", silent.endpoint, "--timeout-s", 60)
+    while not silent.wanted and process.poll() is None:  # it waits for its first frame as soon as it has subscribed
+        silent.look()
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    silent.close()
+    assert (process.returncode, out, err) == (0, "", "")
+    (tmp_path / "r").mkdir()
+    with virtual_skin() as port, running(port, tmp_path / "r") as runtime:
+        process = command(
+            "subscribe", runtime.publisher.endpoint, "--mode", "all", env={**os.environ, "PYTHONUNBUFFERED": "1"}
+        )
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+
+
 def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
     start = time.perf_counter()
     code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")

@@ -39,6 +39,7 @@ PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".js
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
 SCAN: Final = Kind("a scan of the surface in mm, as .ply, .xyz or .npy")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
+BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 

@@ -1,6 +1,6 @@
 """Says once a second at most how a running stream is: rate, losses, what was withheld and why, touch, electrodes.
 
-A thread of its own reads the skin's counters, so that no frame waits for it: 50 us a second, none of them in the frame
+A thread of its own reads the skin's counters, so that no frame waits for it: 15 us a second, none of them in the frame
 loop. On a terminal a line is rewritten every second. Elsewhere one is written when something went wrong since the last
 one, and once a minute to say that nothing did.
 """

@@ -49,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
+    if arguments.bundle is not None:
+        files.find(arguments.bundle, files.BUNDLE)
     for path in (arguments.record, arguments.picture):
         if path is not None:
             files.writable(path)

@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -38,6 +39,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.element_size_mm is not None:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
+    if sys.stderr.isatty():
+        print("eitskin simulate: solving, half a minute at most", file=sys.stderr)
     start = perf_counter()
     solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start
