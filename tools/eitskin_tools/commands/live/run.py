@@ -70,6 +70,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
+    _check_endpoints(arguments)
     log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -166,6 +167,18 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+
+
+def _check_endpoints(arguments: argparse.Namespace) -> None:
+    """Refuse endpoints and keys that cannot be used, before the device is touched."""
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.curve_keys import load_server_keys
+
+    for option in ("publish", "control"):
+        if (endpoint := getattr(arguments, option)) is not None:
+            endpoints.needs_keys(endpoint, control=option == "control")
+    if arguments.curve_keys is not None:
+        load_server_keys(arguments.curve_keys)
 
 
 def _report(skin: Any, log: RunLog) -> None:

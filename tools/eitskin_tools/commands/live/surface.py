@@ -11,7 +11,7 @@ from eitskin_tools.command_line import files
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
-    parser.add_argument("file", metavar="FILE", help="scan in mm: .ply (ASCII or binary), .xyz or .npy")
+    parser.add_argument("file", metavar="FILE", help="scan in mm: .ply (ASCII or binary), .xyz or .npy; or sample")
     parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
     parser.add_argument(
         "--corner",
