@@ -202,6 +202,20 @@ def test_what_run_says_is_json_where_it_is_asked_to_and_nearly_nothing_where_qui
     assert json.loads(err.splitlines()[-1])["event"] == "error"
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--publish", "here"], "endpoint 'here': expected ipc:///path or tcp://address:port"),
+        (["--control", "ipc://relative"], "expected an absolute path"),
+        (["--curve-keys", "/nowhere"], "/nowhere/server.key_secret is no CURVE key"),
+    ],
+)
+def test_what_cannot_be_bound_is_refused_before_the_port_is_opened(words, said):
+    code, out, err = finished("run", "--port", "/dev/ttyNONE9", *words)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert said in err
+
+
 def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
     cpu = min(os.sched_getaffinity(0))
     words = ["--affinity", str(cpu), "--mlock", "--sched-fifo", "1"]

@@ -70,7 +70,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
-    _check_endpoints(arguments)
     log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
@@ -80,6 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     with contextlib.ExitStack() as stack:
         stack.callback(gc.enable)
+        _check_endpoints(arguments)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
