@@ -54,9 +54,12 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["bench", "skip"], "eitskin bench skip needs scipy, torch: pip install 'eitskin[sim,train]'"),
-        (["train", "--recipe", "tiny", "--data", "x", "--out", "y"], "eitskin train needs scipy, torch: pip install"),
-        (["demo"], "eitskin demo needs scipy: pip install 'eitskin[sim]'"),
+        (["bench", "skip"], "eitskin bench: bench skip needs scipy, torch: pip install 'eitskin[train]'"),
+        (
+            ["train", "--recipe", "tiny", "--data", "x", "--out", "y"],
+            "eitskin train: train needs scipy, torch: pip install 'eitskin[train]'",
+        ),
+        (["demo"], "eitskin demo: demo needs scipy: pip install 'eitskin[sim]'"),
     ],
 )
 def test_a_missing_extra_is_one_line_before_anything_starts(

@@ -58,14 +58,14 @@ def check(arguments: argparse.Namespace) -> None:
         MissingExtraError: Some are missing.
     """
     name = " ".join(str(part) for part in (arguments.command, getattr(arguments, "benchmark", None)) if part)
-    require(f"eitskin {name}", NEEDS.get(name, ()))
+    require(name, NEEDS.get(name, ()))
     for option, modules in OPTION_NEEDS.items():
         if getattr(arguments, option, None):
             require(f"--{option}", modules)
     asked = {part for given in getattr(arguments, "only", None) or () for part in given}
     for part, modules in PART_NEEDS.get(name, {}).items():
         if not asked or part in asked:
-            require(f"part {part} of eitskin {name}", modules)
+            require(f"part {part} of {name}", modules)
 
 
 def require(who: str, modules: Iterable[str]) -> None:
@@ -85,5 +85,7 @@ def require(who: str, modules: Iterable[str]) -> None:
 
 def install(modules: Iterable[str]) -> str:
     """Return the command that installs some modules."""
-    extras = sorted({EXTRAS.get(module, "sim") for module in modules})
-    return f"pip install 'eitskin[{','.join(extras)}]'"
+    extras = {EXTRAS.get(module, "sim") for module in modules}
+    if extras & {"train", "cluster", "dev"}:
+        extras -= {"sim"}  # they bring it along
+    return f"pip install 'eitskin[{','.join(sorted(extras))}]'"
