@@ -58,8 +58,6 @@ class Options:
     """Say on standard error how far it is."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
-    picture: Path | None = None
-    """Draw a frame of the run there."""
     affinity: int | None = None
     """The runtime, all its threads, on this CPU only."""
 
@@ -114,22 +112,27 @@ def stream(options: Options) -> Streamed:
         )
 
 
-def demonstrate(options: Options) -> dict[str, Any]:
-    """Run the demonstration and return its summary; draw a picture of it where one is asked for.
+def draw_picture(options: Options, streamed: Streamed, path: Path) -> None:
+    """Draw a frame of a stream that has ended.
 
     Raises:
-        SkinError: A process died, with what it said last.
-        TimeoutError: A process was not ready in time.
+        ValueError: No frame of it is worth drawing; the text says what to do.
+        OSError: The file cannot be written.
     """
-    streamed = stream(options)
-    script = script_of(options)
-    if options.picture:
-        from eitskin_tools.demo.frame_picture import picture
+    from eitskin_tools.demo.frame_picture import picture
 
-        picture(streamed.record, script, streamed.start_us, options.picture)
+    picture(streamed.record, script_of(options), streamed.start_us, path)
+
+
+def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
+    """Return what a stream that has ended was like.
+
+    Raises:
+        ValueError: Not one frame was recorded.
+    """
     return {
         **timing(streamed.record, streamed.wire_ns),
-        **asdict(accuracy(streamed.record, script, streamed.start_us)),
+        **asdict(accuracy(streamed.record, script_of(options), streamed.start_us)),
         "sent": streamed.sent,
         "dropped_by_device": streamed.dropped,
         "late_subscriber": streamed.record.late,

@@ -40,7 +40,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
-    from eitskin_tools.demo.show import Options, demonstrate, print_summary
+    from eitskin_tools.demo.show import Options, draw_picture, print_summary, stream, summarise
 
     if not arguments.seconds > 0.0:
         raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
@@ -56,24 +56,25 @@ def run(arguments: argparse.Namespace) -> int:
             files.writable(path)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
-    summary = demonstrate(
-        Options(
-            seconds=arguments.seconds,
-            rate_hz=arguments.rate,
-            bundle=arguments.bundle,
-            solver=arguments.solver,
-            scene=scene,
-            noise=arguments.noise,
-            device=arguments.device,
-            seed=arguments.seed,
-            draw=draw,
-            talk=not draw and not arguments.json,
-            record=arguments.record,
-            picture=arguments.picture,
-        )
+    options = Options(
+        seconds=arguments.seconds,
+        rate_hz=arguments.rate,
+        bundle=arguments.bundle,
+        solver=arguments.solver,
+        scene=scene,
+        noise=arguments.noise,
+        device=arguments.device,
+        seed=arguments.seed,
+        draw=draw,
+        talk=not draw and not arguments.json,
+        record=arguments.record,
     )
+    streamed = stream(options)
+    summary = summarise(options, streamed)
     if arguments.json:
-        print(json.dumps(summary))
+        print(json.dumps(summary), flush=True)
     else:
         print_summary(summary)
+    if arguments.picture is not None:  # last: a run without a frame worth drawing has a summary all the same
+        draw_picture(options, streamed, arguments.picture)
     return 0
