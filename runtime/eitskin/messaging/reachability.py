@@ -29,12 +29,17 @@ def explain_silence(endpoint: str, waited_s: float) -> str:
             "still captures its reference, or CURVE keys are missing or wrong; 'ready publishing on ...' is the line "
             "in which 'eitskin run' says where"
         )
-    elsewhere = [other for other in _defaults() if other != endpoint and _nobody(other, 0.0) is None]
+    elsewhere = [other for other, alive in default_endpoints().items() if alive and other != endpoint]
     if elsewhere:
         return f"{found}; a runtime publishes on {elsewhere[0]}: name that endpoint"
     return (
         f"{found}; start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
     )
+
+
+def default_endpoints() -> dict[str, bool]:
+    """Return where this user's runtimes publish by default, and whether one does: {endpoint: somebody listens}."""
+    return {endpoint: _nobody(endpoint, 0.0) is None for endpoint in _defaults()}
 
 
 def _nobody(endpoint: str, patience_s: float) -> str | None:

@@ -105,6 +105,8 @@ def _print(found: dict[str, Any]) -> None:
         print(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
     for bundle in found["bundles"]:
         print(f"bundle   {bundle['path']}  {bundle['state']}")
+    for endpoint in found["runtimes"]:
+        print(f"runtime  publishing on {endpoint}")
     for line in found["limits"]:
         print(f"limit    {line}")
     for section in ("device", "configuration"):
