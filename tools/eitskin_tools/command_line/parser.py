@@ -4,7 +4,6 @@ Its subparsers are of the same class, so that ``eitskin bench skp`` and ``eitski
 """
 
 import argparse
-import sys
 from collections.abc import Iterable
 from typing import Any, NoReturn
 
@@ -48,8 +47,3 @@ class Parser(argparse.ArgumentParser):
 
 def _choices(action: argparse.Action) -> Iterable[Any]:
     return action.choices or ()
-
-
-def say(line: str) -> None:
-    """Print a line on stderr at once."""
-    print(line, file=sys.stderr, flush=True)
