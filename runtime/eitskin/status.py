@@ -19,6 +19,7 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
     return {
         "frames": loop.statistics.frames,
         "published": loop.published,
+        "touched": loop.statistics.touched,
         "lost": intake.counter.lost,
         "corrupt": device.deframer.corrupt,
         "withheld": intake.withheld_total,

@@ -68,6 +68,22 @@ def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_s
     assert not (tmp_path / "control").exists()
 
 
+def test_a_subscriber_that_names_no_endpoint_finds_a_runtime_that_names_none(
+    virtual_skin, tiny_path, tmp_path, monkeypatch
+):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port:
+        process = command("run", "--port", port, "--bundle", tiny_path, "--reference-frames", 20)
+        wait_until_ready(process)
+        with eitskin.subscribe() as frames:
+            assert next(frames).map.shape == (30, 45)
+        code, out, err = finished("subscribe", "--frames", 5, "--json")
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=10)
+    assert code == 0, err
+    assert json.loads(out)["frames"] == 5
+
+
 def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_skin, tiny_path, tmp_path, endpoints):
     stored = tmp_path / "skin.json"
     with virtual_skin() as port:
@@ -165,6 +181,41 @@ def test_bad_usage_of_run_exits_2(words):
     assert words[0] in err
 
 
+def test_what_run_says_is_json_where_it_is_asked_to_and_nearly_nothing_where_quiet(
+    virtual_skin, tiny_path, tmp_path, endpoints
+):
+    words = ["--bundle", tiny_path, "--frames", 300, "--reference-frames", 20, *endpoints]
+    with virtual_skin(faults=["drop@1.2/0.4"]) as port:
+        code, _, err = finished("run", "--port", port, *words, "--log-format", "json")
+        assert code == 0, err
+        found = [json.loads(line) for line in err.splitlines()]
+        events = [one["event"] for one in found]
+        assert events.count("ready") == 1
+        statuses = [one for one in found if one["event"] == "status"]
+        assert statuses[-1]["lost"] > 0
+        assert {"rate_hz", "touched", "corrupt", "withheld_by_reason", "electrodes"} <= set(statuses[-1])
+        code, out, err = finished("run", "--port", port, *words, "--quiet", "--json")
+        assert (code, err.splitlines()[0].split()[0], len(err.splitlines())) == (0, "ready", 1)
+        assert json.loads(out)["frames"] == 300
+    code, _, err = finished("run", "--port", "/dev/ttyNONE9", "--bundle", tiny_path, "--log-format", "json")
+    assert code == 1
+    assert json.loads(err.splitlines()[-1])["event"] == "error"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--publish", "here"], "endpoint 'here': expected ipc:///path or tcp://address:port"),
+        (["--control", "ipc://relative"], "expected an absolute path"),
+        (["--curve-keys", "/nowhere"], "/nowhere/server.key_secret is no CURVE key"),
+    ],
+)
+def test_what_cannot_be_bound_is_refused_before_the_port_is_opened(words, said):
+    code, out, err = finished("run", "--port", "/dev/ttyNONE9", *words)
+    assert (code, out, err.count("\n")) == (1, "", 1)
+    assert said in err
+
+
 def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
     cpu = min(os.sched_getaffinity(0))
     words = ["--affinity", str(cpu), "--mlock", "--sched-fifo", "1"]
@@ -179,10 +230,14 @@ def test_real_time_options_say_what_was_got(virtual_skin, tiny_path, endpoints):
 
 def test_subscribe_prints_frames_and_one_object(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
-        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all")
         assert code == 0, err
         assert len(out.splitlines()) == 20
         assert "solver vd2t" in out
+        code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20)
+        assert code == 0, err
+        assert 1 <= len(out.splitlines()) < 10  # one a second, and the last
+        assert "vd2t" in out
         code, out, err = finished("subscribe", runtime.publisher.endpoint, "--frames", 20, "--mode", "all", "--json")
         assert code == 0, err
         summary = json.loads(out)
@@ -196,11 +251,37 @@ def test_a_region_outside_the_sheet_exits_2_and_names_the_sheet():
     assert "x is 0 to 150, y 0 to 100 mm" in err
 
 
+def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_frame(
+    virtual_skin, running, tmp_path, monkeypatch
+):
+    from eitskin.messaging.publish import Publisher
+
+    silent = Publisher(f"ipc://{tmp_path}/silent")
+    process = command("subscribe", silent.endpoint, "--timeout-s", 60)
+    while not silent.wanted and process.poll() is None:  # it waits for its first frame as soon as it has subscribed
+        silent.look()
+        time.sleep(0.01)
+    process.send_signal(signal.SIGINT)
+    out, err = process.communicate(timeout=30)
+    silent.close()
+    assert (process.returncode, out, err) == (0, "", "")
+    (tmp_path / "r").mkdir()
+    with virtual_skin() as port, running(port, tmp_path / "r") as runtime:
+        process = command(
+            "subscribe", runtime.publisher.endpoint, "--mode", "all", env={**os.environ, "PYTHONUNBUFFERED": "1"}
+        )
+        process.stdout.readline()
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=30)
+    assert (process.returncode, err) == (0, "")
+
+
 def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
     start = time.perf_counter()
     code, out, err = finished("subscribe", f"ipc://{tmp_path}/nobody", "--timeout-s", "0.2")
     assert (code, out) == (1, "")
-    assert "is the runtime running" in err
+    assert "nobody listens there" in err
+    assert "'eitskin run --port PORT'" in err
     assert time.perf_counter() - start < 20
     assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
 

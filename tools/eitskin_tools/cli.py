@@ -6,6 +6,7 @@ Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr
 
 import argparse
 import importlib
+import json
 import os
 import signal
 import sys
@@ -13,9 +14,11 @@ from collections.abc import Sequence
 from typing import Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line import files, needs
+from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.errors import UsageError
 
-COMMANDS: Final[dict[str, tuple[str, str]]] = {
+LIVE: Final[dict[str, tuple[str, str]]] = {
     "demo": ("live.demo", "a virtual skin, the runtime and a subscriber in three processes, with the map drawn live"),
     "run": ("live.run", "read a skin, publish tactile frames"),
     "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
@@ -23,6 +26,11 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
     "surface": ("live.surface", "turn a raw scan of the bent sheet into a 3 x 30 x 45 cloud"),
+    "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
+}
+"""Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
+
+OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "simulate": ("offline.simulate", "solve a scene with the forward model"),
     "dataset": ("offline.dataset", "generate a data set"),
     "train": ("offline.train", "train VD2T"),
@@ -31,17 +39,43 @@ COMMANDS: Final[dict[str, tuple[str, str]]] = {
     "export": ("offline.export", "export a trained network to a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),
     "bench": ("offline.bench", "benchmarks, each with --json"),
-    "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
-"""Subcommands in the order of the help: {name: (module below ``eitskin_tools.commands``, what it does)}."""
+"""Subcommands of simulation, training and evaluation, as in ``LIVE``."""
+
+COMMANDS: Final = {**LIVE, **OFFLINE}
+"""All subcommands in the order of the help."""
+
+FIRST_STEPS: Final = """first steps, without hardware:
+  eitskin demo                      everything at once, with the map drawn live
+  eitskin virtual-skin              a skin on a port, whose path it prints; then, each in a terminal of its own:
+  eitskin run --port PORT           read it and publish frames
+  eitskin subscribe                 see them
+"""
 
 
-def _parser(named: str | None) -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(prog="eitskin", description="Feel through a soft, bending electronic skin.")
+def _help_text() -> str:
+    """Return the commands in two groups, and the first steps."""
+    groups = []
+    for title, commands in (("around a running skin", LIVE), ("simulation, training, evaluation", OFFLINE)):
+        lines = [f"    {name:<14}{summary}" for name, (_, summary) in commands.items()]
+        groups.append("\n".join([f"{title}:", *lines]))
+    return "\n\n".join([*groups, FIRST_STEPS + "\n'eitskin COMMAND --help' says what a command takes."])
+
+
+def _parser(named: str | None) -> Parser:
+    parser = Parser(
+        prog="eitskin",
+        usage="eitskin [--version] COMMAND ...",
+        description="Feel through a soft, bending electronic skin.",
+        epilog=_help_text(),
+        formatter_class=argparse.RawDescriptionHelpFormatter,
+        add_help=False,
+    )
+    parser.add_argument("-h", "--help", action="help", help=argparse.SUPPRESS)
     parser.add_argument("--version", action="store_true", help="print the version and the ids, then exit")
-    subparsers = parser.add_subparsers(dest="command", metavar="COMMAND")
+    subparsers = parser.add_subparsers(prog="eitskin", dest="command", metavar="COMMAND", help=argparse.SUPPRESS)
     for name, (module, summary) in COMMANDS.items():
-        child = subparsers.add_parser(name, help=summary, description=summary[0].upper() + summary[1:] + ".")
+        child = subparsers.add_parser(name, description=summary[0].upper() + summary[1:] + ".")
         if name == named:
             importlib.import_module(f"eitskin_tools.commands.{module}").add_arguments(child)
     return parser
@@ -58,6 +92,16 @@ def _print_version() -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return its exit status."""
     words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        return _main(words)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except KeyboardInterrupt:
+        return 128 + signal.SIGINT
+
+
+def _main(words: list[str]) -> int:
     named = next((word for word in words if not word.startswith("-")), None)
     parser = _parser(named if named in COMMANDS else None)
     arguments = parser.parse_args(words)
@@ -65,30 +109,34 @@ def main(argv: Sequence[str] | None = None) -> int:
         _print_version()
         return 0
     if arguments.command is None:
-        parser.print_usage(sys.stderr)
         print("eitskin: name a command; 'eitskin --help' lists them", file=sys.stderr)
         return 2
     module = importlib.import_module(f"eitskin_tools.commands.{COMMANDS[arguments.command][0]}")
     try:
+        needs.check(arguments)
         return int(module.run(arguments))
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 1
+        raise
     except UsageError as error:
-        print(f"eitskin {arguments.command}: {error}", file=sys.stderr)
-        return 2
+        return _fail(arguments, str(error), 2)
     except (SkinError, ValueError, OSError, ModuleNotFoundError) as error:
-        print(f"eitskin {arguments.command}: {_one_line(error)}", file=sys.stderr)
-        return 1
-    except KeyboardInterrupt:
-        return 128 + signal.SIGINT
+        return _fail(arguments, _one_line(error), 1)
+
+
+def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
+    """Say what is wrong, in the format of the log where there is one, and return the exit status."""
+    if getattr(arguments, "log_format", "text") == "json":
+        print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
+    else:
+        print(f"eitskin {arguments.command}: {text}", file=sys.stderr)
+    return status
 
 
 def _one_line(error: BaseException) -> str:
-    text = " ".join(str(error).split()) or type(error).__name__
+    text = (files.explain(error) if isinstance(error, OSError) else None) or str(error)
+    text = " ".join(text.split()) or type(error).__name__
     if isinstance(error, ModuleNotFoundError):
-        extra = {"torch": "train", "onnx": "train", "scipy": "sim", "rich": "sim", "matplotlib": "plot"}
-        return f"{text}; install it with: pip install 'eitskin[{extra.get(error.name or '', 'sim')}]'"
+        return f"{text}; install it with: {needs.install([error.name or ''])}"
     return text
 
 

@@ -17,6 +17,7 @@ from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import SkinError
 from eitskin.messaging.endpoints import runtime_folder
+from eitskin.messaging.reachability import default_endpoints
 from eitskin.model.bundle import LABELS, default_path, load_bundle
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.messages import Hello
@@ -34,7 +35,7 @@ SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"),
 
 
 def examine() -> dict[str, Any]:
-    """Return ports, USB devices, bundles, limits and problems as plain values."""
+    """Return ports, USB devices, bundles, running runtimes, limits and problems as plain values."""
     problems: list[str] = []
     ports = [_port(info, problems) for info in sorted(list_ports.comports())]
     usb = _usb(problems)
@@ -52,6 +53,7 @@ def examine() -> dict[str, Any]:
         "ports": ports,
         "usb": usb,
         "bundles": bundles,
+        "runtimes": [endpoint for endpoint, alive in default_endpoints().items() if alive],
         "limits": [f"endpoints in {folder}", _limit("real-time priority", resource.RLIMIT_RTPRIO),
                    _limit("locked memory", resource.RLIMIT_MEMLOCK), _limit("open files", resource.RLIMIT_NOFILE)],
         "problems": problems,

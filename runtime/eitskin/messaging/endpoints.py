@@ -35,14 +35,32 @@ LONGEST_PATH: Final = 100
 """Bytes of an ipc path; the kernel takes 107."""
 
 
+FRAMES: Final = "frames"
+"""Name of the default publishing socket in the runtime folder."""
+
+CONTROL: Final = "control"
+"""Name of the default control socket in the runtime folder."""
+
+
+def runtime_folders() -> list[Path]:
+    """Return the folders in which sockets may lie by default, the one in use first; makes none of them.
+
+    The first is in ``XDG_RUNTIME_DIR``, where a session has one. The other stands in without, as under ``cron`` or
+    ``sudo``: who runs there and who subscribes from a desktop do not meet, and are told so.
+    """
+    base = os.environ.get("XDG_RUNTIME_DIR")
+    session = Path(base) if base else Path(f"/run/user/{os.getuid()}")
+    found = [session / "eitskin", Path(f"/tmp/eitskin-{os.getuid()}")]
+    return found if base and session.is_dir() else found[::-1]
+
+
 def runtime_folder() -> Path:
     """Return a folder that only this user can enter, made if need be.
 
     Raises:
         EndpointError: It exists and belongs to somebody else, or others may enter.
     """
-    base = os.environ.get("XDG_RUNTIME_DIR")
-    folder = Path(base) / "eitskin" if base and Path(base).is_dir() else Path(f"/tmp/eitskin-{os.getuid()}")
+    folder = runtime_folders()[0]
     with suppress(FileExistsError):
         folder.mkdir(mode=0o700)
     found = folder.lstat()
@@ -54,13 +72,13 @@ def runtime_folder() -> Path:
 
 
 def default_publish() -> str:
-    """Return where frames are published unless told otherwise."""
-    return f"ipc://{runtime_folder()}/frames"
+    """Return where frames are published, and looked for, unless told otherwise."""
+    return f"ipc://{runtime_folder() / FRAMES}"
 
 
 def default_control() -> str:
     """Return where control requests are taken unless told otherwise."""
-    return f"ipc://{runtime_folder()}/control"
+    return f"ipc://{runtime_folder() / CONTROL}"
 
 
 def needs_keys(endpoint: str, *, control: bool) -> bool:

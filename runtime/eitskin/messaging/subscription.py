@@ -1,4 +1,4 @@
-"""``for frame in eitskin.subscribe(endpoint): frame.map``: frames as they come, newest first or all of them.
+"""``for frame in eitskin.subscribe(): frame.map``: frames as they come, newest first or all of them.
 
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
@@ -6,8 +6,12 @@ frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps
 A subscriber may say that it needs a region only, or that it does without maps that have not changed; it still finds
 one in every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads everything that
 waits and returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
+
+Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within
+``FIRST_FRAME_S``. Once one has come, the next may take as long as it likes.
 """
 
+import math
 import time
 from types import TracebackType
 from typing import Any, Final, Self
@@ -16,7 +20,9 @@ import zmq
 
 from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import FIRST_BYTE, LARGEST_MESSAGE, Frame, MapMissing, unpack_frame
+from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
 
 MODES: Final = ("latest", "all")
@@ -26,14 +32,18 @@ _POLLIN: Final = int(zmq.POLLIN)
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
+FIRST_FRAME_S: Final = 5.0
+"""How long the first frame may take where no time was named; a runtime that is there sends one within 0.1 s."""
+
 
 class Subscription:
     """An open subscription: iterate it, or call ``next_frame``; leave it with ``close`` or as a context manager.
 
     Args:
-        endpoint: Where the runtime publishes.
+        endpoint: Where the runtime publishes; None takes the one of ``eitskin run``.
         mode: ``latest`` or ``all``.
-        timeout_s: How long to wait for a frame; None waits for ever.
+        timeout_s: How long to wait for a frame; None waits 5 s for the first and then for ever; ``math.inf`` waits for
+            ever from the start.
         max_age_s: Oldest frame that is good enough; None takes any.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
@@ -41,12 +51,12 @@ class Subscription:
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
-        EndpointError: ZeroMQ cannot make sense of the endpoint.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
 
     def __init__(
         self,
-        endpoint: str,
+        endpoint: str | None = None,
         *,
         mode: str = "latest",
         timeout_s: float | None = None,
@@ -63,11 +73,12 @@ class Subscription:
         self.region = WHOLE if region_mm is None else Region.from_mm(*region_mm)
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
         modest = region_mm is not None or skip_unchanged
-        self._timeout_ms = -1 if timeout_s is None else max(1, round(timeout_s * 1000))
+        self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
+        self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
         self._waits_ms = -1
         """What the socket waits at most; -1 for ever. It waits by itself: ``poll`` first would delay each frame."""
         self._max_age_s = max_age_s
-        self.endpoint = endpoint
+        self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
         """Frames taken so far."""
         self.lost = 0
@@ -90,10 +101,12 @@ class Subscription:
         if keys is not None:
             keys.apply(self._socket)
         try:
-            self._socket.connect(endpoint)
+            self._socket.connect(self.endpoint)
         except zmq.ZMQError as error:
             self.close()
-            raise EndpointError(f"{endpoint} cannot be connected to: {error.strerror}") from error
+            raise EndpointError(
+                f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
+            ) from error
         declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
         for topic in declared:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
@@ -102,11 +115,12 @@ class Subscription:
         """Return the next frame, waiting for it.
 
         Raises:
-            NoFrame: None came within ``timeout_s``.
+            NoFrame: None came in time; the text says whether anybody is there, and what to do.
             StaleFrame: One came, but it is older than ``max_age_s``.
         """
-        deadline_ns = time.perf_counter_ns() + self._timeout_ms * 1_000_000
-        left_ms = self._timeout_ms
+        timeout_ms = self._timeout_ms if self.received else self._first_ms
+        deadline_ns = time.perf_counter_ns() + timeout_ms * 1_000_000
+        left_ms = timeout_ms
         while True:
             if left_ms != self._waits_ms:
                 self._waits_ms = left_ms
@@ -114,9 +128,8 @@ class Subscription:
             try:
                 frame = self._take()
             except zmq.Again:
-                raise NoFrame(
-                    f"no frame from {self.endpoint} within {self._timeout_ms / 1000:g} s; is the runtime running?"
-                ) from None
+                why = explain_silence(self.endpoint, timeout_ms / 1000)
+                raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
             if frame is None:
                 if left_ms >= 0:
                     left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
@@ -170,8 +183,13 @@ class Subscription:
         self._context.term()
 
 
+def _milliseconds(timeout_s: float) -> int:
+    """Return what libzmq takes; -1 for ever."""
+    return -1 if math.isinf(timeout_s) else max(1, round(timeout_s * 1000))
+
+
 def subscribe(
-    endpoint: str,
+    endpoint: str | None = None,
     mode: str = "latest",
     *,
     timeout_s: float | None = None,
@@ -183,9 +201,11 @@ def subscribe(
     """Return an open subscription to a runtime's frames, to be iterated.
 
     Args:
-        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``.
+        endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
+            ``eitskin run`` publishes unless told otherwise.
         mode: ``latest`` for a control loop, ``all`` for a recorder.
-        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`; None waits for ever.
+        timeout_s: How long to wait for a frame before :class:`eitskin.NoFrame`. None waits 5 s for the first, and then
+            for ever; ``math.inf`` waits for ever from the start, for a runtime that is started later.
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
@@ -193,7 +213,7 @@ def subscribe(
 
     Raises:
         ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
-        EndpointError: ZeroMQ cannot make sense of the endpoint.
+        EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
     return Subscription(
         endpoint,

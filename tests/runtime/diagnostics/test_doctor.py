@@ -8,6 +8,7 @@ from eitskin.acquisition import usb_port
 from eitskin.acquisition.usb_port import Found
 from eitskin.diagnostics import doctor
 from eitskin.errors import TransportError
+from eitskin.messaging.publish import Publisher
 
 
 @pytest.fixture
@@ -40,6 +41,17 @@ def test_a_machine_without_any_skin_is_told_to_plug_one_in_or_start_a_virtual_on
     found = doctor.examine()
     assert (found["ports"], found["usb"]) == ([], [])
     assert todo(found, "eitskin virtual-skin")
+
+
+def test_a_runtime_that_publishes_by_default_is_listed(machine, monkeypatch, tmp_path):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    endpoint = f"ipc://{tmp_path}/eitskin/frames"
+    assert endpoint not in doctor.examine()["runtimes"]
+    publisher = Publisher(endpoint)
+    try:
+        assert endpoint in doctor.examine()["runtimes"]
+    finally:
+        publisher.close()
 
 
 def test_ports_are_listed_with_their_usb_ids_and_a_healthy_one_needs_nothing(machine):

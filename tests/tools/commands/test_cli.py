@@ -35,7 +35,9 @@ def test_no_command_is_bad_usage() -> None:
 
 
 def test_an_unknown_command_is_bad_usage() -> None:
-    assert eitskin("reconstruct").returncode == 2
+    done = eitskin("reconstruct")
+    assert done.returncode == 2
+    assert done.stderr == "eitskin: no command 'reconstruct'; 'eitskin --help' lists them\n"
 
 
 def test_version_prints_the_ids_that_artefacts_carry() -> None:
@@ -50,6 +52,25 @@ def test_a_failure_is_one_line_on_stderr_and_exit_1() -> None:
     assert done.stdout == ""
     assert done.stderr.count("\n") == 1
     assert "/nowhere/scene.json" in done.stderr
+
+
+def test_the_help_has_two_groups_and_the_first_steps() -> None:
+    text = eitskin("--help").stdout
+    assert text.index("around a running skin:") < text.index("simulation, training, evaluation:")
+    first = text[text.index("first steps") :]
+    for name in ("demo", "virtual-skin", "run --port PORT", "subscribe"):
+        assert f"eitskin {name}" in first
+
+
+def test_ctrl_c_is_130_without_a_word(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    from eitskin_tools.commands.live import doctor
+
+    def interrupted(arguments: object) -> int:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(doctor, "run", interrupted)
+    assert cli.main(["doctor"]) == 130
+    assert capsys.readouterr() == ("", "")
 
 
 def test_importing_the_runtime_pulls_in_neither_torch_nor_scipy() -> None:

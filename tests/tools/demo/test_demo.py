@@ -18,7 +18,7 @@ from eitskin_tools.demo.frame_picture import choose, picture
 from eitskin_tools.demo.recorder import STAGES, Record
 from eitskin_tools.demo.score import accuracy, percentiles_us, timing
 from eitskin_tools.pictures.draw import Painter, plain_lines
-from eitskin_tools.processes.children import Child, ChildDiedError, family
+from eitskin_tools.processes.children import Child, ChildDiedError, process_group
 from eitskin_tools.scripted_scene.script import demonstration
 
 ROOT = Path(__file__).parents[3]
@@ -131,10 +131,10 @@ def test_bad_usage_is_exit_2(arguments: list[str]) -> None:
 
 
 def test_the_last_words_of_a_dead_child_are_reported(tmp_path: Path) -> None:
-    with family() as children:
-        child = Child("sim", "eitskin_tools.cli", ["virtual-skin", "--scene=/nowhere.json"], tmp_path)
+    with process_group() as children:
+        child = Child("virtual-skin", "eitskin_tools.cli", ["virtual-skin", "--scene=/nowhere.json"], tmp_path)
         children.append(child)
-        with pytest.raises(ChildDiedError, match=r"sim ended with status 1: .*nowhere\.json"):
+        with pytest.raises(ChildDiedError, match=r"virtual-skin ended with status 1: .*nowhere\.json"):
             child.line(child.out, "{", 30.0)
 
 
@@ -271,7 +271,7 @@ def test_children_end_when_their_parent_is_killed(place: Path) -> None:
     code = (
         "import os, pathlib, signal\n"
         "from eitskin_tools.processes.children import Child\n"
-        f"child = Child('sim', 'eitskin_tools.cli', ['virtual-skin'], pathlib.Path({str(place)!r}))\n"
+        f"child = Child('virtual-skin', 'eitskin_tools.cli', ['virtual-skin'], pathlib.Path({str(place)!r}))\n"
         "child.line(child.out, '/', 30.0)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
@@ -288,8 +288,9 @@ def test_the_demonstration_needs_no_torch() -> None:
     modules = "show, live, scanner, recorder, score"
     code = (
         f"from eitskin_tools.demo import {modules}\n"
-        "from eitskin_tools.scripted_scene import prepare\nfrom eitskin_tools.virtual_skin import process\n"
-        "import eitskin_tools.scripted_scene.script, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics, sys\n"
+        "from eitskin_tools.virtual_skin import process\n"
+        "import eitskin_tools.scripted_scene.prepare, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics\n"
+        "import sys\n"
         "print('torch' in sys.modules)\n"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

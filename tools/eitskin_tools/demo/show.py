@@ -2,10 +2,10 @@
 
 ::
 
-    sim  --pty-->  run  --ipc-->  subscriber --> record.npz --+
-     |              ^                                          +--> summary
-     +-- log, wire times      scanner --clouds--> control      |
-     +---------------------------------------------------------+
+    virtual-skin --pty--> run --ipc--> subscriber --> record.npz --+
+     |                     ^                                       +--> summary
+     |                     +-- control <--clouds-- scanner         |
+     +-- log, wire times ------------------------------------------+
 
 Nothing is left behind: the processes end in order, the sockets and files lie in one temporary folder that is removed.
 """
@@ -24,7 +24,7 @@ import numpy.typing as npt
 from eitskin_proto.errors import SkinError
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
-from eitskin_tools.processes.children import GRACE_S, Child, family
+from eitskin_tools.processes.children import GRACE_S, Child, process_group
 from eitskin_tools.processes.skin_log import read_log, script_start
 
 START_S: Final = 120.0
@@ -58,8 +58,6 @@ class Options:
     """Say on standard error how far it is."""
     clouds: bool = True
     """Send clouds while the sheet bends."""
-    picture: Path | None = None
-    """Draw a frame of the run there."""
     affinity: int | None = None
     """The runtime, all its threads, on this CPU only."""
 
@@ -95,11 +93,11 @@ def stream(options: Options) -> Streamed:
         folder = Path(name)
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
         log, record = folder / "skin.log", folder / "record.npz"
-        with family() as children:
+        with process_group() as children:
             start_s = _start(options, folder, publish, control, children)
             if options.talk:
                 print(f"first frame after {start_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
-            _watch(options, publish, log, children)
+            _look_on(options, publish, log, children)
             skin, runtime, subscriber = children[:3]
             if subscriber.wait(GRACE_S) != 0:
                 subscriber.check()
@@ -114,22 +112,27 @@ def stream(options: Options) -> Streamed:
         )
 
 
-def demonstrate(options: Options) -> dict[str, Any]:
-    """Run the demonstration and return its summary; draw a picture of it where one is asked for.
+def draw_picture(options: Options, streamed: Streamed, path: Path) -> None:
+    """Draw a frame of a stream that has ended.
 
     Raises:
-        SkinError: A process died, with what it said last.
-        TimeoutError: A process was not ready in time.
+        ValueError: No frame of it is worth drawing; the text says what to do.
+        OSError: The file cannot be written.
     """
-    streamed = stream(options)
-    script = script_of(options)
-    if options.picture:
-        from eitskin_tools.demo.frame_picture import picture
+    from eitskin_tools.demo.frame_picture import picture
 
-        picture(streamed.record, script, streamed.start_us, options.picture)
+    picture(streamed.record, script_of(options), streamed.start_us, path)
+
+
+def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
+    """Return what a stream that has ended was like.
+
+    Raises:
+        ValueError: Not one frame was recorded.
+    """
     return {
         **timing(streamed.record, streamed.wire_ns),
-        **asdict(accuracy(streamed.record, script, streamed.start_us)),
+        **asdict(accuracy(streamed.record, script_of(options), streamed.start_us)),
         "sent": streamed.sent,
         "dropped_by_device": streamed.dropped,
         "late_subscriber": streamed.record.late,
@@ -154,7 +157,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         else ("eitskin_tools.cli", ["virtual-skin"])
     )
     skin = Child(
-        "sim", module,
+        "virtual-skin", module,
         [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
          f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
     )  # fmt: skip
@@ -189,7 +192,7 @@ def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> 
     )  # fmt: skip
 
 
-def _watch(options: Options, publish: str, log: Path, children: list[Child]) -> None:
+def _look_on(options: Options, publish: str, log: Path, children: list[Child]) -> None:
     """Wait for the subscriber to finish; draw meanwhile; stop early on Ctrl-C."""
     end = time.monotonic() + options.seconds + READY_S
     try:

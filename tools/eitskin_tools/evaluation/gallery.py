@@ -101,12 +101,12 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
 
 
 def _keep(solver: Solver, maps: list[Array]) -> Solver:
-    def watched(case: Case) -> Array:
+    def solve(case: Case) -> Array:
         image = solver(case)
         maps.append(image)
         return image
 
-    return watched
+    return solve
 
 
 def _points(phantom: Phantom) -> tuple[Array, ...]:

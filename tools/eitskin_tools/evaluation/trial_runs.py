@@ -36,8 +36,8 @@ def untouched_trial(
     """Return how high the maps of bent sheets rise that nothing touches."""
     solver = named(request, labels)
     peaks: list[float] = []
-    watched = Run(_watch(solver.run.solver, peaks), solver.run.reference)
-    evaluate_all(trials.untouched(deformations, family, labels), [watched], conditions, progress)
+    run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
+    evaluate_all(trials.untouched(deformations, family, labels), [run], conditions, progress)
     found = np.array(peaks)
     return {
         **_head(request, conditions, solver),
@@ -50,15 +50,15 @@ def untouched_trial(
     }
 
 
-def _watch(
+def _keeping_peaks(
     solver: Callable[[Case], npt.NDArray[np.float64]], peaks: list[float]
 ) -> Callable[[Case], npt.NDArray[np.float64]]:
-    def watched(case: Case) -> npt.NDArray[np.float64]:
+    def solve(case: Case) -> npt.NDArray[np.float64]:
         image = solver(case)
         peaks.append(float(image.max()))
         return image
 
-    return watched
+    return solve
 
 
 def _head(request: Request, conditions: Conditions, solver: Any) -> dict[str, Any]:

@@ -1,29 +1,30 @@
 """Maps in a terminal: two pixels a character, by half blocks with a colour above and one below.
 
-A map of 30 x 45 takes 15 lines of 45 characters; the truth stands beside it where the terminal is wide enough. The
-picture is drawn on the alternate screen, so that the terminal afterwards shows what it showed before. y = 0 is at the
-bottom.
+A map of 30 x 45 takes 15 lines of 45 characters, or what the terminal has room for (:mod:`.layout`); the truth stands
+beside or below it. The picture is drawn on the alternate screen, so that the terminal afterwards shows what it showed
+before. y = 0 is at the bottom.
 """
 
 import os
 import shutil
+import textwrap
 from types import TracebackType
 from typing import Final, Self, TextIO
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_tools.pictures.layout import GAP, Layout, arrange, fitted
 
 RATE_HZ: Final = 15.0
 """Pictures a second."""
 
-GAP: Final = 4
-"""Characters between the two maps."""
-
 _STOPS: Final = np.array(
     [[13, 16, 42], [47, 42, 118], [126, 48, 140], [204, 71, 120], [248, 149, 64], [252, 253, 191]], dtype=np.float64
 )
+
+LEFT_OUT: Final = "truth left out; make this 80 x 24"
+"""What a terminal says that is too small for both maps."""
 
 LEVELS: Final = 32
 """Colours of the scale."""
@@ -45,7 +46,7 @@ def _codes() -> tuple[list[str], list[str]]:
 
 
 def plain_lines(image: npt.NDArray[np.floating]) -> list[str]:
-    """Return 15 lines of 45 shades, for a terminal without colours or for a text file."""
+    """Return a line of shades for two rows of a map, for a terminal without colours or for a text file."""
     shades = " ░▒▓█"
     upright = np.asarray(image, dtype=np.float64)[::-1]
     pairs = np.maximum(upright[0::2], upright[1::2])
@@ -77,14 +78,19 @@ class Painter:
         self._stream.flush()
 
     def lines(self, image: npt.NDArray[np.floating]) -> list[str]:
-        """Return the 15 lines of one map."""
+        """Return the lines of one map, one for two of its rows."""
         if self._plain:
             return plain_lines(image)
         upright = np.asarray(image, dtype=np.float64)[::-1]
         levels = np.clip((upright * LEVELS).astype(int), 0, LEVELS - 1)
         found = []
         for top, bottom in zip(levels[0::2], levels[1::2], strict=True):
-            cells = [f"{self._above[a]}{self._below[b]}▀" for a, b in zip(top, bottom, strict=True)]
+            cells, before = [], (-1, -1)
+            for pair in zip(top.tolist(), bottom.tolist(), strict=True):
+                if pair != before:  # most of a map has one colour
+                    cells.append(f"{self._above[pair[0]]}{self._below[pair[1]]}")
+                    before = pair
+                cells.append("▀")
             found.append("".join(cells) + "\x1b[0m")
         return found
 
@@ -94,19 +100,59 @@ class Painter:
         """Draw one picture over the one before.
 
         Args:
-            title: First line.
+            title: First line; it is wrapped where it is too long.
             image: (30, 45) the streamed map.
-            truth: (30, 45) what it should be; left out where the terminal is too narrow.
-            footer: Lines below.
+            truth: (30, 45) what it should be.
+            footer: Lines below, wrapped as well; they say what is left out where the terminal is too small.
         """
-        width, height = shutil.get_terminal_size()
-        columns = GRID_SHAPE[1]
-        left = self.lines(image)
-        captions = "streamed".ljust(columns)
-        if truth is not None and width >= 2 * columns + GAP:
-            left = [a + " " * GAP + b for a, b in zip(left, self.lines(truth), strict=True)]
-            captions += " " * GAP + "truth"
-        text = [title[:width], "", captions[:width], *left, "", *(line[:width] for line in footer)]
-        body = "\n".join(line + "\x1b[K" for line in text[: max(height, 1)])
+        text = self.picture(*shutil.get_terminal_size(), title, image, truth, footer)
+        body = "\n".join(line + "\x1b[K" for line in text)
         self._stream.write("\x1b[H" + body + "\x1b[J")
         self._stream.flush()
+
+    def picture(
+        self,
+        width: int,
+        height: int,
+        title: str,
+        image: npt.NDArray[np.floating],
+        truth: npt.NDArray[np.floating] | None,
+        footer: list[str],
+    ) -> list[str]:
+        """Return the lines of one picture, at most ``height`` of at most ``width`` characters.
+
+        Args:
+            width: Characters of the terminal.
+            height: Lines of the terminal.
+            title: See :meth:`show`.
+            image: See :meth:`show`.
+            truth: See :meth:`show`.
+            footer: See :meth:`show`.
+        """
+        above, below = _wrapped([title], width), _wrapped(footer, width)
+        layout = arrange(width, height - len(above) - len(below), truth=truth is not None)
+        if layout.left_out:  # texts get a line each, so that the map keeps the rest
+            above, below = [title[:width]], [line[:width] for line in (LEFT_OUT, *footer)]
+            layout = arrange(width, height - len(above) - len(below), truth=False)
+        maps = self._maps(layout, image, truth)
+        spare = height - len(above) - len(maps) - len(below)
+        return [*above, *[""][: max(spare - 1, 0)], *maps, *[""][: max(spare, 0)], *below][: max(height, 1)]
+
+    def _maps(
+        self, layout: Layout, image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating] | None
+    ) -> list[str]:
+        """Return the maps under their captions."""
+        streamed = self.lines(fitted(image, layout.columns, layout.lines))
+        if truth is None or layout.arrangement == "alone":
+            return ["streamed", *streamed]
+        right = self.lines(fitted(truth, layout.columns, layout.lines))
+        if layout.arrangement == "below":
+            return ["streamed", *streamed, "truth", *right]
+        gap = " " * GAP
+        captions = f"{'streamed'.ljust(layout.columns)}{gap}truth"
+        return [captions, *(a + gap + b for a, b in zip(streamed, right, strict=True))]
+
+
+def _wrapped(lines: list[str], width: int) -> list[str]:
+    """Return lines of at most so many characters."""
+    return [part for line in lines for part in textwrap.wrap(line, max(width, 8)) or [""]]

@@ -115,7 +115,7 @@ class Child:
 
 
 @contextmanager
-def family() -> Iterator[list[Child]]:
+def process_group() -> Iterator[list[Child]]:
     """Give a list for children; whoever is in it when the block ends is ended, the last one first."""
     children: list[Child] = []
     try:

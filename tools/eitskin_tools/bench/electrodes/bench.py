@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.choices import chosen, several
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -34,7 +35,9 @@ Rows = list[dict[str, Any]]
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of unit labels)")
-    parser.add_argument("--phantoms", type=Path, metavar="FILE", help="measure the accuracy left on these too")
+    parser.add_argument(
+        "--phantoms", metavar="FILE", help="measure the accuracy left on these too: a file, paper_units or paper_mm"
+    )
     parser.add_argument("--streams", type=int, default=4, metavar="N", help="streams of each kind (default 4)")
     parser.add_argument("--moments", type=int, default=12, metavar="N", help="solved moments of a stream (default 12)")
     parser.add_argument(
@@ -148,7 +151,7 @@ def _accuracy(
     from eitskin_sim.scene.scene import load_phantoms
     from eitskin_tools.bench.electrodes.accuracy import SETS, accuracy
 
-    phantoms = load_phantoms(arguments.phantoms)
+    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
     sets = 2 if arguments.quick else SETS
     classical = not (arguments.no_classical or arguments.quick)
     rows: Rows = []

@@ -25,7 +25,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.frames import frame_bytes
 from eitskin_proto.wire.framing import wire_bytes
-from eitskin_tools.processes.children import Child, family
+from eitskin_tools.processes.children import Child, process_group
 
 PACKET_BYTES: Final = wire_bytes(frame_bytes(N_ROWS, 3))
 """A frame of 104 rows on the wire, 24 bit a sample."""
@@ -58,7 +58,7 @@ def floor_ns(rate_hz: float, frames: int, affinity: int | None = None) -> npt.ND
 
     sent_ns = np.zeros(frames, dtype=np.int64)
     module, pinned = "eitskin_tools.bench.frame.line_floor", [] if affinity is None else [f"--affinity={affinity}"]
-    with tempfile.TemporaryDirectory(prefix="eitskin-floor-") as name, family() as children, PtyPort() as port:
+    with tempfile.TemporaryDirectory(prefix="eitskin-floor-") as name, process_group() as children, PtyPort() as port:
         folder = Path(name)
         endpoint, result = f"ipc://{folder}/frames", folder / "received.npy"
         relay = Child("relay", module, ["relay", endpoint, str(port.path), *pinned], folder)

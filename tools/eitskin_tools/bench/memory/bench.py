@@ -57,13 +57,13 @@ def measure(seconds: float, rate_hz: float, bundle: Path | None) -> dict[str, An
         rate_hz: Frames a second.
         bundle: To run; None for the shipped one.
     """
-    from eitskin_tools.processes.children import Child, family
+    from eitskin_tools.processes.children import Child, process_group
 
     print(f"eitskin bench memory: {seconds:g} s at {rate_hz:g} frames/s", file=sys.stderr)
-    with tempfile.TemporaryDirectory(prefix="eitskin-memory-") as name, family() as children:
+    with tempfile.TemporaryDirectory(prefix="eitskin-memory-") as name, process_group() as children:
         folder = Path(name)
         publish = f"ipc://{folder}/frames"
-        skin = Child("sim", "eitskin_tools.cli", ["virtual-skin", "--json", f"--rate={rate_hz:g}"], folder)
+        skin = Child("virtual-skin", "eitskin_tools.cli", ["virtual-skin", "--json", f"--rate={rate_hz:g}"], folder)
         children.append(skin)
         port = json.loads(skin.line(skin.out, "{", 2 * PATIENCE_S))["port"]
         named = ["--bundle", str(bundle)] if bundle else []

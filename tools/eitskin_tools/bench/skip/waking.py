@@ -23,7 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.model.bundle import Bundle
-from eitskin_tools.processes.children import Child, family
+from eitskin_tools.processes.children import Child, process_group
 from eitskin_tools.processes.skin_log import read_log
 
 EVERY_S: Final = 1.1
@@ -94,10 +94,12 @@ def measure(bundle: Bundle, untouched_V: Array, touched_V: Array, touches: int) 
     """
     from eitskin.skin import Skin
 
-    with tempfile.TemporaryDirectory(prefix="eitskin-waking-") as name, family() as children:
+    with tempfile.TemporaryDirectory(prefix="eitskin-waking-") as name, process_group() as children:
         folder = Path(name)
         np.savez(folder / "rows.npz", untouched=untouched_V, touched=touched_V)
-        child = Child("sim", __name__, [str(folder / "rows.npz"), str(folder / "skin.log"), str(touches)], folder)
+        child = Child(
+            "virtual-skin", __name__, [str(folder / "rows.npz"), str(folder / "skin.log"), str(touches)], folder
+        )
         children.append(child)
         port = json.loads(child.line(child.out, "{", READY_S))["port"]
         with Skin(port, bundle=bundle, idle_after_s=AFTER_S) as skin:

@@ -2,8 +2,9 @@
 
 Error is 1 - CC, the mean over the phantoms of each file and the noise draws, on the data of ``eitskin evaluate``. Run
 time is one call a 5 ms period, the variants taking turns on one thread, as a robot sees it; classical solvers have
-their operators of the sheet ready, as the network has its geometry. Of the variants that give a whole map, those that
-no other one beats in both are on the Pareto front.
+their operators of the sheet ready, as the network has its geometry. What no variant that gives a whole map beats in
+both is on the Pareto front (``pareto``). What gives a part of a map beats nobody (``whole`` is false): its error is of
+another image.
 
 ::
 
@@ -24,12 +25,15 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.bench.tradeoff.report import markdown, plot
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
 PERIOD_S: Final = 0.005
 """Between two calls."""
+
+GATE: Final = "gate alone"
+"""Judges and gives no map; its error is of another kind."""
 
 L1_STEPS: Final = (10, 50, 200, 400)
 """Iterations of FISTA that are compared; the last is the solver's own."""
@@ -37,7 +41,9 @@ L1_STEPS: Final = (10, 50, 200, 400)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--phantoms", action="append", default=[], metavar="FILE", help="JSON list; repeatable")
+    parser.add_argument(
+        "--phantoms", action="append", default=[], metavar="FILE", help="a file, paper_units or paper_mm; repeatable"
+    )
     parser.add_argument("--bundle", action="append", default=[], metavar="FILE", help="another network; repeatable")
     parser.add_argument("--noise", choices=["N1", "N2", "N3", "none"], default="N2", help="default: N2")
     parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws (default 1)")
@@ -58,13 +64,15 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--calls must be at least 10 and --seeds at least 1")
     found: dict[str, list[dict[str, Any]]] = {}
     for path in arguments.phantoms:
-        phantoms = load_phantoms(path)
+        phantoms = load_phantoms(files.find(path, files.PHANTOMS))
         for labels in dict.fromkeys(one.truth for one in phantoms):
             group = [one for one in phantoms if one.truth == labels]
             print(f"eitskin bench tradeoff: {len(group)} phantoms of {path}", file=sys.stderr)
             rows = measure(group, arguments.bundle, arguments.noise, arguments.seeds, arguments.calls)
             found[f"{Path(path).stem}, {labels} labels"] = rows
     if arguments.plot is not None:
+        from eitskin_tools.bench.tradeoff.picture import plot
+
         plot(found, arguments.plot)
     if arguments.json:
         print(json.dumps({"noise": arguments.noise, "seeds": arguments.seeds, "files": found, "machine": machine()}))
@@ -125,14 +133,24 @@ def measure(
         {"variant": way.name, "error": round(errors[way.name], 5), **percentiles_us(np.array(spans[way.name]))}
         for way in ways
     ]
-    whole = {way.name for way in ways if way.error is _whole_error}
-    rivals = [row for row in rows if row["variant"] in whole]
-    for row in rows:
-        beaten = any(
-            other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row for other in rivals
-        )
-        row["pareto"] = row["variant"] in whole and not beaten
+    for row, way in zip(rows, ways, strict=True):
+        row["whole"] = way.error is _whole_error
+    mark_front(rows)
     return rows
+
+
+def mark_front(rows: Sequence[dict[str, Any]]) -> None:
+    """Say of each row in ``pareto`` whether nothing that gives a whole map beats it in both."""
+    for row in rows:
+        row["pareto"] = not row["variant"].startswith(GATE) and not _beaten(row, rows)
+
+
+def _beaten(row: dict[str, Any], rows: Sequence[dict[str, Any]]) -> bool:
+    """Return whether another variant, one that gives a whole map, is as good in both and not the same."""
+    return any(
+        other["whole"] and other["error"] <= row["error"] and other["p50"] <= row["p50"] and other is not row
+        for other in rows
+    )
 
 
 def _cases(phantoms: Sequence[Any], noise: Any, seeds: int) -> list[tuple[Any, Any]]:
@@ -244,5 +262,14 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
             gate.change[:] = relative_change(case.voltages, case.flat_reference).astype(np.float32)
             return gate.touched()
 
-        found.append(Variant(f"gate alone{suffix}", judge, lambda case, truth, touched: float(not touched)))
+        found.append(Variant(f"{GATE}{suffix}", judge, lambda case, truth, touched: float(not touched)))
     return found
+
+
+def markdown(rows: Sequence[dict[str, Any]]) -> str:
+    """Return the table, the most accurate first."""
+    lines = ["| variant | 1 - CC | p50, us | p99, us | on the front |", "|---|---|---|---|---|"]
+    for row in sorted(rows, key=lambda row: row["error"]):
+        front = ("yes" if row["whole"] else "yes, for its part") if row["pareto"] else ""
+        lines.append(f"| {row['variant']} | {row['error']:.4f} | {row['p50']:.0f} | {row['p99']:.0f} | {front} |")
+    return "\n".join(lines)

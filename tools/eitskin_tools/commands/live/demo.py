@@ -6,6 +6,8 @@ import signal
 import sys
 from pathlib import Path
 
+from eitskin_tools.command_line import files
+from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.commands.live.run import SOLVERS
 from eitskin_tools.errors import UsageError
 
@@ -21,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
         "says that it shows the same, else vd2t)",
     )
-    parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it touches come and go")
+    parser.add_argument(
+        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it touches come and go"
+    )
     parser.add_argument(
         "--device", default="virtual", choices=("virtual", "qemu"),
         help="qemu: the real firmware on an emulated board (needs qemu-system-arm and gcc-arm-none-eabi)",
@@ -36,34 +40,41 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
-    from eitskin_tools.demo.show import Options, demonstrate, print_summary
+    from eitskin_tools.demo.show import Options, draw_picture, print_summary, stream, summarise
 
     if not arguments.seconds > 0.0:
         raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
-        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+        raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
+    scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
+    if arguments.bundle is not None:
+        files.find(arguments.bundle, files.BUNDLE)
+    for path in (arguments.record, arguments.picture):
+        if path is not None:
+            files.writable(path)
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
-    summary = demonstrate(
-        Options(
-            seconds=arguments.seconds,
-            rate_hz=arguments.rate,
-            bundle=arguments.bundle,
-            solver=arguments.solver,
-            scene=arguments.scene,
-            noise=arguments.noise,
-            device=arguments.device,
-            seed=arguments.seed,
-            draw=draw,
-            talk=not draw and not arguments.json,
-            record=arguments.record,
-            picture=arguments.picture,
-        )
+    options = Options(
+        seconds=arguments.seconds,
+        rate_hz=arguments.rate,
+        bundle=arguments.bundle,
+        solver=arguments.solver,
+        scene=scene,
+        noise=arguments.noise,
+        device=arguments.device,
+        seed=arguments.seed,
+        draw=draw,
+        talk=not draw and not arguments.json,
+        record=arguments.record,
     )
+    streamed = stream(options)
+    summary = summarise(options, streamed)
     if arguments.json:
-        print(json.dumps(summary))
+        print(json.dumps(summary), flush=True)
     else:
         print_summary(summary)
+    if arguments.picture is not None:  # last: a run without a frame worth drawing has a summary all the same
+        draw_picture(options, streamed, arguments.picture)
     return 0

@@ -5,6 +5,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -64,7 +65,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference)
     if arguments.recorded is not None:
-        recording = electrode_checkup.load_recording(arguments.recorded)
+        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
     else:
         recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
     found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
@@ -104,6 +105,8 @@ def _print(found: dict[str, Any]) -> None:
         print(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
     for bundle in found["bundles"]:
         print(f"bundle   {bundle['path']}  {bundle['state']}")
+    for endpoint in found["runtimes"]:
+        print(f"runtime  publishing on {endpoint}")
     for line in found["limits"]:
         print(f"limit    {line}")
     for section in ("device", "configuration"):

@@ -12,6 +12,7 @@ from eitskin.acquisition.transport import Transport
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
@@ -37,6 +38,8 @@ def run(arguments: argparse.Namespace) -> int:
     needs_file = arguments.action in ("diff", "write", "verify")
     if needs_file != (arguments.file is not None):
         raise UsageError(f"flash {arguments.action} {'needs a' if needs_file else 'takes no'} FILE")
+    if needs_file:
+        files.find(arguments.file, files.CONFIGURATION)  # says what there is where there is no such file
     configuration = config_toml.load(arguments.file) if needs_file else None
     if arguments.port is None:
         if arguments.action == "write" and arguments.dry_run and configuration is not None:

@@ -6,6 +6,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -31,6 +32,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError("--port captures a reference; name the file that it goes to with --out")
         if arguments.frames < 2:
             raise UsageError(f"--frames is {arguments.frames}, expected at least 2")
+        files.writable(arguments.out)
         found = _capture(arguments)
         references.save(found, arguments.out)
     if arguments.json:

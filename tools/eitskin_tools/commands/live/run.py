@@ -1,7 +1,7 @@
 """``eitskin run``: read a skin, publish frames, take control requests, until told to stop.
 
-Standard error says what was got, line by line, and then ``ready ...``; standard output stays empty but for the one
-object of ``--json`` at the end.
+Standard error says what was got, line by line, then ``ready ...``, then once a second at most how the stream is;
+standard output stays empty but for the one object of ``--json`` at the end.
 """
 
 import argparse
@@ -15,6 +15,8 @@ import time
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line.suggest import expected_one_of
+from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.errors import UsageError
 
 SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
@@ -58,12 +60,17 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
+    parser.add_argument(
+        "--log-format", choices=FORMATS, default="text", help="of stderr: text, or json for one object a line"
+    )
+    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
+    log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.disable()  # while modules and weights are loaded, which leave nothing to collect; settle() turns it on again
@@ -72,9 +79,10 @@ def run(arguments: argparse.Namespace) -> int:
 
     with contextlib.ExitStack() as stack:
         stack.callback(gc.enable)
+        _check_endpoints(arguments)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
-            _say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
+            log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
         keywords: dict[str, Any] = {} if arguments.baud is None else {"baud": arguments.baud}
         port = arguments.port
         if arguments.reconnect is not None:
@@ -97,21 +105,21 @@ def run(arguments: argparse.Namespace) -> int:
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: skin.stop())
-        _report(skin)
-        _say(open_files)
+        _report(skin, log)
+        log.say(open_files)
         if arguments.sched_fifo is not None:
-            _say(realtime.schedule_fifo(arguments.sched_fifo))
+            log.say(realtime.schedule_fifo(arguments.sched_fifo))
         if arguments.mlock:
-            _say(realtime.lock_memory())
-        _serve(skin, arguments, stack)
+            log.say(realtime.lock_memory())
+        _serve(skin, arguments, stack, log)
         if arguments.json:
             print(json.dumps(skin.summary()))
         else:
-            _say(_closing(skin.summary()))
+            log.say(_closing(skin.summary()))
     return 0
 
 
-def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack) -> None:
+def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack, log: RunLog) -> None:
     from eitskin.diagnostics import realtime
     from eitskin.errors import BadReference
     from eitskin.messaging import endpoints
@@ -119,6 +127,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
     from eitskin.serving import serve
+    from eitskin_tools.console.run_status import RunStatus
 
     keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
     publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
@@ -127,7 +136,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     stack.callback(control.close)
     realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
     if skin.reference is None:
-        _say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        log.say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
         try:
             skin.capture_reference(arguments.reference_frames)
         except BadReference:
@@ -135,10 +144,11 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
                 return
             raise
     for line in skin.reference.report():
-        _say(line)
-    print(f"ready publishing on {publisher.endpoint} control {control.endpoint}", file=sys.stderr, flush=True)
+        log.say(line)
+    log.ready(publisher.endpoint, control.endpoint)
     until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
-    serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
+    with contextlib.nullcontext() if arguments.quiet else RunStatus(skin.status, log):
+        serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -152,26 +162,40 @@ def _check(arguments: argparse.Namespace) -> None:
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
-        raise UsageError(f"--solver is {arguments.solver!r}, expected one of {', '.join(SOLVERS)}")
+        raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
 
 
-def _report(skin: Any) -> None:
+def _check_endpoints(arguments: argparse.Namespace) -> None:
+    """Refuse endpoints and keys that cannot be used, before the device is touched."""
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.curve_keys import load_server_keys
+
+    for option in ("publish", "control"):
+        if (endpoint := getattr(arguments, option)) is not None:
+            endpoints.needs_keys(endpoint, control=option == "control")
+    if arguments.curve_keys is not None:
+        load_server_keys(arguments.curve_keys)
+
+
+def _report(skin: Any, log: RunLog) -> None:
     hello = skin.device.hello
     for line in skin.transport.report():
-        _say(line)
+        log.say(line)
     version = ".".join(map(str, hello.firmware_version))
-    _say(
+    log.say(
         f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
         f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
     )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
-    _say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
+    log.say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
     gate = skin.bundle.manifest.get("gate") or {}
-    _say(f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle")
+    log.say(
+        f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle"
+    )
 
 
 def _closing(summary: dict[str, Any]) -> str:
@@ -181,7 +205,3 @@ def _closing(summary: dict[str, Any]) -> str:
         f"{summary['corrupt']} corrupt, {summary['withheld']} withheld, read to publish {latency['p50']:.0f} us p50, "
         f"{latency['p99']:.0f} p99, {latency['max']:.0f} max"
     )
-
-
-def _say(line: str) -> None:
-    print(f"eitskin run: {line}", file=sys.stderr, flush=True)

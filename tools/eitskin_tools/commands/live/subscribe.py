@@ -1,10 +1,15 @@
-"""``eitskin subscribe``: print what a runtime publishes, or count it."""
+"""``eitskin subscribe``: print what a runtime publishes, or count it.
+
+In mode ``latest`` one line is kept up to date on a terminal, and written every second elsewhere; mode ``all`` prints a
+line a frame.
+"""
 
 import argparse
 import contextlib
 import json
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -29,7 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Print a line a frame (or, with ``--json``, one object at the end) and return 0."""
+    """Print what comes (or, with ``--json``, one object at the end) and return 0."""
     if (arguments.server_key is None) != (arguments.client_key is None):
         raise UsageError("--server-key and --client-key belong together")
     for name in ("frames", "seconds", "timeout_s", "max_age_ms"):
@@ -37,9 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
         if value is not None and not value > 0:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     from eitskin.messaging.curve_keys import load_client_keys
-    from eitskin.messaging.endpoints import default_publish
     from eitskin.messaging.regions import Region
     from eitskin.messaging.subscription import subscribe
+    from eitskin_tools.console.stream_view import StreamView
 
     if arguments.region is not None:
         try:
@@ -48,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
     subscription = subscribe(
-        arguments.endpoint or default_publish(),
+        arguments.endpoint,
         arguments.mode,
         timeout_s=arguments.timeout_s,
         region_mm=None if arguments.region is None else tuple(arguments.region),
@@ -56,16 +61,21 @@ def run(arguments: argparse.Namespace) -> int:
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
+    view = StreamView(sys.stdout)
+    show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
-    with subscription, contextlib.suppress(KeyboardInterrupt):
-        for frame in subscription:
-            latencies.append(frame.latency_s * 1e6)
-            for stage, span in frame.stages_us().items():
-                stages.setdefault(stage, []).append(span)
-            if not arguments.json:
-                _print(frame)
+    with contextlib.ExitStack() as stack:
+        stack.callback(view.end)
+        stack.enter_context(contextlib.suppress(KeyboardInterrupt))
+        for frame in stack.enter_context(subscription):
+            if arguments.json:
+                latencies.append(frame.latency_s * 1e6)
+                for stage, span in frame.stages_us().items():
+                    stages.setdefault(stage, []).append(span)
+            else:
+                show(frame)
             if arguments.frames is not None and subscription.received >= arguments.frames:
                 break
             if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:

@@ -6,10 +6,12 @@ import sys
 import time
 from pathlib import Path
 
+from eitskin_tools.command_line import files
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
-    parser.add_argument("file", metavar="FILE", help="scan in mm: .ply (ASCII or binary), .xyz or .npy")
+    parser.add_argument("file", metavar="FILE", help="scan in mm: .ply (ASCII or binary), .xyz or .npy; or sample")
     parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
     parser.add_argument(
         "--corner",
@@ -27,7 +29,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.surface.ordered_cloud import organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
-    points = read_points(arguments.file)
+    points = read_points(files.find(arguments.file, files.SCAN))
+    files.writable(arguments.out)
     start = time.perf_counter()
     result = organise(points, tuple(arguments.corner) if arguments.corner else None)
     elapsed_ms = 1e3 * (time.perf_counter() - start)

@@ -4,6 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -11,9 +12,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument(
-        "--config", default="paper", metavar="NAME", help="configuration: a shipped name or a TOML file"
+        "--config",
+        default="paper",
+        metavar="NAME",
+        help="configuration: a TOML file, or paper, full208, idle or fast (default paper)",
     )
-    parser.add_argument("--scene", type=Path, metavar="FILE", help="hold this scene; without it a script of 20 s loops")
+    parser.add_argument(
+        "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it a script of 20 s loops"
+    )
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.add_argument("--seed", type=int, default=0, help="of noise and faults (default 0)")
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="kind of noise (default N2)")
@@ -43,6 +49,11 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
     if not 0 <= arguments.clock_us < 1 << 32:
         raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
+    files.find(arguments.config, files.CONFIGURATION)
+    scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
+    for path in (arguments.log, arguments.wire_times):
+        if path is not None:
+            files.writable(path)
     try:
         faults = tuple(parse(text) for text in arguments.fault)
     except ValueError as error:
@@ -51,7 +62,7 @@ def run(arguments: argparse.Namespace) -> int:
         Options(
             rate_hz=arguments.rate,
             configuration=arguments.config,
-            scene=arguments.scene,
+            scene=scene,
             seconds=arguments.seconds,
             seed=arguments.seed,
             noise=arguments.noise,

@@ -9,6 +9,8 @@ import importlib
 from types import ModuleType
 from typing import Any, Final
 
+from eitskin_tools.command_line.parser import Parser
+
 BENCHMARKS: Final[dict[str, str]] = {
     "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
     "footprint": "memory, import time and size of the runtime",
@@ -37,7 +39,7 @@ def _exists(name: str) -> bool:
     return find_spec(f"eitskin_tools.bench.{name}.bench") is not None
 
 
-class _Lazy(argparse.ArgumentParser):
+class _Lazy(Parser):
     """A benchmark's parser, which asks its module for options when it is about to parse."""
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:

@@ -6,13 +6,15 @@ import sys
 import time
 from typing import Any
 
+from eitskin_tools.command_line import files
+from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms")
+    what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms: a file, paper_units or paper_mm")
     what.add_argument("--single", type=float, metavar="MM", help="trial: one square touch of this side, anywhere")
     what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
@@ -88,7 +90,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.seeds < 1:
         raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
     if arguments.solver not in NAMES:
-        raise UsageError(f"--solver {arguments.solver!r}: expected one of {', '.join(NAMES)}")
+        raise UsageError(expected_one_of("--solver", arguments.solver, NAMES))
     if not 0.0 <= arguments.shift_px <= 1.0:
         raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
     if arguments.all and arguments.phantoms is None:
@@ -107,7 +109,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     from eitskin_tools.evaluation.paper_tables import comparison
     from eitskin_tools.evaluation.solvers import evaluate_requests
 
-    phantoms = load_phantoms(arguments.phantoms)
+    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
     if not phantoms:
         raise ValueError(f"{arguments.phantoms} holds no phantom; expected a list of at least one")
     if arguments.all:
@@ -115,6 +117,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
         print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
         return 0
     if arguments.picture is not None:
+        files.writable(arguments.picture)
         from eitskin_tools.evaluation.gallery import collect, draw
 
         rows = collect(phantoms, conditions, arguments.bundle)

@@ -24,11 +24,15 @@ def run(arguments: argparse.Namespace) -> int:
     """Export and report."""
     from eitskin_export import package
     from eitskin_export.bundle import amend
+    from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
 
     out = Path(arguments.out)
     if arguments.seeds < 1:
         raise UsageError(f"--seeds is {arguments.seeds}; expected at least 1")
+    files.writable(out)
+    for path in arguments.phantoms:
+        files.find(path, files.PHANTOMS)
     found = package.trained(Path(arguments.run_folder))
     data = package.data_of(found, arguments.data)
     if arguments.gate_only:
@@ -83,11 +87,12 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_sim.measurement.noise import KINDS
     from eitskin_sim.scene.scene import load_phantoms
+    from eitskin_tools.command_line import files
     from eitskin_tools.evaluation.solvers import NETWORKS, Request, evaluate_requests
 
     found: dict[str, Any] = {}
     for path in paths:
-        phantoms = [one for one in load_phantoms(path) if one.truth == labels]
+        phantoms = [one for one in load_phantoms(files.find(path, files.PHANTOMS)) if one.truth == labels]
         if not phantoms:
             _tell(f"{path} holds no phantoms with {labels} labels; left out")
             continue

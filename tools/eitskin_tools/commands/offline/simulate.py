@@ -3,6 +3,7 @@
 import argparse
 import json
 import os
+import sys
 import tempfile
 from pathlib import Path
 from time import perf_counter
@@ -10,7 +11,7 @@ from time import perf_counter
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument("scene", type=Path, help="a scene, as JSON")
+    parser.add_argument("scene", metavar="SCENE", help="a scene as JSON: a file, or the name of a shipped one: sample")
     parser.add_argument(
         "--out", type=Path, required=True, help="the .npz to write: voltages (104,), voltages208 (208,)"
     )
@@ -31,11 +32,15 @@ def run(arguments: argparse.Namespace) -> int:
 
     from eitskin_sim.fem.solve import solve_scene
     from eitskin_sim.scene.scene import check_scene, load_scene
+    from eitskin_tools.command_line import files
 
-    scene = load_scene(arguments.scene)
+    scene = load_scene(files.find(arguments.scene, files.SCENE))
+    files.writable(arguments.out)
     if arguments.element_size_mm is not None:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
+    if sys.stderr.isatty():
+        print("eitskin simulate: solving, half a minute at most", file=sys.stderr)
     start = perf_counter()
     solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start

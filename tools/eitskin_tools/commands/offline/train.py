@@ -30,6 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Train and report."""
     import torch
 
+    from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_training import curves, train
     from eitskin_training.recipes import recipe
@@ -49,6 +50,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     out = Path(arguments.out)
+    for folder in arguments.data:
+        files.find(folder, files.DATA_SET)
     data = load_all(arguments.data)
     with _Reporter() as report:
         done = train.train(

@@ -1,0 +1,79 @@
+"""Whether anybody is at an endpoint: what a subscriber is told to whom nothing came.
+
+A ZeroMQ socket connects to nobody as readily as to somebody, so silence has many causes that look alike. They are told
+apart by connecting to the address once more, without ZeroMQ, and leaving at once.
+"""
+
+import os
+import socket
+from pathlib import Path
+from typing import Final
+
+from eitskin.messaging.endpoints import FRAMES, runtime_folders
+
+LONGEST_PROBE_S: Final = 0.3
+"""How long connecting to a TCP address may take; a process on this machine answers at once."""
+
+
+def explain_silence(endpoint: str, waited_s: float) -> str:
+    """Return why nothing may have come from an endpoint, and what to do about it, without a full stop.
+
+    Args:
+        endpoint: Where frames were waited for: ``ipc:///path`` or ``tcp://address:port``.
+        waited_s: How long; looking takes at most a quarter of that, and 0.3 s.
+    """
+    found = _nobody(endpoint, min(LONGEST_PROBE_S, waited_s / 4))
+    if found is None:
+        return (
+            "somebody listens there, but sends no frame: it is not the runtime's publishing endpoint, or the runtime "
+            "still captures its reference, or CURVE keys are missing or wrong; 'ready publishing on ...' is the line "
+            "in which 'eitskin run' says where"
+        )
+    elsewhere = [other for other, alive in default_endpoints().items() if alive and other != endpoint]
+    if elsewhere:
+        return f"{found}; a runtime publishes on {elsewhere[0]}: name that endpoint"
+    return (
+        f"{found}; start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
+    )
+
+
+def default_endpoints() -> dict[str, bool]:
+    """Return where this user's runtimes publish by default, and whether one does: {endpoint: somebody listens}."""
+    return {endpoint: _nobody(endpoint, 0.0) is None for endpoint in _defaults()}
+
+
+def _nobody(endpoint: str, patience_s: float) -> str | None:
+    """Return in what way nobody listens at an endpoint; None where somebody does, or that cannot be told."""
+    scheme, _, rest = endpoint.partition("://")
+    if scheme == "ipc":
+        return _nobody_at_path(Path(rest))
+    host, _, port = rest.rpartition(":")
+    if scheme != "tcp" or not port.isdecimal():
+        return None
+    try:
+        socket.create_connection((host.strip("[]"), int(port)), max(patience_s, 1e-3)).close()
+    except TimeoutError:
+        return f"{host} does not answer on port {port}"
+    except OSError as error:
+        return f"nobody listens there ({error.strerror or error})"
+    return None
+
+
+def _nobody_at_path(path: Path) -> str | None:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
+        try:
+            probe.connect(os.fspath(path))
+        except FileNotFoundError:
+            return "nobody listens there (there is no such socket)"
+        except ConnectionRefusedError:
+            return "nobody listens there any more (the socket was left behind)"
+        except PermissionError:
+            return "the socket belongs to another user"
+        except OSError:
+            return None  # its queue is full: it lives
+    return None
+
+
+def _defaults() -> list[str]:
+    """Return where this user's runtimes publish by default, with and without a session of the desktop."""
+    return [f"ipc://{folder / FRAMES}" for folder in runtime_folders()]

@@ -1,0 +1,102 @@
+"""A subscriber to whom nothing comes: where it waited, who is there, what to do; the endpoint it takes unasked."""
+
+import math
+import os
+import socket
+
+import pytest
+
+import eitskin
+from eitskin.errors import EndpointError, NoFrame
+from eitskin.messaging import endpoints, subscription
+from eitskin.messaging.publish import Publisher
+from eitskin.messaging.reachability import explain_silence
+
+
+@pytest.fixture
+def session(monkeypatch, tmp_path):
+    """A session's folder of its own, so that no runtime of this machine is met."""
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    return tmp_path
+
+
+def said_to(endpoint, timeout_s=0.05):
+    with eitskin.subscribe(endpoint, timeout_s=timeout_s) as frames, pytest.raises(NoFrame) as caught:
+        next(frames)
+    return str(caught.value)
+
+
+def test_publisher_and_subscriber_take_the_same_endpoint_by_default(session):
+    assert endpoints.default_publish() == f"ipc://{session}/eitskin/frames"
+    with eitskin.subscribe() as frames:
+        assert frames.endpoint == endpoints.default_publish()
+
+
+def test_without_a_session_both_fall_back_to_the_same_folder(monkeypatch, session):
+    monkeypatch.delenv("XDG_RUNTIME_DIR")
+    assert endpoints.runtime_folders()[0].name == f"eitskin-{os.getuid()}"
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(session / "gone"))
+    assert endpoints.runtime_folders()[0].name == f"eitskin-{os.getuid()}"
+
+
+def test_the_first_frame_is_waited_for_five_seconds_and_later_ones_for_ever(session, monkeypatch):
+    assert subscription.FIRST_FRAME_S == 5.0
+    monkeypatch.setattr(subscription, "FIRST_FRAME_S", 0.05)
+    with eitskin.subscribe() as frames, pytest.raises(NoFrame, match=r"within 0\.05 s"):
+        next(frames)
+
+
+def test_who_wants_to_wait_for_ever_says_so(session):
+    frames = eitskin.subscribe(timeout_s=math.inf)
+    assert frames._first_ms == frames._timeout_ms == -1
+    frames.close()
+
+
+def test_an_endpoint_where_nobody_ever_was_is_named_with_what_to_do(session):
+    text = said_to(None)
+    assert f"no frame from ipc://{session}/eitskin/frames within 0.05 s: nobody listens there" in text
+    assert "no such socket" in text
+    assert "'eitskin run --port PORT'" in text
+    assert "\n" not in text
+
+
+def test_a_socket_that_was_left_behind_is_told_from_none(session):
+    path = session / "frames"
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as left:
+        left.bind(str(path))
+    assert "the socket was left behind" in said_to(f"ipc://{path}")
+
+
+def test_somebody_who_says_nothing_is_told_from_nobody(session):
+    publisher = Publisher(f"ipc://{session}/frames")
+    try:
+        assert "somebody listens there, but sends no frame" in said_to(publisher.endpoint)
+    finally:
+        publisher.close()
+
+
+def test_a_runtime_that_publishes_in_the_other_default_folder_is_named(session, monkeypatch):
+    other = session / "other"
+    other.mkdir()
+    monkeypatch.setattr(
+        "eitskin.messaging.reachability.runtime_folders", lambda: [endpoints.runtime_folders()[0], other]
+    )
+    publisher = Publisher(f"ipc://{other}/frames")
+    try:
+        assert f"a runtime publishes on {publisher.endpoint}: name that endpoint" in said_to(None)
+    finally:
+        publisher.close()
+
+
+def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):
+    with socket.socket() as holder:
+        holder.bind(("127.0.0.1", 0))
+        endpoint = f"tcp://127.0.0.1:{holder.getsockname()[1]}"
+        assert "nobody listens there (" in explain_silence(endpoint, 1.0)
+        holder.listen()
+        assert "somebody listens there" in explain_silence(endpoint, 1.0)
+
+
+def test_an_endpoint_that_is_none_says_what_one_looks_like():
+    with pytest.raises(EndpointError, match=r"expected ipc:///path or tcp://address:port"):
+        eitskin.subscribe("here")

@@ -1,0 +1,129 @@
+"""Files that are not there: every command names the one it was given, in one line, and says what would do."""
+
+import errno
+import json
+from importlib import resources
+from pathlib import Path
+
+import pytest
+
+from eitskin_tools import cli
+from eitskin_tools.command_line import files
+
+ABSENT = "nothere"
+"""Name of a file that is not there."""
+
+TAKING_A_FILE = {
+    "flash write": ["flash", "write", ABSENT, "--port", "/dev/null"],
+    "flash diff": ["flash", "diff", ABSENT, "--port", "/dev/null"],
+    "virtual-skin --config": ["virtual-skin", "--config", ABSENT],
+    "virtual-skin --scene": ["virtual-skin", "--scene", ABSENT],
+    "virtual-skin --log": ["virtual-skin", "--log", f"{ABSENT}/log"],
+    "demo --scene": ["demo", "--scene", ABSENT],
+    "demo --bundle": ["demo", "--bundle", ABSENT, "--no-draw"],
+    "demo --record": ["demo", "--record", f"{ABSENT}/record.npz"],
+    "run --bundle": ["run", "--port", "/dev/null", "--bundle", ABSENT],
+    "run --reference": ["run", "--port", "/dev/null", "--reference", ABSENT],
+    "reference --show": ["reference", "--show", ABSENT],
+    "reference --out": ["reference", "--port", "/dev/null", "--out", f"{ABSENT}/reference.json"],
+    "surface": ["surface", ABSENT, "--out", "cloud.npz"],
+    "simulate": ["simulate", ABSENT, "--out", "v.npz"],
+    "simulate --out": ["simulate", "sample", "--out", f"{ABSENT}/v.npz"],
+    "evaluate --phantoms": ["evaluate", "--phantoms", ABSENT],
+    "evaluate --bundle": ["evaluate", "--random", "2-4", "--bundle", ABSENT],
+    "doctor --recorded": ["doctor", "--electrodes", "--recorded", ABSENT],
+    "subscribe --server-key": ["subscribe", "--server-key", ABSENT, "--client-key", ABSENT],
+    "bench tradeoff": ["bench", "tradeoff", "--phantoms", ABSENT],
+    "bench electrodes": ["bench", "electrodes", "--phantoms", ABSENT, "--only", "accuracy"],
+}
+"""Every way to give a command a file, without torch."""
+
+TRAINING = {
+    "train --data": ["train", "--recipe", "tiny", "--data", ABSENT, "--out", "run"],
+    "train --start-from": ["train", "--recipe", "tiny", "--data", ".", "--out", "run", "--start-from", ABSENT],
+    "curves": ["curves", ABSENT],
+    "adapt": ["adapt", ABSENT, "--out", "run"],
+    "export": ["export", ABSENT, "--out", "x.eitskin"],
+    "export --phantoms": ["export", ".", "--out", "x.eitskin", "--phantoms", ABSENT],
+    "bench ablation": ["bench", "ablation", "--data", ABSENT],
+}
+
+
+def said(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
+    assert cli.main(words) == 1
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    assert "[Errno" not in err
+    return err
+
+
+@pytest.mark.parametrize("words", TAKING_A_FILE.values(), ids=TAKING_A_FILE)
+def test_a_file_that_is_not_there_is_named_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: list[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert ABSENT in said(capsys, words)
+
+
+@pytest.mark.parametrize("words", TRAINING.values(), ids=TRAINING)
+def test_a_folder_of_training_that_is_not_there_is_named_in_one_line(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path, words: list[str]
+) -> None:
+    pytest.importorskip("torch", reason="training needs the extra 'train'")
+    monkeypatch.chdir(tmp_path)
+    said(capsys, words)
+
+
+@pytest.mark.parametrize(
+    ("kind", "names"),
+    [
+        (files.PHANTOMS, ("paper_mm", "paper_units")),
+        (files.CONFIGURATION, ("fast", "full208", "idle", "paper")),
+        (files.SCENE, ("sample",)),
+    ],
+)
+def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(
+    kind: files.Kind, names: tuple[str, ...]
+) -> None:
+    assert kind.names() == names
+    for name in names:
+        assert files.find(name, kind).is_file()
+    with pytest.raises(files.MissingFileError, match=f"{', '.join(names)}; did you mean {names[0]!r}"):
+        files.find(names[0] + "x", kind)
+
+
+def test_a_file_of_ones_own_comes_before_a_shipped_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("sample").write_text("{}")
+    assert files.find("sample", files.SCENE) == Path("sample")
+
+
+def test_the_sample_scene_is_valid_and_bent_and_touched() -> None:
+    from eitskin_sim.scene.scene import load_scene
+
+    scene = load_scene(files.find("sample", files.SCENE))
+    assert scene.bend.angle_deg > 0
+    assert len(scene.touches) == 2
+    assert json.loads((resources.files("eitskin_tools.scenes") / "sample.json").read_text())
+
+
+@pytest.mark.parametrize(
+    ("error", "expected"),
+    [
+        (FileNotFoundError(errno.ENOENT, "no", "x.json"), "no file 'x.json' in"),
+        (FileNotFoundError(errno.ENOENT, "no", "/none/x.json"), "no folder '/none' for '/none/x.json'"),
+        (PermissionError(errno.EACCES, "no", "x"), "no permission for 'x'"),
+        (IsADirectoryError(errno.EISDIR, "no", "x"), "'x' is a folder; expected a file"),
+        (NotADirectoryError(errno.ENOTDIR, "no", "x/y"), "found a file where a folder was expected"),
+        (FileExistsError(errno.EEXIST, "no", "x"), "'x' exists already"),
+        (OSError(errno.ENOSPC, "no", "x"), "no space left for 'x'"),
+        (OSError(errno.EIO, "Input/output error", b"x"), "'x' cannot be used: Input/output error"),
+    ],
+)
+def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error: OSError, expected: str) -> None:
+    assert expected in (files.explain(error) or "")
+
+
+def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
+    assert files.explain(OSError(errno.EIO, "broken")) is None

@@ -1,0 +1,90 @@
+"""What a command needs is checked before it starts, and nothing that it imports is left out of the table."""
+
+import argparse
+import ast
+from pathlib import Path
+
+import pytest
+
+import eitskin_tools
+from eitskin_tools import cli
+from eitskin_tools.command_line import needs
+from eitskin_tools.commands.offline.bench import BENCHMARKS
+
+BENCH = Path(eitskin_tools.__file__).parent / "bench"
+
+BROUGHT = {"eitskin_sim": "scipy", "eitskin_training": "torch", "eitskin_export": "scipy"}
+"""What our own packages need when they are imported."""
+
+LEFT_OUT_WITH_A_REASON = {"frame": {"torch", "onnx"}, "stability": {"onnx"}, "dataset": {"pyeit"}}
+"""Benchmarks that go on without a module, and say so."""
+
+
+def imported(folder: Path) -> set[str]:
+    """Return the modules of ``EXTRAS`` that the files of a folder import anywhere."""
+    found = set()
+    for path in folder.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text())):
+            names = [alias.name for alias in node.names] if isinstance(node, ast.Import) else []
+            names += [node.module] if isinstance(node, ast.ImportFrom) and node.module else []
+            found |= {BROUGHT.get(name.split(".")[0], name.split(".")[0]) for name in names}
+    return found & set(needs.EXTRAS)
+
+
+@pytest.mark.parametrize("name", BENCHMARKS)
+def test_what_a_benchmark_imports_is_in_the_table(name: str) -> None:
+    who = f"bench {name}"
+    known = {*needs.NEEDS.get(who, ()), *LEFT_OUT_WITH_A_REASON.get(name, ())}
+    known |= {module for modules in needs.PART_NEEDS.get(who, {}).values() for module in modules}
+    assert imported(BENCH / name) - known - {"matplotlib"} == set()  # which only --plot needs
+
+
+def test_every_command_of_the_table_exists() -> None:
+    assert {name for name in needs.NEEDS if not name.startswith("bench ")} <= set(cli.COMMANDS)
+    assert {name.removeprefix("bench ") for name in needs.NEEDS if name.startswith("bench ")} <= set(BENCHMARKS)
+
+
+@pytest.fixture
+def without(monkeypatch: pytest.MonkeyPatch) -> None:
+    """An installation without any extra."""
+    monkeypatch.setattr(needs, "find_spec", lambda name: None)
+
+
+@pytest.mark.usefixtures("without")
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["bench", "skip"], "eitskin bench: bench skip needs scipy, torch: pip install 'eitskin[train]'"),
+        (
+            ["train", "--recipe", "tiny", "--data", "x", "--out", "y"],
+            "eitskin train: train needs scipy, torch: pip install 'eitskin[train]'",
+        ),
+        (["demo"], "eitskin demo: demo needs scipy: pip install 'eitskin[sim]'"),
+    ],
+)
+def test_a_missing_extra_is_one_line_before_anything_starts(
+    capsys: pytest.CaptureFixture[str], words: list[str], expected: str
+) -> None:
+    assert cli.main(words) == 1
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    assert expected in err
+
+
+def test_a_picture_is_refused_before_the_run_where_it_cannot_be_drawn(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(needs, "find_spec", lambda name: None if name == "matplotlib" else name)
+    assert cli.main(["demo", "--picture", "frame.png"]) == 1
+    assert "--picture needs matplotlib: pip install 'eitskin[plot]'" in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("without")
+def test_a_part_that_is_left_out_needs_nothing() -> None:
+    needs.check(argparse.Namespace(command="doctor"))
+    given = argparse.Namespace(command="bench", benchmark="electrodes", only=[("cost",)])
+    with pytest.raises(needs.MissingExtraError, match="scipy"):
+        needs.check(given)
+    with pytest.raises(needs.MissingExtraError) as caught:
+        needs.check(given)
+    assert "torch" not in str(caught.value)

@@ -1,0 +1,135 @@
+"""What ``eitskin run`` says while it runs: when, in which format, and that it costs the frame loop nothing."""
+
+import io
+import json
+import threading
+
+import pytest
+
+from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.console.run_status import SILENT_S, RunStatus
+from eitskin_tools.console.status_line import StatusLine
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+class Skin:
+    """Counters that a test moves, and a clock that it moves with them."""
+
+    def __init__(self):
+        self.now_s = 0.0
+        self.counters = {
+            "frames": 0, "touched": 0, "lost": 0, "corrupt": 0, "withheld_by_reason": {"stale": 0}, "electrodes": [],
+            "recoveries": 0, "resets": 0, "overruns": 0, "level": 0,
+        }  # fmt: skip
+
+    def status(self):
+        return dict(self.counters)
+
+    def pass_second(self, frames=200, **changes):
+        self.now_s += 1.0
+        self.counters.update(changes, frames=self.counters["frames"] + frames)
+
+
+def looked_at(stream, form="text", quiet=False):
+    skin = Skin()
+    status = RunStatus(skin.status, RunLog(stream, form, quiet=quiet), lambda: skin.now_s)
+    status.look()
+    return skin, status
+
+
+def test_a_healthy_stream_is_a_line_a_minute_where_nobody_looks_on():
+    stream = io.StringIO()
+    skin, status = looked_at(stream)
+    for _ in range(int(2 * SILENT_S)):
+        skin.pass_second()
+        status.look()
+    lines = stream.getvalue().splitlines()
+    assert lines == ["eitskin run: 200.0 frames/s, untouched, 0 lost, 0 corrupt, electrodes well"] * 2
+
+
+def test_a_loss_a_withheld_frame_and_a_failed_electrode_are_said_at_once_with_their_names():
+    stream = io.StringIO()
+    skin, status = looked_at(stream)
+    skin.pass_second(lost=3)
+    status.look()
+    skin.pass_second(withheld_by_reason={"stale": 0, "corrupt": 2}, touched=7)
+    status.look()
+    skin.pass_second(electrodes=["5:detached:imputed"])
+    status.look()
+    skin.pass_second()
+    status.look()
+    lines = stream.getvalue().splitlines()
+    assert len(lines) == 3
+    assert "3 lost" in lines[0]
+    assert "touched" in lines[1]
+    assert "2 withheld (corrupt 2)" in lines[1]
+    assert "electrodes: 5:detached:imputed" in lines[2]
+
+
+def test_a_terminal_gets_one_line_that_is_rewritten():
+    stream = Terminal()
+    skin, status = looked_at(stream)
+    for _ in range(5):
+        skin.pass_second()
+        status.look()
+    assert stream.getvalue().count("\r") == 5
+    assert "\n" not in stream.getvalue()
+
+
+def test_json_is_one_object_a_line_with_rate_and_reasons():
+    stream = io.StringIO()
+    skin, status = looked_at(stream, "json")
+    RunLog(stream, "json").ready("ipc:///a", "ipc:///b")
+    skin.pass_second(frames=100, corrupt=1)
+    status.look()
+    ready, found = (json.loads(line) for line in stream.getvalue().splitlines())
+    assert (ready["event"], ready["publish"], ready["control"]) == ("ready", "ipc:///a", "ipc:///b")
+    assert (found["event"], found["rate_hz"], found["corrupt"]) == ("status", 100.0, 1)
+    assert found["withheld_by_reason"] == {"stale": 0}
+    assert found["time_utc"].endswith("+00:00")
+
+
+def test_quiet_leaves_nothing_but_ready():
+    stream = io.StringIO()
+    log = RunLog(stream, quiet=True)
+    log.say("gate: ...")
+    log.status("all well", {})
+    log.ready("ipc:///a", "ipc:///b")
+    assert stream.getvalue() == "ready publishing on ipc:///a control ipc:///b\n"
+
+
+def test_the_thread_ends_with_its_block_and_leaves_the_terminal_on_a_line_of_its_own():
+    skin, stream, looked = Skin(), Terminal(), threading.Event()
+    skin.counters["frames"] = 1
+
+    def read():
+        looked.set()
+        return skin.status()
+
+    status = RunStatus(read, RunLog(stream))
+    with status:
+        assert looked.wait(10.0)
+    assert "run-status" not in {thread.name for thread in threading.enumerate()}
+    status.look()  # the second look has something to show
+    status._log.end()
+    assert stream.getvalue().endswith("\n")
+
+
+def test_a_status_is_cut_at_the_terminals_width(monkeypatch):
+    monkeypatch.setenv("COLUMNS", "20")
+    stream = Terminal()
+    StatusLine(stream).show("x" * 50)
+    assert stream.getvalue() == "\r" + "x" * 19 + "\x1b[K"
+
+
+@pytest.mark.parametrize("form", ["text", "json"])
+def test_a_report_above_a_status_does_not_run_into_it(form):
+    stream = Terminal()
+    log = RunLog(stream, form)
+    log.status("all well", {})
+    log.say("more")
+    assert stream.getvalue().splitlines()[-1].endswith("more" if form == "text" else "}")

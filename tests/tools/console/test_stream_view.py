@@ -1,0 +1,65 @@
+"""What ``eitskin subscribe`` shows: as often as a person reads it, with the place of the touch in mm."""
+
+import io
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from eitskin_tools.console.stream_view import StreamView, describe, peak_mm
+
+
+class Terminal(io.StringIO):
+    def isatty(self):
+        return True
+
+
+def frame(number, touched=True, **changes):
+    image = np.zeros((30, 45), dtype=np.float32)
+    image[9, 13] = 0.93
+    fields = {
+        "map": image, "touched": touched, "sequence": number, "number": number, "solver": "vd2t-int8",
+        "age_s": 0.0013, "counts": {"lost": 4}, "electrodes": (), "events": (),
+    }  # fmt: skip
+    return SimpleNamespace(**{**fields, **changes})
+
+
+def shown(stream, seconds=3.0, rate_hz=200):
+    now_s = [0.0]
+    view = StreamView(stream, lambda: now_s[0])
+    for number in range(int(seconds * rate_hz)):
+        now_s[0] = number / rate_hz
+        view.show(frame(number))
+    view.end()
+    return stream.getvalue()
+
+
+def test_a_peak_is_the_centre_of_its_pixel_in_mm():
+    height, x_mm, y_mm = peak_mm(frame(0).map)
+    assert height == pytest.approx(0.93)
+    assert (x_mm, y_mm) == pytest.approx((45.0, 31.667), abs=1e-3)
+
+
+def test_two_hundred_frames_a_second_are_a_line_a_second_in_a_file():
+    lines = shown(io.StringIO()).splitlines()
+    assert len(lines) == 4  # at 0, 1 and 2 s, and the last frame
+    assert lines[-1] == "200.0 frames/s  touched  peak 0.93 at x 45.0, y 31.7 mm  vd2t-int8  age 1.3 ms  lost 4"
+
+
+def test_a_terminal_gets_one_line_ten_times_a_second():
+    text = shown(Terminal())
+    assert text.count("\n") == 1
+    assert 28 <= text.count("\r") <= 32
+
+
+def test_a_single_frame_is_shown_with_its_number():
+    stream = io.StringIO()
+    view = StreamView(stream)
+    view.show(frame(17, touched=False))
+    view.end()
+    assert stream.getvalue().startswith("frame 17  untouched  vd2t-int8")
+
+
+def test_failed_electrodes_and_events_are_named():
+    text = describe(frame(1, electrodes=("5:detached:imputed",), events=("cloud",)), 200.0)
+    assert text.endswith("electrodes 5:detached:imputed  [cloud]")

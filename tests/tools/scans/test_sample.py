@@ -1,0 +1,32 @@
+"""The sample scan is what its module makes, and becomes the cloud of the sample scene."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_sim.scene.scene import load_scene
+from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.ordered_cloud import load_cloud
+from eitskin_tools import cli
+from eitskin_tools.command_line import files
+from eitskin_tools.scans import prepare
+
+
+def test_the_shipped_scan_is_the_one_that_is_made() -> None:
+    head, _, body = prepare.SAMPLE.read_bytes().partition(b"end_header\n")
+    made_head, _, made_body = prepare.ply(prepare.scan()).partition(b"end_header\n")
+    assert head == made_head
+    found, made = np.frombuffer(body, "<f4"), np.frombuffer(made_body, "<f4")
+    assert np.abs(found - made).max() < 1e-3  # another processor rounds otherwise
+
+
+def test_the_sample_becomes_the_cloud_of_the_sample_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "cloud.npz"
+    assert cli.main(["surface", "sample", "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["points"] == len(prepare.scan())
+    bend = load_scene(files.find("sample", files.SCENE)).bend
+    away = align_cloud(load_cloud(out)) - scanned_cloud(bend)
+    assert np.sqrt((away**2).sum(axis=0).mean()) < 0.5  # mm; the largest error would be of a wrong corner, 100 mm

@@ -1,0 +1,106 @@
+"""Files that a command is given: found by path or by the name of a shipped one, and named when they are missing."""
+
+import errno
+import os
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import Final
+
+from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line.suggest import did_you_mean
+
+
+class MissingFileError(SkinError):
+    """A file that was named is not there; the text says where it was looked for, and what would do."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kind:
+    """What a file is expected to hold, and which of its kind come with the package."""
+
+    what: str
+    """``a scene as JSON``."""
+    package: str = ""
+    """Package in which some are shipped; empty for none."""
+    suffix: str = ""
+    """Of a shipped file: what its name lacks."""
+
+    def names(self) -> tuple[str, ...]:
+        """Return the names of the shipped ones, in order."""
+        if not self.package:
+            return ()
+        files = (entry.name for entry in resources.files(self.package).iterdir())
+        return tuple(sorted(name.removesuffix(self.suffix) for name in files if name.endswith(self.suffix)))
+
+
+SCENE: Final = Kind("a scene as JSON", "eitskin_tools.scenes", ".json")
+PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".json")
+CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
+SCAN: Final = Kind("a scan of the surface in mm, as .ply, .xyz or .npy", "eitskin_tools.scans", ".ply")
+RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
+BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
+DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
+
+
+def find(name: str | Path, kind: Kind) -> Path:
+    """Return the path of a file that was named: as it stands, or that of the shipped one of this name.
+
+    Args:
+        name: A path, or the name of a shipped file without its suffix.
+        kind: What it is expected to hold.
+
+    Raises:
+        MissingFileError: There is neither.
+    """
+    path = Path(name)
+    if path.exists():
+        return path
+    shipped = kind.names()
+    if str(name) in shipped:
+        return Path(str(resources.files(kind.package) / f"{name}{kind.suffix}"))
+    expected = f"expected {kind.what}" + (f", or one of the shipped: {', '.join(shipped)}" if shipped else "")
+    raise MissingFileError(f"{_missing(path)}; {expected}{did_you_mean(path.name.removesuffix(kind.suffix), shipped)}")
+
+
+def writable(path: str | Path) -> Path:
+    """Return the path of a file that is to be written, before the work that fills it.
+
+    Raises:
+        MissingFileError: Its folder is not there.
+    """
+    found = Path(path)
+    if not found.parent.is_dir():
+        raise MissingFileError(f"{_missing(found)}; make it with 'mkdir -p {found.parent}', or name another file")
+    return found
+
+
+def explain(error: OSError) -> str | None:
+    """Return one line that names the file of an error, what was found, and what to do; None where it names no file.
+
+    Args:
+        error: As the operating system gave it.
+    """
+    if not isinstance(error.filename, str | bytes | os.PathLike):
+        return None
+    path = Path(os.fsdecode(error.filename))
+    if isinstance(error, FileNotFoundError):
+        return f"{_missing(path)}; expected it to exist: check the path"
+    if isinstance(error, PermissionError):
+        return f"no permission for {str(path)!r}; expected a file of this user: 'ls -ld {path}' says whose it is"
+    if isinstance(error, IsADirectoryError):
+        return f"{str(path)!r} is a folder; expected a file: name one in it"
+    if isinstance(error, NotADirectoryError):
+        return f"{str(path)!r}: found a file where a folder was expected; check the path"
+    if isinstance(error, FileExistsError):
+        return f"{str(path)!r} exists already; name another, or remove it"
+    if error.errno == errno.ENOSPC:
+        return f"no space left for {str(path)!r}; free some, or name another place"
+    return f"{str(path)!r} cannot be used: {error.strerror or error}"
+
+
+def _missing(path: Path) -> str:
+    if not path.parent.exists():
+        return f"no folder {str(path.parent)!r} for {str(path)!r}"
+    where = "" if path.is_absolute() else f" in {Path.cwd()}"
+    return f"no file {str(path)!r}{where}"

@@ -1,0 +1,49 @@
+"""A parser that says in one line what is wrong, and what was probably meant.
+
+Its subparsers are of the same class, so that ``eitskin bench skp`` and ``eitskin run --solvr`` are answered alike.
+"""
+
+import argparse
+from collections.abc import Iterable
+from typing import Any, NoReturn
+
+from eitskin_tools.command_line.suggest import did_you_mean, expected_one_of
+
+
+class Parser(argparse.ArgumentParser):
+    """An ``argparse.ArgumentParser`` with one line on stderr, exit status 2, and suggestions."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print one line and exit with status 2."""
+        more = f"; '{self.prog} --help' says what it takes" if "arguments are required" in message else ""
+        self.exit(2, f"{self.prog}: {message}{more}\n")
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """Parse, and refuse what is left over here, where the options that there are are known."""
+        found, left = super().parse_known_args(args, namespace)
+        if left:
+            self.error(self._left_over(left[0]))
+        return found, left
+
+    def _left_over(self, word: str) -> str:
+        if not word.startswith("-"):
+            return f"found {word!r}, expected nothing more; '{self.prog} --help' says what it takes"
+        options = [option for action in self._actions for option in action.option_strings]
+        name = word.partition("=")[0]
+        return f"no option {name!r}{did_you_mean(name, options) or self._listed()}"
+
+    def _listed(self) -> str:
+        return f"; '{self.prog} --help' lists them"
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is None or value in action.choices:
+            return
+        names = [str(choice) for choice in _choices(action)]
+        if isinstance(action.choices, dict):  # subcommands
+            self.error(f"no {action.dest} {value!r}{did_you_mean(str(value), names) or self._listed()}")
+        name = "/".join(action.option_strings) or str(action.metavar or action.dest)
+        self.error(expected_one_of(name, str(value), names))
+
+
+def _choices(action: argparse.Action) -> Iterable[Any]:
+    return action.choices or ()

@@ -1,0 +1,1 @@
+"""What people read while a command runs."""

@@ -1,0 +1,64 @@
+"""What ``eitskin run`` says on stderr: lines for people, or one JSON object a line, or nearly nothing.
+
+Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
+may miss the other.
+"""
+
+import json
+import threading
+from collections.abc import Mapping
+from datetime import UTC, datetime
+from typing import Final, Literal, TextIO
+
+from eitskin_tools.console.status_line import StatusLine
+
+FORMATS: Final = ("text", "json")
+"""What ``--log-format`` takes."""
+
+
+class RunLog:
+    """Writes events; may be used from several threads.
+
+    Args:
+        stream: Where they go.
+        form: One of ``FORMATS``.
+        quiet: Leave out all but ``ready``.
+    """
+
+    def __init__(self, stream: TextIO, form: str = "text", *, quiet: bool = False) -> None:
+        self._form: Literal["text", "json"] = "json" if form == "json" else "text"
+        self._quiet = quiet
+        self._line = StatusLine(stream)
+        self._lock = threading.Lock()
+        self.live = self._line.live and self._form == "text" and not quiet
+        """Whether a status is rewritten in place."""
+
+    def say(self, text: str) -> None:
+        """Report something that was found or done."""
+        if not self._quiet:
+            self._put("info", f"eitskin run: {text}", {"text": text})
+
+    def ready(self, publish: str, control: str) -> None:
+        """Report that frames are published from now on."""
+        text = f"ready publishing on {publish} control {control}"
+        self._put("ready", text, {"publish": publish, "control": control})
+
+    def status(self, text: str, fields: Mapping[str, object]) -> None:
+        """Report how the stream is: in place on a terminal, as a line elsewhere."""
+        if self.live:
+            with self._lock:
+                self._line.show(text)
+        elif not self._quiet:
+            self._put("status", f"eitskin run: {text}", fields)
+
+    def end(self) -> None:
+        """Leave the status where it is."""
+        with self._lock:
+            self._line.end()
+
+    def _put(self, event: str, text: str, fields: Mapping[str, object]) -> None:
+        if self._form == "json":
+            now = datetime.now(UTC).isoformat(timespec="milliseconds")
+            text = json.dumps({"time_utc": now, "event": event, **fields})
+        with self._lock:
+            self._line.above(text)

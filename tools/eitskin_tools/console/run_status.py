@@ -1,0 +1,118 @@
+"""Says once a second at most how a running stream is: rate, losses, what was withheld and why, touch, electrodes.
+
+A thread of its own reads the skin's counters, so that no frame waits for it: 15 us a second, none of them in the frame
+loop. On a terminal a line is rewritten every second. Elsewhere one is written when something went wrong since the last
+one, and once a minute to say that nothing did.
+"""
+
+import threading
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import TracebackType
+from typing import Any, Final, Self
+
+from eitskin_tools.console.run_log import RunLog
+
+PERIOD_S: Final = 1.0
+"""Between two looks, and so between two lines at least."""
+
+SILENT_S: Final = 60.0
+"""Longest time without a line where none is rewritten."""
+
+WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "resets", "overruns", "level")
+"""Fields of ``Skin.status()`` of which any change is worth a line."""
+
+
+@dataclass(frozen=True, slots=True)
+class Status:
+    """A skin's counters at a moment, and what became of them since the look before."""
+
+    rate_hz: float
+    """Frames a second since then."""
+    touched: bool | None
+    """Whether anything touched the sheet since then; None where the skin does not count it."""
+    counters: Mapping[str, Any]
+    """As ``Skin.status()`` returned them."""
+
+    def fields(self) -> dict[str, object]:
+        """Return what a log line holds as plain values."""
+        shown = ("frames", "published", *WATCHED, "cloud", "idle")
+        return {
+            "rate_hz": round(self.rate_hz, 1),
+            "touched": self.touched,
+            **{name: self.counters[name] for name in shown if name in self.counters},
+        }
+
+    def text(self) -> str:
+        """Return what people read, in a line."""
+        counters = self.counters
+        parts = [f"{self.rate_hz:.1f} frames/s"]
+        if self.touched is not None:
+            parts.append("touched" if self.touched else "untouched")
+        parts += [f"{counters.get('lost', 0)} lost", f"{counters.get('corrupt', 0)} corrupt"]
+        reasons = {name: count for name, count in dict(counters.get("withheld_by_reason", {})).items() if count}
+        if reasons:
+            listed = ", ".join(f"{name} {count}" for name, count in reasons.items())
+            parts.append(f"{sum(reasons.values())} withheld ({listed})")
+        parts += [f"{counters[name]} {name}" for name in ("overruns", "resets", "recoveries") if counters.get(name)]
+        if counters.get("idle"):
+            parts.append("idle")
+        electrodes = counters.get("electrodes")
+        parts.append(f"electrodes: {', '.join(electrodes)}" if electrodes else "electrodes well")
+        return ", ".join(parts)
+
+
+class RunStatus:
+    """Reports from when it is entered to when it is left.
+
+    Args:
+        read: ``Skin.status``; may be called from any thread.
+        log: Where lines go.
+        now_s: The clock.
+    """
+
+    def __init__(
+        self, read: Callable[[], Mapping[str, Any]], log: RunLog, now_s: Callable[[], float] = time.monotonic
+    ) -> None:
+        self._read = read
+        self._log = log
+        self._now_s = now_s
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="run-status", daemon=True)
+        self._before: Mapping[str, Any] = {}
+        self._before_s = 0.0
+        self._said: Mapping[str, Any] = {}
+        self._said_s = 0.0
+
+    def look(self) -> None:
+        """Take a look, and say what is worth saying."""
+        counters, now_s = dict(self._read()), self._now_s()
+        elapsed_s = now_s - self._before_s
+        before, self._before, self._before_s = self._before, counters, now_s
+        if not before:  # nothing to compare with yet
+            self._said, self._said_s = counters, now_s
+            return
+        rate_hz = (counters["frames"] - before["frames"]) / max(elapsed_s, 1e-9)
+        touched = counters["touched"] > before["touched"] if "touched" in counters else None
+        changed = any(counters.get(name) != self._said.get(name) for name in WATCHED)
+        if self._log.live or changed or now_s - self._said_s >= SILENT_S:
+            self._said, self._said_s = counters, now_s
+            status = Status(rate_hz, touched, counters)
+            self._log.status(status.text(), status.fields())
+
+    def _run(self) -> None:
+        self.look()
+        while not self._stop.wait(PERIOD_S):
+            self.look()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._stop.set()
+        self._thread.join()
+        self._log.end()

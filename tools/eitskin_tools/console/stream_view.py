@@ -1,0 +1,95 @@
+"""What ``eitskin subscribe`` shows of the newest frames: one line, kept up to date or written every second.
+
+::
+
+    199.8 frames/s  touched  peak 0.93 at x 45.0, y 35.0 mm  vd2t-int8  age 1.3 ms  lost 0  electrodes well
+"""
+
+import time
+from collections.abc import Callable
+from typing import Any, Final, TextIO
+
+import numpy as np
+
+from eitskin_proto.sensor.grid import GRID_SHAPE, SHEET_MM
+from eitskin_tools.console.status_line import StatusLine
+
+REDRAW_S: Final = 0.1
+"""Between two texts on a terminal."""
+
+REPEAT_S: Final = 1.0
+"""Between two lines elsewhere."""
+
+
+def peak_mm(image: Any) -> tuple[float, float, float]:
+    """Return (height, x, y) of the highest pixel of a (30, 45) map, its centre in mm of the flat sheet."""
+    row, column = np.unravel_index(int(np.argmax(image)), GRID_SHAPE)
+    x_mm = (float(column) + 0.5) * SHEET_MM[0] / GRID_SHAPE[1]
+    y_mm = (float(row) + 0.5) * SHEET_MM[1] / GRID_SHAPE[0]
+    return float(image[row, column]), x_mm, y_mm
+
+
+class StreamView:
+    """Shows frames as often as a person reads them.
+
+    Args:
+        stream: Where the line goes.
+        now_s: The clock.
+    """
+
+    def __init__(self, stream: TextIO, now_s: Callable[[], float] = time.monotonic) -> None:
+        self._line = StatusLine(stream)
+        self._now_s = now_s
+        self._every_s = REDRAW_S if self._line.live else REPEAT_S
+        self._begin: tuple[float, int] | None = None
+        self._due_s = 0.0
+        self._rate_hz = 0.0
+        self._newest: Any = None
+        self._pending = False
+
+    def show(self, frame: Any) -> None:
+        """Take a frame, and show it if it is time."""
+        now_s, self._newest, self._pending = self._now_s(), frame, True
+        if self._begin is None:
+            self._begin = (now_s, frame.number)
+            self._due_s = now_s
+        if now_s < self._due_s:
+            return
+        self._due_s = now_s + self._every_s
+        begin_s, begin = self._begin
+        if now_s - begin_s >= REPEAT_S:  # over a second at least, so that the number can be read
+            self._rate_hz = max(frame.number - begin, 0) / (now_s - begin_s)
+            self._begin = (now_s, frame.number)
+        self._draw()
+
+    def end(self) -> None:
+        """Show the last frame, if it was not, and leave the line where it is."""
+        if self._pending:
+            self._draw()
+        self._line.end()
+
+    def _draw(self) -> None:
+        self._pending = False
+        text = describe(self._newest, self._rate_hz)
+        if self._line.live:
+            self._line.show(text)
+        else:
+            self._line.above(text)
+
+
+def describe(frame: Any, rate_hz: float) -> str:
+    """Return a frame in a line.
+
+    Args:
+        frame: :class:`eitskin.Frame`.
+        rate_hz: Frames a second that the runtime publishes; 0 while that is unknown.
+    """
+    height, x_mm, y_mm = peak_mm(frame.map)
+    shown = f"touched  peak {height:.2f} at x {x_mm:.1f}, y {y_mm:.1f} mm" if frame.touched else "untouched"
+    rate = f"{rate_hz:.1f} frames/s" if rate_hz else f"frame {frame.sequence}"
+    parts = [rate, shown, frame.solver, f"age {frame.age_s * 1e3:.1f} ms", f"lost {frame.counts['lost']}"]
+    if frame.electrodes:
+        parts.append(f"electrodes {', '.join(frame.electrodes)}")
+    if frame.events:
+        parts.append(f"[{', '.join(frame.events)}]")
+    return "  ".join(parts)

@@ -1,0 +1,1 @@
+"""A sample scan, to be named where a scan's file is asked for."""
