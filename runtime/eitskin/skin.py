@@ -35,7 +35,10 @@ from eitskin.pipeline.region_worker import Cutter
 from eitskin.pipeline.stats import Statistics
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.plausible import check_prediction
 from eitskin.reference.predicted import log_ratio
+from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import MessageType, Mode
 from eitskin_proto.wire.frames import FRAME_TYPE
@@ -232,11 +235,14 @@ class Skin:
             predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the reference.
 
         Raises:
-            ValueError: The cloud or the voltages are malformed; with the value and the bound.
+            ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
+        if cloud is not None:
+            cloud, _ = check_sheet(cloud)
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
+            check_prediction(flat_cloud() if cloud is None else cloud, predicted, predicted_flat, self.reference)
             against = predicted_flat
             if against is None:
                 if self.reference is None:
