@@ -17,6 +17,7 @@ if TYPE_CHECKING:
         BadReference,
         BudgetError,
         BundleError,
+        CloudWarning,
         ControlError,
         EndpointError,
         FrameError,
@@ -32,7 +33,7 @@ if TYPE_CHECKING:
         StaleFrame,
         TransportError,
     )
-    from eitskin.messaging.control import request, send_cloud
+    from eitskin.messaging.control_client import request, send_cloud
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
     from eitskin.messaging.subscription import Subscription, subscribe
@@ -46,6 +47,7 @@ __all__ = [
     "Bundle",
     "BundleError",
     "ClientKeys",
+    "CloudWarning",
     "ControlError",
     "EndpointError",
     "Frame",
@@ -82,8 +84,8 @@ _HOMES: Final = {
     "load_bundle": "model.bundle",
     "load_client_keys": "messaging.curve_keys",
     "make_keys": "messaging.curve_keys",
-    "request": "messaging.control",
-    "send_cloud": "messaging.control",
+    "request": "messaging.control_client",
+    "send_cloud": "messaging.control_client",
     "subscribe": "messaging.subscription",
 }
 """Where each public name lives; the errors live in ``errors``."""

@@ -35,6 +35,7 @@ from eitskin.pipeline.region_worker import Cutter
 from eitskin.pipeline.stats import Statistics
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.plausible import check_prediction
 from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.cloud import flat_cloud
@@ -156,36 +157,41 @@ class Skin:
 
     # -- reference -----------------------------------------------------------------------------------------------------
 
-    def capture_reference(self, frames: int = DEFAULT_FRAMES) -> Reference:
+    def capture_reference(self, frames: int = DEFAULT_FRAMES, *, force: bool = False) -> Reference:
         """Take the mean of the next frames as the reference, and return it; the sheet must be flat and untouched.
 
         Args:
             frames: How many.
+            force: Take it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
 
         Raises:
-            BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+            BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder = ReferenceBuilder(frames)
+        builder, yardstick = ReferenceBuilder(frames), yardstick_of(self.bundle, self.reference)
         rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
         until_ns = time.perf_counter_ns() + int((CAPTURE_S + frames / rate_hz) * 1e9)
         for _ in self._accepted(until_ns):
             if self._fit_for_reference() and builder.add(self.pipeline.normaliser.voltages()):
-                found = builder.finish(self.device.hello)
+                found = builder.finish(self.device.hello, yardstick, force=force)
                 self._use(found)
                 return found
         if self._stopping:
             raise BadReference("stopped while the reference was captured")
         raise BadReference(f"only {builder.taken} of {frames} frames for the reference came; is the device streaming?")
 
-    def recapture(self, frames: int) -> dict[str, object]:
-        """Capture a new reference while frames go on, from another thread; return what was captured.
+    def recapture(self, frames: int, *, force: bool = False) -> dict[str, object]:
+        """Capture a new reference while frames go on, from another thread; return what was captured and found of it.
+
+        Args:
+            frames: How many.
+            force: As in :meth:`capture_reference`.
 
         Raises:
             BadReference: As in :meth:`capture_reference`; the old reference stays.
         """
-        capture = _Capture(ReferenceBuilder(frames))
+        capture = _Capture(ReferenceBuilder(frames), yardstick_of(self.bundle, self.reference), force)
         self._capture = capture
         rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
         if not capture.done.wait(CAPTURE_S + frames / rate_hz):
@@ -193,8 +199,8 @@ class Skin:
             raise BadReference(f"only {capture.builder.taken} of {frames} frames for the reference came")
         if capture.error is not None:
             raise capture.error
-        assert self.reference is not None
-        return {"frames": frames, "weak_rows": self.reference.weak.tolist()}
+        assert capture.found is not None
+        return capture.found.answer()
 
     def _fit_for_reference(self) -> bool:
         return "saturated" not in self.pipeline.events
@@ -208,11 +214,12 @@ class Skin:
             return
         self._capture = None
         try:
-            found = capture.builder.finish(self.device.hello)
+            found = capture.builder.finish(self.device.hello, capture.yardstick, force=capture.force)
             if self.reference_file is not None:
                 references.save(found, self.reference_file)
             self._use(found)
             self.pipeline.events += ("reference",)
+            capture.found = found
         except SkinError as error:
             capture.error = error
         capture.done.set()
@@ -542,9 +549,10 @@ class Skin:
 class _Capture:
     """A reference that another thread asked for and waits for."""
 
-    __slots__ = ("builder", "done", "error")
+    __slots__ = ("builder", "done", "error", "force", "found", "yardstick")
 
-    def __init__(self, builder: ReferenceBuilder) -> None:
-        self.builder = builder
+    def __init__(self, builder: ReferenceBuilder, yardstick: Yardstick, force: bool) -> None:
+        self.builder, self.yardstick, self.force = builder, yardstick, force
+        self.found: Reference | None = None
         self.done = threading.Event()
         self.error: SkinError | None = None
