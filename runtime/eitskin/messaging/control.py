@@ -169,8 +169,8 @@ class ControlServer:
             raise ControlError("a cloud request needs the field 'cloud'")
         predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
         flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
-        revision = self._controlled.set_cloud(cloud, predicted, flat)
-        return {"cloud": revision, "warnings": list(check_sheet(cloud)[1])}
+        doubts = check_sheet(cloud)[1]
+        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
 
     def _reference(self, request: Mapping[str, Any]) -> Mapping[str, object]:
         frames = request.get("frames", 100)

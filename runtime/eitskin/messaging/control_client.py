@@ -17,7 +17,7 @@ import zmq
 from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
-from eitskin.messaging.endpoints import default_control, default_publish
+from eitskin.messaging.endpoints import default_control
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.sensor.cloud_file import Surface, load_surface
 from eitskin_proto.sensor.sheet_cloud import check_sheet
@@ -137,8 +137,6 @@ def send_cloud(
 def _why_silent(endpoint: str, keys: ClientKeys | None) -> str:
     """What to do about a runtime that does not answer."""
     start = f"is the runtime running? Start it with: eitskin run --port PORT --control {endpoint}"
-    if endpoint == default_publish():
-        return f"frames are published there; control requests go to another endpoint, by default {default_control()}"
     if endpoint.startswith("tcp://") and keys is None:
         return f"control over TCP needs keys=load_client_keys(...); {start}"
     path = Path(endpoint.removeprefix("ipc://"))
