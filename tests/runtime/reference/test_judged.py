@@ -151,5 +151,5 @@ def test_movement_is_as_large_as_it_is(flat):
     movement = Movement(100)
     for share in np.linspace(0.0, 1.0, 100):
         movement.add(flat * (1.0 + 0.06 * share))
-    # means of ten parts of a ramp lie ten of its 99 steps apart; of ten such, the deviation is sqrt(110 / 12) times that
+    # means of ten parts of a ramp lie ten of its 99 steps apart; of ten such it is sqrt(110 / 12) times
     assert movement.relative(flat * 1.03) == pytest.approx(0.06 * 10 / 99 / 1.03 * np.sqrt(110 / 12), rel=1e-3)

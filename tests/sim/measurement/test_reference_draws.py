@@ -44,7 +44,7 @@ def touch():
 
 @pytest.mark.parametrize("kind", ["N1", "N2", "N3"])
 def test_an_honest_sheet_passes_without_a_word_and_a_touch_is_refused_against_it(kind):
-    for bend in draw("A", 3, 77):
+    for bend in draw("A", 2, 77):
         electrodes = own_electrodes()
         first = captured(solved(electrodes=electrodes), kind)
         again = captured(solved(electrodes=electrodes), kind, first)
