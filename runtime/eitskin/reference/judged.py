@@ -49,7 +49,13 @@ MODEL_DIFFERENCE: Final = (0.13, 0.20)
 OLDER_DIFFERENCE: Final = (0.03, 0.10)
 """Remarked above the first, refused above the second."""
 
-FORCE: Final = "or take it as it is: eitskin reference --force, force=True"
+NOTHING_ALIKE: Final = 10.0
+"""Difference of sheets that have no two rows with a voltage in common."""
+
+REMEDY: Final = (
+    "leave the sheet flat, untouched and at rest, then capture again; if it is so, look at electrodes and wiring with "
+    "'eitskin doctor', or take it as it is with --force (force=True)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -124,15 +130,14 @@ def judge(found: "Reference", movement: float, yardstick: Yardstick) -> Judgemen
     spread = float(np.median(sigma[usable])) if usable.any() else 1.0
     if spread > LARGEST_SPREAD:
         refusals.append(
-            f"the frames of the reference vary by {spread:.1%} (median row), expected at most "
-            f"{LARGEST_SPREAD:.0%}: leave the sheet flat, untouched and at rest, then capture again"
+            f"the frames of the reference vary by {spread:.1%} (median row), expected at most {LARGEST_SPREAD:.0%}"
         )
     elif spread > NOTED_SPREAD:
         remarks.append(f"frames vary by {spread:.1%} (median row), 0.3% is usual at 50 dB: does the sheet tremble?")
     if movement > LARGEST_MOVEMENT:
         refusals.append(
             f"the voltages moved by {movement:.1%} while the reference was captured, expected at most "
-            f"{LARGEST_MOVEMENT:.1%}: leave the sheet flat, untouched and at rest, then capture again"
+            f"{LARGEST_MOVEMENT:.1%}"
         )
     noise = sigma**2 / found.frames
     model, older = None, None
@@ -148,8 +153,7 @@ def judge(found: "Reference", movement: float, yardstick: Yardstick) -> Judgemen
         touched = _touched(yardstick.gate, found.voltages_V, before.voltages_V, both)
         if touched:
             refusals.append(
-                f"the sheet is touched, by the bundle's gate against the reference of {before.captured_utc}: lift "
-                "everything off it, then capture again"
+                f"the sheet is touched, by the bundle's gate against the reference of {before.captured_utc}"
             )
     return Judgement(spread, movement, model, older, touched, tuple(refusals), tuple(remarks))
 
@@ -161,7 +165,7 @@ def accept(judgement: Judgement, *, force: bool = False) -> None:
         BadReference: With every reason, unless ``force``.
     """
     if judgement.refusals and not force:
-        raise BadReference(f"{'; '.join(judgement.refusals)}; {FORCE}")
+        raise BadReference(f"{', and '.join(judgement.refusals)}: {REMEDY}")
 
 
 def _same_device(found: "Reference", older: "Reference | None") -> "Reference | None":
@@ -174,7 +178,7 @@ def _difference(voltages: Array, against: Array, usable: npt.NDArray[np.bool_], 
     """Rms over rows of log|V / V_against|, without a common factor and without what noise adds to it."""
     rows = usable & (against != 0.0)
     if rows.sum() < 2:
-        return float("inf")
+        return NOTHING_ALIKE
     logs = np.log(np.abs(voltages[rows] / against[rows]))
     apart = logs - np.median(logs)
     return float(np.sqrt(max(float(np.mean(apart**2 - noise[rows])), 0.0)))
@@ -184,16 +188,11 @@ def _compare(
     difference: float, bounds: tuple[float, float], what: str, refusals: list[str], remarks: list[str]
 ) -> None:
     noted, largest = bounds
-    text = (
-        f"the sheet differs from {what} by {difference:.0%} (rms over rows, beyond a common factor), expected at most "
-    )
+    text = f"the sheet differs from {what} by {difference:.0%} (rms over rows, beyond a common factor)"
     if difference > largest:
-        refusals.append(
-            f"{text}{largest:.0%}: lay it flat and lift everything off it; if it is so, look at electrodes and wiring "
-            "with 'eitskin doctor'"
-        )
+        refusals.append(f"{text}, expected at most {largest:.0%}")
     elif difference > noted:
-        remarks.append(f"{text}{noted:.0%}: is it flat and untouched, are electrodes in their places?")
+        remarks.append(f"{text}, usual is {noted:.0%}: is it flat and untouched, are electrodes in their places?")
 
 
 def _touched(gate: Gate | None, voltages: Array, against: Array, usable: npt.NDArray[np.bool_]) -> bool | None:

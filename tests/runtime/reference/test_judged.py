@@ -79,7 +79,7 @@ def test_gross_bends_are_refused_against_the_model_and_most_against_an_older_ref
         for bound, yardstick in ((0.20, yardstick_of(bundle)), (0.10, yardstick_of(bundle, older))):
             if rms > 1.1 * bound:
                 gross += 1
-                with pytest.raises(BadReference, match=r"lay it flat and lift everything off it.*--force"):
+                with pytest.raises(BadReference, match=r"leave the sheet flat, untouched and at rest.*--force"):
                     capture(frames_of(flat * factor), hello, yardstick)
     assert gross > 30
 
