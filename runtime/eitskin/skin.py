@@ -169,7 +169,7 @@ class Skin:
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder, yardstick = ReferenceBuilder(frames), yardstick_of(self.bundle, self.reference)
+        builder, yardstick = ReferenceBuilder(frames), self._yardstick()
         rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
         until_ns = time.perf_counter_ns() + int((CAPTURE_S + frames / rate_hz) * 1e9)
         for _ in self._accepted(until_ns):
@@ -191,7 +191,7 @@ class Skin:
         Raises:
             BadReference: As in :meth:`capture_reference`; the old reference stays.
         """
-        capture = _Capture(ReferenceBuilder(frames), yardstick_of(self.bundle, self.reference), force)
+        capture = _Capture(ReferenceBuilder(frames), self._yardstick(), force)
         self._capture = capture
         rate_hz = max(self.device.hello.rate_mHz / 1000, 1e-3)
         if not capture.done.wait(CAPTURE_S + frames / rate_hz):
@@ -201,6 +201,10 @@ class Skin:
             raise capture.error
         assert capture.found is not None
         return capture.found.answer()
+
+    def _yardstick(self) -> Yardstick:
+        health = self.pipeline.health
+        return yardstick_of(self.bundle, self.reference, None if health is None else health.watch.missing.copy())
 
     def _fit_for_reference(self) -> bool:
         return "saturated" not in self.pipeline.events

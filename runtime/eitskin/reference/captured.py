@@ -177,7 +177,9 @@ class ReferenceBuilder:
             configuration_name=hello.configuration_name,
             captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         )
-        judgement = judge(found, self._movement.relative(found.voltages_V), yardstick or Yardstick())
+        against = yardstick or Yardstick()
+        looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
+        judgement = judge(found, self._movement.relative(looked_at), against)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)
 

@@ -54,7 +54,8 @@ NOTHING_ALIKE: Final = 10.0
 
 REMEDY: Final = (
     "leave the sheet flat, untouched and at rest, then capture again; if it is so, look at electrodes and wiring with "
-    "'eitskin doctor', or take it as it is with --force (force=True)"
+    "'eitskin doctor', or take it as it is with "
+    "'eitskin reference --force' (force=True)"
 )
 
 
@@ -67,6 +68,8 @@ class Yardstick:
     older: "Reference | None" = None
     """Of the same device in the same configuration."""
     gate: Gate | None = None
+    missing: npt.NDArray[np.bool_] | None = None
+    """(104,) rows that say nothing, such as those of electrodes left out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,12 +103,15 @@ class Judgement:
         }
 
 
-def yardstick_of(bundle: "Bundle", older: "Reference | None" = None) -> Yardstick:
+def yardstick_of(
+    bundle: "Bundle", older: "Reference | None" = None, missing: npt.NDArray[np.bool_] | None = None
+) -> Yardstick:
     """Return what a bundle has to hold a reference against, with an older one.
 
     Args:
         bundle: Its flat sheet and its gate are used, where it has them.
         older: An earlier reference.
+        missing: (104,) rows that say nothing, such as those of electrodes left out.
 
     Raises:
         BundleError: The bundle is damaged.
@@ -113,7 +119,7 @@ def yardstick_of(bundle: "Bundle", older: "Reference | None" = None) -> Yardstic
     consistency = bundle.consistency_arrays() or {}
     flat = np.asarray(consistency["reference"], dtype=np.float64) if "reference" in consistency else None
     arrays = None if older is None else bundle.gate_arrays()
-    return Yardstick(flat, older, None if arrays is None else Gate(arrays))
+    return Yardstick(flat, older, None if arrays is None else Gate(arrays), missing)
 
 
 def judge(found: "Reference", movement: float, yardstick: Yardstick) -> Judgement:
@@ -126,6 +132,8 @@ def judge(found: "Reference", movement: float, yardstick: Yardstick) -> Judgemen
     """
     refusals, remarks = [], []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
+    if yardstick.missing is not None:
+        usable &= ~yardstick.missing
     sigma = relative_spread(found.voltages_V, found.spread_V)
     spread = float(np.median(sigma[usable])) if usable.any() else 1.0
     if spread > LARGEST_SPREAD:

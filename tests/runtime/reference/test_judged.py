@@ -10,6 +10,7 @@ from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import ReferenceBuilder
 from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.movement import Movement
+from eitskin_proto.sensor.table import TABLE
 
 LEVEL = 10.0 ** (-50.0 / 20.0)
 
@@ -153,3 +154,15 @@ def test_movement_is_as_large_as_it_is(flat):
         movement.add(flat * (1.0 + 0.06 * share))
     # means of ten parts of a ramp lie ten of its 99 steps apart; of ten such it is sqrt(110 / 12) times
     assert movement.relative(flat * 1.03) == pytest.approx(0.06 * 10 / 99 / 1.03 * np.sqrt(110 / 12), rel=1e-3)
+
+
+def test_rows_of_electrodes_that_are_left_out_are_not_looked_at(bundle, flat, hello):
+    gone = (TABLE == 3).any(axis=1) | (TABLE == 2).any(axis=1)
+    rng = np.random.default_rng(9)
+    frames = frames_of(flat)
+    frames[:, gone] *= rng.uniform(0.1, 10.0, int(gone.sum())) * np.linspace(1.0, 2.0, 100)[:, None]
+    with pytest.raises(BadReference):
+        capture(frames, hello, yardstick_of(bundle))
+    found = capture(frames, hello, yardstick_of(bundle, missing=gone))
+    assert found.judgement.refusals == ()
+    assert found.judgement.movement == 0.0
