@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         BadReference,
         BudgetError,
         BundleError,
+        CloudWarning,
         ControlError,
         EndpointError,
         FrameError,
@@ -33,7 +34,8 @@ if TYPE_CHECKING:
         StaleFrame,
         TransportError,
     )
-    from eitskin.messaging.control import ControlServer, request, send_cloud
+    from eitskin.messaging.control import ControlServer
+    from eitskin.messaging.control_client import request, send_cloud
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
     from eitskin.messaging.publish import Publisher
@@ -52,6 +54,7 @@ __all__ = [
     "Bundle",
     "BundleError",
     "ClientKeys",
+    "CloudWarning",
     "ControlError",
     "ControlServer",
     "EndpointError",
@@ -98,8 +101,8 @@ _HOMES: Final = {
     "load_client_keys": "eitskin.messaging.curve_keys",
     "make_keys": "eitskin.messaging.curve_keys",
     "pixel_centres_mm": "eitskin_proto.sensor.grid",
-    "request": "eitskin.messaging.control",
-    "send_cloud": "eitskin.messaging.control",
+    "request": "eitskin.messaging.control_client",
+    "send_cloud": "eitskin.messaging.control_client",
     "serve": "eitskin.serving",
     "subscribe": "eitskin.messaging.subscription",
 }

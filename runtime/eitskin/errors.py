@@ -22,7 +22,8 @@
     ├── NoFrame                no frame within the time asked for    (also TimeoutError)
     └── StaleFrame             the newest frame is too old           (also TimeoutError)
 
-Bad arguments are plain ``ValueError``, with the value and the bound.
+Bad arguments are plain ``ValueError``, with the value and the bound. What is used although it is doubtful is a
+``CloudWarning``.
 """
 # ruff: noqa: N818 - a lost port is called PortLost; the root already says that it is an error
 
@@ -32,6 +33,7 @@ __all__ = [
     "BadReference",
     "BudgetError",
     "BundleError",
+    "CloudWarning",
     "ControlError",
     "EndpointError",
     "FrameError",
@@ -113,3 +115,7 @@ class NoFrame(SkinError, TimeoutError):
 
 class StaleFrame(SkinError, TimeoutError):
     """A frame came, but it is older than the subscriber allows."""
+
+
+class CloudWarning(UserWarning):
+    """A cloud is used, but something about it is doubtful."""

@@ -23,6 +23,7 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
 from eitskin.pipeline.stats import Statistics
 from eitskin.reference.captured import Reference, ReferenceBuilder
+from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.recapture import Recapture
 from eitskin_proto.wire.answers import Event
 from eitskin_proto.wire.codes import MessageType
@@ -147,37 +148,50 @@ class FrameLoop:
         self._pipeline.use_reference(found)
         self.reference = found
 
-    def capture(self, frames: int) -> Reference:
+    def capture(self, frames: int, *, force: bool = False) -> Reference:
         """Use the mean of the next frames as the reference, and return it; the loop must not run.
 
+        Args:
+            frames: How many.
+            force: Take it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
+
         Raises:
-            BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+            BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder = ReferenceBuilder(frames)
+        builder, yardstick = ReferenceBuilder(frames), self._yardstick()
         for _ in self._accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
             if self._fit_for_reference() and builder.add(self._pipeline.normaliser.voltages()):
-                found = builder.finish(self._device.hello)
+                found = builder.finish(self._device.hello, yardstick, force=force)
                 self.use(found)
                 return found
         if self.stopping:
             raise BadReference("stopped while the reference was captured")
         raise BadReference(f"only {builder.taken} of {frames} frames for the reference came; is the device streaming?")
 
-    def recapture(self, frames: int) -> Reference:
+    def recapture(self, frames: int, *, force: bool = False) -> Reference:
         """Capture a new reference while the loop runs, from another thread.
+
+        Args:
+            frames: How many.
+            force: As in :meth:`capture`.
 
         Raises:
             BadReference: As in :meth:`capture`; the old reference stays.
         """
-        recapture = Recapture(frames)
+        recapture = Recapture(ReferenceBuilder(frames), self._yardstick(), force=force)
         self._recapture = recapture
-        if not recapture.wait(self._patience_s(frames)):
+        found = recapture.wait(self._patience_s(frames))
+        if found is None:
             self._recapture = None
             raise recapture.too_few()
-        assert self.reference is not None
-        return self.reference
+        return found
+
+    def _yardstick(self) -> Yardstick:
+        health = self._pipeline.health
+        missing = None if health is None else health.electrodes.missing.copy()
+        return yardstick_of(self._pipeline.bundle, self.reference, missing)
 
     def _patience_s(self, frames: int) -> float:
         return CAPTURE_S + frames / max(self._device.hello.rate_mHz / 1000, 1e-3)
@@ -190,13 +204,13 @@ class FrameLoop:
             return
         self._recapture = None
         try:
-            found = recapture.builder.finish(self._device.hello)
+            found = recapture.finish(self._device.hello)
             self.use(found)
             self._pipeline.record.note("reference")
         except SkinError as error:
             recapture.settle(error)
         else:
-            recapture.settle()
+            recapture.settle(found)
 
     # -- reading -------------------------------------------------------------------------------------------------------
 

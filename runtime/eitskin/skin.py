@@ -126,26 +126,31 @@ class Skin:
         """Frames packed so far."""
         return self.loop.published
 
-    def capture_reference(self, frames: int = DEFAULT_FRAMES) -> Reference:
+    def capture_reference(self, frames: int = DEFAULT_FRAMES, *, force: bool = False) -> Reference:
         """Take the mean of the next frames as the reference, and return it; the sheet must be flat and untouched.
 
         Args:
             frames: How many.
+            force: Take it even if the sheet was bent, touched or moving (:mod:`eitskin.reference.judged`).
 
         Raises:
-            BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+            BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        return self.loop.capture(frames)
+        return self.loop.capture(frames, force=force)
 
-    def recapture(self, frames: int) -> dict[str, object]:
-        """Capture a new reference while frames go on, from another thread; return what was captured.
+    def recapture(self, frames: int, *, force: bool = False) -> dict[str, object]:
+        """Capture a new reference while frames go on, from another thread; return what was captured and found of it.
+
+        Args:
+            frames: How many.
+            force: As in :meth:`capture_reference`.
 
         Raises:
             BadReference: As in :meth:`capture_reference`; the old reference stays.
         """
-        return {"frames": frames, "weak_rows": self.loop.recapture(frames).weak.tolist()}
+        return self.loop.recapture(frames, force=force).answer()
 
     def set_cloud(
         self,
@@ -163,7 +168,7 @@ class Skin:
             predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the reference.
 
         Raises:
-            ValueError: The cloud or the voltages are malformed; with the value and the bound.
+            ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)

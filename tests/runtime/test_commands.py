@@ -87,7 +87,9 @@ def test_a_subscriber_that_names_no_endpoint_finds_a_runtime_that_names_none(
 def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_skin, tiny_path, tmp_path, endpoints):
     stored = tmp_path / "skin.json"
     with virtual_skin() as port:
-        code, out, err = finished("reference", "--port", port, "--out", stored, "--frames", 30, "--json")
+        code, out, err = finished(
+            "reference", "--port", port, "--out", stored, "--bundle", tiny_path, "--frames", 30, "--json"
+        )
         assert code == 0, err
         assert json.loads(out)["frames"] == load(stored).frames == 30
         code, out, err = finished(
@@ -104,7 +106,7 @@ def test_run_ends_after_a_number_of_frames_and_uses_a_stored_reference(virtual_s
 def test_a_reference_of_another_device_is_refused(virtual_skin, tiny_path, tmp_path, endpoints):
     stored = tmp_path / "skin.json"
     with virtual_skin(serial_number="FIRST") as port:
-        assert finished("reference", "--port", port, "--out", stored)[0] == 0
+        assert finished("reference", "--port", port, "--out", stored, "--bundle", tiny_path)[0] == 0
     with virtual_skin(serial_number="SECOND") as port:
         code, out, err = finished("run", "--port", port, "--bundle", tiny_path, "--reference", stored, *endpoints)
     assert (code, out) == (1, "")

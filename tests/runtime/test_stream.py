@@ -192,7 +192,7 @@ def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothi
     with virtual_skin(touches=[[0.15, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
         frames = []
         cloud = flat_cloud()
-        cloud[2] = 0.01 * (cloud[0] - 75) ** 2
+        cloud[2] = 0.005 * (cloud[0] - 75) ** 2
         for frame in skin.frames(timeout_s=2.0):
             frames.append(frame)
             if len(frames) == 20:

@@ -53,7 +53,9 @@ def check_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
             f"a cloud must be numbers of shape {CLOUD_SHAPE} in mm, found {type(cloud).__name__}"
         ) from error
     if points.shape != CLOUD_SHAPE:
-        raise ValueError(f"a cloud has shape {CLOUD_SHAPE} (x y z, rows, columns), found {points.shape}")
+        raise ValueError(
+            f"a cloud has shape {CLOUD_SHAPE} (x y z, rows, columns), found {points.shape}{_remedy(points.shape)}"
+        )
     finite = np.isfinite(points)
     if not finite.all():
         where = tuple(int(i) for i in np.argwhere(~finite)[0])
@@ -66,6 +68,15 @@ def check_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
         where = tuple(int(i) for i in np.argwhere(np.abs(points) == largest)[0])
         raise ValueError(f"cloud{list(where)} is {points[where]:g} mm, expected at most {LARGEST_MM:g} mm in size")
     return points
+
+
+def _remedy(shape: tuple[int, ...]) -> str:
+    if sorted(shape) == sorted(CLOUD_SHAPE):
+        axes = tuple(shape.index(size) for size in CLOUD_SHAPE)
+        return f": axes are exchanged; give cloud.transpose{axes}"
+    if len(shape) == 2 and 3 in shape:
+        return ": unordered points? make a cloud of them with 'eitskin surface'"
+    return ""
 
 
 def align_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:

@@ -1,4 +1,4 @@
-"""Captures a reference from a port, without any bundle: what ``eitskin reference`` does."""
+"""Captures a reference from a port, without a running stream: what ``eitskin reference`` does."""
 
 import time
 from collections.abc import Iterator
@@ -8,6 +8,7 @@ from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import BadReference
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.judged import Yardstick
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire.codes import MessageType
@@ -18,18 +19,27 @@ PATIENCE_S = 10.0
 """Beyond the time that the frames take by themselves."""
 
 
-def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -> Reference:
+def capture(
+    port: str,
+    frames: int = DEFAULT_FRAMES,
+    baud: int = DEFAULT_BAUD,
+    *,
+    yardstick: Yardstick | None = None,
+    force: bool = False,
+) -> Reference:
     """Return the mean of the next frames of a skin, which must be flat and untouched.
 
     Args:
         port: Serial port's path, or ``usb:SERIAL``.
         frames: How many, at least 2.
         baud: Bits per second on a real UART.
+        yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
+        force: Take it even if the sheet was bent, touched or moving.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used.
-        BadReference: The sheet moved, or nothing is connected, or the frames did not come.
+        BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
         ValueError: Fewer than 2 frames.
     """
     builder = ReferenceBuilder(frames)
@@ -38,9 +48,9 @@ def capture(port: str, frames: int = DEFAULT_FRAMES, baud: int = DEFAULT_BAUD) -
         device = Device(transport)
         device.start()
         end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
-        found = _collect(device, builder, end_s)
+        _collect(device, builder, end_s)
         device.stop()
-        return found
+        return builder.finish(device.hello, yardstick, force=force)
     finally:
         transport.close()
 
@@ -65,14 +75,14 @@ def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
                 yield view
 
 
-def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> Reference:
+def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> None:
     normaliser = Normaliser(device.hello.volts_per_count)
     for view in whole_frames(device, end_s):
         if view.saturation:
             continue
         normaliser.load(view.counts)
         if builder.add(normaliser.voltages()):
-            return builder.finish(device.hello)
+            return
     raise BadReference(
         f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "
         "check the current and the gain of the configuration with 'eitskin flash'"

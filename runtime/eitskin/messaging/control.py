@@ -1,17 +1,20 @@
-"""Control requests to a running runtime: a new cloud, a new reference, its state, stop.
+"""Control requests to a running runtime, its own side: a new cloud, a new reference, its state, stop.
 
 A request is one MessagePack map ``{"command": ..., ...}``, the answer one map ``{"ok": true, ...}`` or ``{"ok": false,
 "error": text}``. The server has a thread of its own, which runs the geometry graph while the frame loop goes on; the
 loop only picks up the finished result. What a client sends is data of bounded size and nothing else: no code, no
-pickle; a request that makes no sense is answered with what was wrong.
+pickle; a request that makes no sense is answered with what was wrong. Who asks is in
+:mod:`eitskin.messaging.control_client`.
 
 =============  ====================================================  ===========================
 command        fields                                                answer
 =============  ====================================================  ===========================
-``cloud``      ``cloud``: 16200 bytes, float32 LE (3, 30, 45) mm;     ``cloud``: its revision
-               optional ``predicted`` and ``predicted_flat``:
-               832 bytes each, float64 LE (104,) V
-``reference``  optional ``frames``: 2 to 10000                        ``frames``, ``weak_rows``
+``cloud``      ``cloud``: 16200 bytes, float32 LE (3, 30, 45) mm;     ``cloud``: its revision;
+               optional ``predicted`` and ``predicted_flat``:        ``warnings``: list of lines,
+               832 bytes each, float64 LE (104,) V                   what is doubtful about it
+``reference``  optional ``frames``: 2 to 10000; optional             ``frames``, ``weak_rows``,
+               ``force``: true takes it even if the sheet seems      and what was found of it
+               bent, touched or moving                               (``Judgement.fields``)
 ``exclude``    ``electrodes``: list of at most 4 numbers, 0 to 15;    ``electrodes``
                empty uses all again
 ``status``                                                            counters and ids
@@ -30,14 +33,12 @@ import zmq
 
 from eitskin.errors import ControlError, EndpointError, SkinError
 from eitskin.messaging.connection_limit import Connections
-from eitskin.messaging.curve_keys import ClientKeys, Doorkeeper, ServerKeys
+from eitskin.messaging.control_fields import LARGEST_REQUEST, array_field, unpack_fields
+from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.endpoints import bind, release, reopen
-from eitskin.reference.predicted import check_voltages
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE, check_cloud
+from eitskin_proto.sensor.cloud import CLOUD_SHAPE
+from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_proto.sensor.table import N_ROWS
-
-LARGEST_REQUEST: Final = 32768
-"""Bytes; a cloud with both predictions has 18,000. libzmq drops a client that sends more, before it takes memory."""
 
 MOST_CONNECTIONS: Final = 64
 """Clients at once; see :mod:`eitskin.messaging.connection_limit`."""
@@ -57,8 +58,8 @@ class Controlled(Protocol):
     ) -> int:
         """Use a cloud from the next frame on and return its revision."""
 
-    def recapture(self, frames: int) -> Mapping[str, object]:
-        """Replace the reference by the mean of the next frames, and return what was captured."""
+    def recapture(self, frames: int, *, force: bool = False) -> Mapping[str, object]:
+        """Replace the reference by the mean of the next frames, and return what was captured and found of it."""
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Go on without these electrodes from the next frame on."""
@@ -139,7 +140,7 @@ class ControlServer:
 
     def _answer(self, parts: list[bytes]) -> bytes:
         try:
-            answer: Mapping[str, object] = {"ok": True, **self._perform(_request(parts))}
+            answer: Mapping[str, object] = {"ok": True, **self._perform(unpack_fields(parts))}
         except (SkinError, ValueError, TimeoutError) as error:
             self.refused += 1
             answer = {"ok": False, "error": " ".join(str(error).split())[:1000]}
@@ -163,19 +164,23 @@ class ControlServer:
         return commands[command](request)
 
     def _cloud(self, request: Mapping[str, Any]) -> Mapping[str, object]:
-        cloud = _array(request, "cloud", np.dtype("<f4"), CLOUD_SHAPE)
+        cloud = array_field(request, "cloud", np.dtype("<f4"), CLOUD_SHAPE)
         if cloud is None:
             raise ControlError("a cloud request needs the field 'cloud'")
-        predicted = _array(request, "predicted", np.dtype("<f8"), (N_ROWS,))
-        flat = _array(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
-        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat)}
+        predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
+        flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
+        doubts = check_sheet(cloud)[1]
+        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
 
     def _reference(self, request: Mapping[str, Any]) -> Mapping[str, object]:
         frames = request.get("frames", 100)
         low, high = REFERENCE_FRAMES
         if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
             raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")
-        return self._controlled.recapture(frames)
+        force = request.get("force", False)
+        if not isinstance(force, bool):
+            raise ControlError(f"force is {str(force)[:40]}, expected true or false")
+        return self._controlled.recapture(frames, force=force)
 
     def _exclude(self, request: Mapping[str, Any]) -> Mapping[str, object]:
         electrodes = request.get("electrodes")
@@ -200,104 +205,3 @@ class ControlServer:
         self._end()
         self._thread.join()
         release(self.endpoint)
-
-
-def request(
-    endpoint: str, command: str, *, timeout_s: float = 10.0, keys: ClientKeys | None = None, **fields: object
-) -> dict[str, Any]:
-    """Send one control request and return the answer's fields.
-
-    Args:
-        endpoint: Of the runtime's control.
-        command: ``cloud``, ``reference``, ``status`` or ``stop``.
-        timeout_s: How long to wait for the answer.
-        keys: CURVE keys, for TCP.
-        fields: Of the request.
-
-    Raises:
-        ControlError: The runtime refused, with its reason; or did not answer in time.
-        EndpointError: ZeroMQ cannot make sense of the endpoint.
-    """
-    if not timeout_s > 0:
-        raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
-    context: zmq.Context[Any] = zmq.Context()
-    socket = context.socket(zmq.REQ)
-    try:
-        socket.setsockopt(zmq.LINGER, 0)
-        socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
-        if keys is not None:
-            keys.apply(socket)
-        socket.connect(endpoint)
-        socket.send(msgpack.packb({"command": command, **fields}))
-        if not socket.poll(round(timeout_s * 1000)):
-            raise ControlError(f"no answer from {endpoint} within {timeout_s:g} s; is the runtime running?")
-        answer = _request([socket.recv()])
-    except zmq.ZMQError as error:
-        raise EndpointError(f"{endpoint} cannot be used: {error.strerror}") from error
-    finally:
-        socket.close(0)
-        context.term()
-    if answer.pop("ok", None) is not True:
-        raise ControlError(str(answer.get("error", "the runtime refused without a reason")))
-    return answer
-
-
-def send_cloud(
-    endpoint: str,
-    cloud: npt.ArrayLike,
-    predicted: npt.ArrayLike | None = None,
-    predicted_flat: npt.ArrayLike | None = None,
-    *,
-    timeout_s: float = 10.0,
-    keys: ClientKeys | None = None,
-) -> int:
-    """Give a running runtime the scanned surface and return the cloud's revision, which frames carry from then on.
-
-    Args:
-        endpoint: Of the runtime's control.
-        cloud: (3, 30, 45) mm, in any pose.
-        predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
-        predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
-            is right only if model and device agree on current and gain.
-        timeout_s: How long to wait for the answer.
-        keys: CURVE keys, for TCP.
-
-    Raises:
-        ValueError: The cloud or the voltages are malformed: shape, NaN, size; with the value and the bound.
-        ControlError: The runtime refused, or did not answer.
-    """
-    fields: dict[str, object] = {"cloud": check_cloud(cloud).astype("<f4").tobytes()}
-    for name, voltages in (("predicted", predicted), ("predicted_flat", predicted_flat)):
-        if voltages is not None:
-            fields[name] = check_voltages(name, voltages).astype("<f8").tobytes()
-    return int(request(endpoint, "cloud", timeout_s=timeout_s, keys=keys, **fields)["cloud"])
-
-
-def _request(parts: list[bytes]) -> dict[str, Any]:
-    if len(parts) != 1:
-        raise ControlError(f"a message of {len(parts)} parts; expected one")
-    try:
-        fields = msgpack.unpackb(
-            parts[0], raw=False, strict_map_key=True, max_str_len=2048, max_bin_len=LARGEST_REQUEST, max_array_len=64,
-            max_map_len=64, max_ext_len=0,
-        )  # fmt: skip
-    except Exception as error:  # msgpack's exceptions have no common base
-        raise ControlError(
-            f"a message of {len(parts[0])} bytes is no MessagePack map ({type(error).__name__})"
-        ) from error
-    if not isinstance(fields, dict):
-        raise ControlError(f"a message holds {type(fields).__name__}, expected a map")
-    return fields
-
-
-def _array(
-    request: Mapping[str, Any], name: str, kind: np.dtype[Any], shape: tuple[int, ...]
-) -> npt.NDArray[Any] | None:
-    raw = request.get(name)
-    if raw is None:
-        return None
-    expected = int(np.prod(shape)) * kind.itemsize
-    if not isinstance(raw, bytes) or len(raw) != expected:
-        found = f"{len(raw)} bytes" if isinstance(raw, bytes) else type(raw).__name__
-        raise ControlError(f"{name}: found {found}, expected {expected} bytes of {kind.str} {shape}")
-    return np.frombuffer(raw, dtype=kind).reshape(shape)

@@ -9,7 +9,10 @@ from eitskin.errors import BadReference
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
+from eitskin.reference.plausible import check_prediction
 from eitskin.reference.predicted import log_ratio
+from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.sensor.sheet_cloud import check_sheet
 
 
 class CloudChange:
@@ -46,11 +49,14 @@ class CloudChange:
             reference: What frames are held against.
 
         Raises:
-            ValueError: The cloud or the voltages are malformed; with the value and the bound.
+            ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
+        if cloud is not None:
+            cloud, _ = check_sheet(cloud)
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
+            check_prediction(flat_cloud() if cloud is None else cloud, predicted, predicted_flat, reference)
             against = predicted_flat
             if against is None:
                 if reference is None:

@@ -17,7 +17,7 @@ import json
 import os
 import time
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,9 +25,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference, MismatchError
+from eitskin.reference.judged import Judgement, Yardstick, accept, judge
+from eitskin.reference.movement import Movement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.wire.answers import Hello
 
@@ -36,9 +37,6 @@ VERSION: Final = 1
 
 DEFAULT_FRAMES: Final = 100
 """Half a second at 200 frames/s: the mean's noise is a tenth of a frame's."""
-
-LARGEST_SPREAD: Final = 0.05
-"""The median row may vary by 5 % of its voltage: at 50 dB it varies by 0.3 %, under a moving touch by far more."""
 
 SMALLEST_V: Final = 1e-9
 """The largest row must be above this; a front end that is not connected reads zeros."""
@@ -62,6 +60,8 @@ class Reference:
     configuration_name: str
     captured_utc: str
     """Wall clock, for people."""
+    judgement: Judgement | None = None
+    """What was found when it was captured; not stored."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
@@ -85,7 +85,14 @@ class Reference:
         weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
         if weighed:
             lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
+        if self.judgement is not None:
+            lines += [f"reference: {line}" for line in (*self.judgement.refusals, *self.judgement.remarks)]
         return lines
+
+    def answer(self) -> dict[str, object]:
+        """Return what a control request for a reference is answered with."""
+        found = {} if self.judgement is None else self.judgement.fields()
+        return {"frames": self.frames, "weak_rows": self.weak.tolist(), **found}
 
     def check(self, hello: Hello) -> None:
         """Refuse a reference of another device or configuration.
@@ -118,7 +125,7 @@ class ReferenceBuilder:
         frames: How many to take, at least 2.
     """
 
-    __slots__ = ("_delta", "_mean", "_product", "_squares", "frames", "taken")
+    __slots__ = ("_delta", "_mean", "_movement", "_product", "_squares", "frames", "taken")
 
     def __init__(self, frames: int) -> None:
         if frames < 2:
@@ -129,6 +136,7 @@ class ReferenceBuilder:
         self._squares = np.zeros(N_ROWS)
         self._delta = np.zeros(N_ROWS)
         self._product = np.zeros(N_ROWS)
+        self._movement = Movement(frames)
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -137,6 +145,7 @@ class ReferenceBuilder:
             voltages: (104,) V.
         """
         self.taken += 1
+        self._movement.add(voltages)
         np.subtract(voltages, self._mean, out=self._delta)
         np.divide(self._delta, self.taken, out=self._product)
         np.add(self._mean, self._product, out=self._mean)
@@ -145,35 +154,37 @@ class ReferenceBuilder:
         np.add(self._squares, self._product, out=self._squares)
         return self.taken >= self.frames
 
-    def finish(self, hello: Hello) -> Reference:
+    def finish(self, hello: Hello, yardstick: Yardstick | None = None, *, force: bool = False) -> Reference:
         """Return the reference of what was taken.
 
+        Args:
+            hello: Of the device.
+            yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
+            force: Take it even if the sheet was bent, touched or moving.
+
         Raises:
-            BadReference: All voltages are zero, or they varied as if the sheet had been touched or moved.
+            BadReference: All voltages are zero; or the sheet was bent, touched or moving, with what was found.
         """
-        spread = np.sqrt(self._squares / (self.taken - 1))
         largest = float(np.abs(self._mean).max())
         if not largest >= SMALLEST_V:
             raise BadReference(
                 f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
                 "check that the electrodes are connected"
             )
-        usable = ~weak_rows(self._mean)
-        variation = float(np.median(spread[usable] / np.abs(self._mean[usable])))
-        if variation > LARGEST_SPREAD:
-            raise BadReference(
-                f"the frames of the reference vary by {variation:.1%} (median row), expected at most "
-                f"{LARGEST_SPREAD:.0%}: leave the sheet flat, untouched and at rest, then capture again"
-            )
-        return Reference(
+        found = Reference(
             voltages_V=self._mean.copy(),
-            spread_V=spread,
+            spread_V=np.sqrt(self._squares / (self.taken - 1)),
             frames=self.taken,
             serial_number=hello.serial_number,
             configuration_digest=hello.configuration_digest,
             configuration_name=hello.configuration_name,
             captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
         )
+        against = yardstick or Yardstick()
+        looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
+        judgement = judge(found, self._movement.relative(looked_at), against)
+        accept(judgement, force=force)
+        return replace(found, judgement=judgement)
 
 
 def save(reference: Reference, path: str | Path) -> None:

@@ -3,42 +3,50 @@
 import threading
 
 from eitskin.errors import BadReference, SkinError
-from eitskin.reference.captured import ReferenceBuilder
+from eitskin.reference.captured import Reference, ReferenceBuilder
+from eitskin.reference.judged import Yardstick
+from eitskin_proto.wire.answers import Hello
 
 
 class Recapture:
     """What the frame loop fills and the asking thread waits for.
 
     Args:
-        frames: Of the reference.
-
-    Raises:
-        ValueError: Fewer than 2 frames.
+        builder: Of as many frames as were asked for.
+        yardstick: What the reference is held against.
+        force: Whether it is taken whatever is found.
     """
 
-    __slots__ = ("_done", "_error", "builder")
+    __slots__ = ("_done", "_force", "_outcome", "_yardstick", "builder")
 
-    def __init__(self, frames: int) -> None:
-        self.builder = ReferenceBuilder(frames)
+    def __init__(self, builder: ReferenceBuilder, yardstick: Yardstick, *, force: bool) -> None:
+        self.builder, self._yardstick, self._force = builder, yardstick, force
         self._done = threading.Event()
-        self._error: SkinError | None = None
+        self._outcome: Reference | SkinError | None = None
 
-    def settle(self, error: SkinError | None = None) -> None:
-        """Say that the reference is in use, or why it is not."""
-        self._error = error
+    def finish(self, hello: Hello) -> Reference:
+        """Return the reference of the frames that were taken.
+
+        Raises:
+            BadReference: The sheet was bent, touched or moving, or nothing is connected.
+        """
+        return self.builder.finish(hello, self._yardstick, force=self._force)
+
+    def settle(self, outcome: Reference | SkinError) -> None:
+        """Say which reference is in use now, or why there is no new one."""
+        self._outcome = outcome
         self._done.set()
 
-    def wait(self, seconds: float) -> bool:
-        """Return whether it was settled in time.
+    def wait(self, seconds: float) -> Reference | None:
+        """Return the reference that is in use; None if it was not settled in time.
 
         Raises:
             BadReference: It was not taken.
         """
-        if not self._done.wait(seconds):
-            return False
-        if self._error is not None:
-            raise self._error
-        return True
+        self._done.wait(seconds)
+        if isinstance(self._outcome, SkinError):
+            raise self._outcome
+        return self._outcome
 
     def too_few(self) -> BadReference:
         """Return the error of frames that did not come."""

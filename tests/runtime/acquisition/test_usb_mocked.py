@@ -58,7 +58,9 @@ def test_flashing_survives_that_the_device_leaves_the_bus_when_it_restarts(usb):
 
 def test_a_reference_is_captured_and_the_runtime_streams_over_usb(usb, tmp_path, tiny_path):
     reference = tmp_path / "flat.json"
-    assert command(usb, "reference", "--frames", 20, "--out", reference)["serial_number"] == "USB-9"
+    assert (
+        command(usb, "reference", "--bundle", tiny_path, "--frames", 20, "--out", reference)["serial_number"] == "USB-9"
+    )
     summary = command(
         usb, "run", "--reference", reference, "--frames", 100, "--bundle", tiny_path,
         "--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control",

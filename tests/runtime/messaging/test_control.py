@@ -10,8 +10,12 @@ import zmq
 import eitskin
 from eitskin.errors import ControlError, EndpointError
 from eitskin.messaging import control
-from eitskin.messaging.control import LARGEST_REQUEST, ControlServer, request
+from eitskin.messaging.control import ControlServer
+from eitskin.messaging.control_client import request
+from eitskin.messaging.control_fields import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
+from eitskin.messaging.endpoints import default_control, runtime_folder
+from eitskin_proto.sensor import cloud_file
 from eitskin_proto.sensor.cloud import flat_cloud
 
 
@@ -25,7 +29,8 @@ class Recorder:
         self.clouds.append((cloud, predicted, predicted_flat))
         return len(self.clouds)
 
-    def recapture(self, frames):
+    def recapture(self, frames, *, force=False):
+        self.forced = force
         return {"frames": frames, "weak_rows": []}
 
     def exclude(self, electrodes):
@@ -77,8 +82,6 @@ def test_only_the_owner_may_reach_the_control_socket(server):
 
 
 def test_the_default_folder_is_private_and_a_shared_one_is_refused(tmp_path, monkeypatch):
-    from eitskin.messaging.endpoints import default_control, runtime_folder
-
     monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
     assert stat.S_IMODE(runtime_folder().stat().st_mode) == 0o700
     assert default_control() == f"ipc://{tmp_path}/eitskin/control"
@@ -93,7 +96,11 @@ def test_the_default_folder_is_private_and_a_shared_one_is_refused(tmp_path, mon
 
 def test_a_cloud_with_predictions_arrives_as_it_was_sent(server, recorder):
     rng = np.random.default_rng(0)
-    cloud, predicted, flat = flat_cloud() + rng.normal(size=(3, 30, 45)), rng.normal(size=104), rng.normal(size=104)
+    cloud, predicted, flat = (
+        flat_cloud() + 0.1 * rng.normal(size=(3, 30, 45)),
+        rng.normal(size=104),
+        rng.normal(size=104),
+    )
     assert eitskin.send_cloud(server.endpoint, cloud, predicted, flat) == 1
     got, got_predicted, got_flat = recorder.clouds[0]
     assert np.array_equal(got, cloud.astype(np.float32))
@@ -117,9 +124,63 @@ def test_bad_clouds_are_value_errors_before_anything_is_sent(server, recorder):
     assert recorder.clouds == []
 
 
+def test_clouds_that_cannot_be_of_this_sheet_are_value_errors_and_answers_that_say_why(server, raw, recorder):
+    with pytest.raises(ValueError, match="is 300 mm along x"):
+        eitskin.send_cloud(server.endpoint, 2 * flat_cloud())
+    answer = raw(msgpack.packb({"command": "cloud", "cloud": (2 * flat_cloud()).astype("<f4").tobytes()}))
+    assert answer["ok"] is False
+    assert "is 300 mm along x and 200 mm along y, expected 127.5 to 210 and 80 to 130 mm" in answer["error"]
+    assert recorder.clouds == []
+
+
+def test_a_doubtful_cloud_is_used_and_warned_of(server, recorder):
+    one = flat_cloud()
+    one[2, 10, 10] += 1.8
+    with pytest.warns(eitskin.CloudWarning, match="mm off its neighbours"):
+        assert eitskin.send_cloud(server.endpoint, one) == 1
+    assert request(server.endpoint, "cloud", cloud=one.astype("<f4").tobytes())["warnings"]
+    assert request(server.endpoint, "cloud", cloud=flat_cloud().astype("<f4").tobytes())["warnings"] == []
+    assert len(recorder.clouds) == 3
+
+
+def test_a_cloud_file_brings_its_prediction_along(server, recorder, tmp_path):
+    predicted, flat = np.arange(104.0), np.ones(104)
+    cloud_file.save_surface(tmp_path / "cloud.npz", cloud_file.Surface(flat_cloud(), predicted, flat))
+    assert eitskin.send_cloud(server.endpoint, tmp_path / "cloud.npz") == 1
+    assert eitskin.send_cloud(server.endpoint, cloud_file.load_surface(tmp_path / "cloud.npz")) == 2
+    for got, got_predicted, got_flat in recorder.clouds:
+        assert np.array_equal(got, flat_cloud().astype(np.float32))
+        assert np.array_equal(got_predicted, predicted)
+        assert np.array_equal(got_flat, flat)
+    cloud_file.save_surface(tmp_path / "bare.npz", cloud_file.Surface(flat_cloud()))
+    eitskin.send_cloud(server.endpoint, str(tmp_path / "bare.npz"))
+    assert recorder.clouds[2][1:] == (None, None)
+    with pytest.raises(cloud_file.CloudFileError, match=r"nobody\.npz cannot be read: No such file"):
+        eitskin.send_cloud(server.endpoint, tmp_path / "nobody.npz")
+
+
+def test_without_an_endpoint_the_default_control_is_asked(recorder, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    server = ControlServer(default_control(), recorder)
+    try:
+        assert eitskin.send_cloud(flat_cloud()) == 1
+        assert request(None, "status") == {"frames": 5}
+    finally:
+        server.close()
+    with pytest.raises(ValueError, match="the endpoint ipc:///tmp/control and no cloud"):
+        eitskin.send_cloud("ipc:///tmp/control")
+    with pytest.raises(ValueError, match="endpoint is a ndarray, expected the text of the runtime's control endpoint"):
+        eitskin.send_cloud(flat_cloud(), np.ones(104))
+
+
 def test_commands_are_answered(server, recorder):
     assert request(server.endpoint, "status") == {"frames": 5}
     assert request(server.endpoint, "reference", frames=7)["frames"] == 7
+    assert not recorder.forced
+    request(server.endpoint, "reference", frames=7, force=True)
+    assert recorder.forced
+    request(server.endpoint, "exclude", electrodes=[3, 4])
+    assert recorder.excluded == (3, 4)
     request(server.endpoint, "stop")
     assert recorder.stopped
 
@@ -132,7 +193,7 @@ def test_commands_are_answered(server, recorder):
         {"command": "cloud", "cloud": []},
         {"command": "cloud", "cloud": bytes(16200), "predicted": bytes(5)}, {"command": "reference", "frames": 1},
         {"command": "reference", "frames": 10**9}, {"command": "reference", "frames": True},
-        {"command": "reference", "frames": "7"},
+        {"command": "reference", "frames": "7"}, {"command": "reference", "force": 1},
     ],
 )  # fmt: skip
 def test_requests_that_make_no_sense_are_answered_with_what_is_wrong(server, raw, recorder, fields):
@@ -196,6 +257,10 @@ def test_a_fault_in_the_runtime_is_an_answer_not_an_end(server, raw, recorder, m
 def test_a_runtime_that_is_not_there_is_named(tmp_path):
     with pytest.raises(ControlError, match="is the runtime running"):
         request(f"ipc://{tmp_path}/nobody", "status", timeout_s=0.1)
+    with pytest.raises(
+        ControlError, match=r"there is no .*/nobody; .*eitskin run --port PORT --control ipc://.*/nobody"
+    ):
+        eitskin.send_cloud(f"ipc://{tmp_path}/nobody", flat_cloud(), timeout_s=0.1)
     with pytest.raises(EndpointError):
         request("nothing", "status", timeout_s=0.1)
 
@@ -225,14 +290,19 @@ def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, runnin
             assert next(frames).cloud == 0
             assert eitskin.send_cloud(control, flat_cloud() + 5.0) == 1
             assert next(frame for frame in frames if frame.cloud == 1 and frame.touched).solver == "vd2t"
-            with pytest.raises(ControlError, match="line"):
+            with pytest.raises(ControlError, match="0 mm along x and 0 mm along y, expected"):
                 request(control, "cloud", cloud=bytes(16200))
             status = request(control, "status")
             assert status["cloud"] == 1
             # a starved machine may overflow the line; nothing that came whole while frames were read is kept back
             assert status["withheld"] == status["withheld_by_reason"]["stale"]
-            # the touch that is held now becomes the new zero
-            assert request(control, "reference", frames=20)["weak_rows"] == []
+            with pytest.raises(ControlError, match=r"differs from the reference of .* expected at most 10%.*--force"):
+                request(control, "reference", frames=20)
+            # forced, the touch that is held now becomes the new zero
+            answer = request(control, "reference", frames=20, force=True)
+            assert answer["weak_rows"] == []
+            assert answer["older_difference"] > 0.1
+            assert answer["remarks"]
             assert not next(frame for frame in frames if "reference" in frame.events).touched
         request(control, "stop")
         runtime.thread.join(5)

@@ -7,12 +7,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
+from eitskin.reference.plausible import check_prediction
 from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_proto.sensor.cloud_file import load_surface
 from eitskin_proto.sensor.grid import GRID_SHAPE, pixel_centres_mm
+from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_sim.scene import bend as bends
 from eitskin_sim.scene.scene import Bend, Sheet
 from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
-from eitskin_sim.surface.point_files import ScanFileError, read_points
+from eitskin_sim.surface.point_files import PointFileError, read_points
+from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 
 SHEET = Sheet()
@@ -136,7 +140,7 @@ def test_without_a_hint_the_scanner_frame_decides_and_the_result_says_so():
 
 def test_corner_hint_in_the_middle_is_refused_with_both_distances():
     raw = Raw(BENDS["flat"], 5_000)
-    with pytest.raises(ordered_cloud.ScanError, match="two nearest corners"):
+    with pytest.raises(ordered_cloud.PointCloudError, match="two nearest corners"):
         ordered_cloud.organise(raw.points, raw.corner(75, 50))
 
 
@@ -152,7 +156,7 @@ def test_holes_up_to_15_mm_are_filled_even_at_the_border():
 @pytest.mark.parametrize("radius", [9.0, 14.0])
 def test_larger_hole_is_refused_with_its_size(radius):
     raw = Raw(Bend(angle_deg=60), 40_000, holes=((80, 40, radius),))
-    with pytest.raises(ordered_cloud.ScanError, match=r"hole of (\d+\.\d) mm; at most 15 mm") as caught:
+    with pytest.raises(ordered_cloud.PointCloudError, match=r"hole of (\d+\.\d) mm; at most 15 mm") as caught:
         ordered_cloud.organise(raw.points, raw.corner())
     size = float(str(caught.value).split("hole of ")[1].split(" mm")[0])
     assert size == pytest.approx(2 * radius, abs=2.0)  # pixels of 1.5 mm
@@ -161,20 +165,20 @@ def test_larger_hole_is_refused_with_its_size(radius):
 def test_part_of_the_sheet_is_refused_with_its_size():
     raw = Raw(Bend(), 30_000)
     local = (raw.points - raw.shift) @ raw.turn
-    with pytest.raises(ordered_cloud.ScanError, match=r"expected 105 to 225 mm"):
+    with pytest.raises(ordered_cloud.PointCloudError, match=r"expected 105 to 225 mm"):
         ordered_cloud.organise(local[local[:, 0] < 80])
 
 
 def test_scan_in_metres_or_of_nothing_is_refused():
     raw = Raw(Bend(), 5_000)
-    with pytest.raises(ordered_cloud.ScanError, match="millimetres"):
+    with pytest.raises(ordered_cloud.PointCloudError, match="millimetres"):
         ordered_cloud.organise(raw.points / 1000)
-    with pytest.raises(ordered_cloud.ScanError, match="at least 1500"):
+    with pytest.raises(ordered_cloud.PointCloudError, match="found 100 finite points, expected at least 1500"):
         ordered_cloud.organise(raw.points[:100])
-    with pytest.raises(ordered_cloud.ScanError, match="shape"):
+    with pytest.raises(ordered_cloud.PointCloudError, match="shape"):
         ordered_cloud.organise(raw.points[:, :2])
     rng = np.random.default_rng(1)
-    with pytest.raises(ordered_cloud.ScanError, match=r"does not show the sheet|expected"):
+    with pytest.raises(ordered_cloud.PointCloudError, match=r"do not show the sheet|expected"):
         ordered_cloud.organise(rng.uniform(0, 100, (5_000, 3)))
 
 
@@ -254,7 +258,7 @@ BROKEN = {
 @pytest.mark.parametrize("name", BROKEN)
 def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys):
     (tmp_path / name).write_bytes(BROKEN[name])
-    with pytest.raises(ScanFileError, match=name.replace(".", r"\.")):
+    with pytest.raises(PointFileError, match=name.replace(".", r"\.")):
         read_points(tmp_path / name)
     assert cli.main(["surface", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
     captured = capsys.readouterr()
@@ -270,20 +274,47 @@ def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
     words = ["surface", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz"), "--json", "--corner", *corner]
     assert cli.main(words) == 0
     report = json.loads(capsys.readouterr().out)
-    cloud = ordered_cloud.load_cloud(tmp_path / "cloud.npz")
+    surface = load_surface(tmp_path / "cloud.npz")
+    assert surface.predicted_V is None
+    cloud = surface.cloud_mm
     assert cloud.shape == (3, *GRID_SHAPE)
     assert report["points"] == 8_000
     assert report["corner"] == "given"
     assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)
 
 
-def test_file_that_is_no_cloud_is_refused(tmp_path):
-    np.savez(tmp_path / "other.npz", cloud=np.zeros((3, 30, 45)))
-    (tmp_path / "junk.npz").write_bytes(b"not a zip")
-    (tmp_path / "cut.npz").write_bytes((tmp_path / "other.npz").read_bytes()[:400])
-    for name in ("other.npz", "junk.npz", "cut.npz"):
-        with pytest.raises(ordered_cloud.ScanError, match="eitskin surface"):
-            ordered_cloud.load_cloud(tmp_path / name)
+def test_command_adds_the_prediction_that_it_is_asked_for(tmp_path, capsys):
+    raw = Raw(BENDS["half a turn, stretched"], 8_000)
+    np.save(tmp_path / "points.npy", raw.points)
+    corner = [f"{value:.2f}" for value in raw.corner()]
+    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
+    assert cli.main([*words, "--corner", *corner]) == 0
+    report = json.loads(capsys.readouterr().out)
+    assert report["predicted"]
+    surface = load_surface(tmp_path / "cloud.npz")
+    assert np.array_equal(surface.predicted_V, predict(surface.cloud_mm))
+    assert np.array_equal(surface.predicted_flat_V, flat_voltages())
+    check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
+
+
+def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, capsys):
+    np.save(tmp_path / "few.npy", np.random.default_rng(0).uniform(0, 100, (20, 3)))
+    for name, text in (("nobody.ply", "cannot be read: No such file"), ("few.npy", "found 20 finite points")):
+        assert cli.main(["surface", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
+        error = capsys.readouterr().err
+        assert name in error
+        assert text in error
+        assert error.count("\n") == 1
+    assert not (tmp_path / "cloud.npz").exists()
+
+
+def test_command_says_who_did_not_answer(tmp_path, capsys):
+    raw = Raw(BENDS["half a turn, stretched"], 8_000)
+    np.save(tmp_path / "points.npy", raw.points)
+    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
+    assert cli.main([*words, "--send", "somewhere"]) == 1
+    assert "somewhere" in capsys.readouterr().err
+    assert (tmp_path / "cloud.npz").exists()
 
 
 # A closed form loses half of the digits only where two eigenvalues meet, which a sheet's neighbourhoods never do.

@@ -33,7 +33,7 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise _Stopped
 
 
-def scan(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool) -> None:
+def send_clouds(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool) -> None:
     """Send clouds until the process is stopped.
 
     Args:
@@ -97,7 +97,9 @@ def main() -> int:
         signal.signal(number, _stop)
     os.nice(NICENESS)
     try:
-        scan(arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict)
+        send_clouds(
+            arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict
+        )
     except _Stopped:
         pass
     except (eitskin.SkinError, OSError, ValueError) as error:

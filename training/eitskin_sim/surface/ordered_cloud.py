@@ -1,12 +1,12 @@
-"""From a raw scan of the bent sheet, unordered and in any pose, to the ordered 3 x 30 x 45 cloud in the agreed one.
+"""From raw points of the bent sheet, unordered and in any pose, to the ordered 3 x 30 x 45 cloud in the agreed one.
 
 ::
 
     raw points --unroll--> chart (u, v), outliers gone --outline--> unit square --surface--> smooth, even by arc length
                --corner--> rows along y, columns along x --align_cloud--> the agreed pose
 
-A rectangle looks the same from either side and after half a turn, so four ways to put x and y on it fit the scan
-equally well. Only a mark can tell: ``corner_mm``, a point near the sheet's corner (0, 0) in the scan's own frame,
+A rectangle looks the same from either side and after half a turn, so four ways to put x and y on it fit the points
+equally well. Only a mark can tell: ``corner_mm``, a point near the sheet's corner (0, 0) in the points' own frame,
 decides between all four, side included, because x is the long way. Without it the scanner's frame is taken as the hint:
 of the four, the one whose pose is turned least against that frame; the result then says so.
 """
@@ -14,15 +14,14 @@ of the four, the one whose pose is turned least against that frame; the result t
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.sensor.cloud import align_cloud, check_cloud, flat_cloud
+from eitskin_proto.errors import SkinError
+from eitskin_proto.sensor.cloud import align_cloud, flat_cloud
+from eitskin_proto.sensor.cloud_file import Surface, save_surface
 from eitskin_proto.sensor.grid import SHEET_MM
-from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_sim.surface.outline import find_outline, largest_hole_mm
 from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, side_lengths_mm
 from eitskin_sim.surface.unroll import unroll
@@ -36,28 +35,22 @@ HOLE_SLACK_MM: Final = 1.0
 """How much larger a hole of exactly that size may measure: the gaps between the points around it."""
 
 LEAST_POINTS: Final = 1500
-"""A scan of fewer points, one in 10 mm^2, does not carry the shape."""
+"""Fewer points, one in 10 mm^2, do not carry the shape."""
 
 MOST_POINTS: Final = 40_000
-"""Points used of a larger scan, taken evenly: 40 a cell of 4 mm, so that 0.1 mm of noise leaves 0.016 mm."""
+"""Points used of more, taken evenly: 40 a cell of 4 mm, so that 0.1 mm of noise leaves 0.016 mm."""
 
 STRETCH_BOUNDS: Final = (0.7, 1.5)
 """A side outside these multiples of the flat sheet's is not this sheet."""
 
-MAGIC: Final = "eitskin-cloud"
-"""First word of a cloud file."""
 
-VERSION: Final = 1
-"""Layout of a cloud file."""
-
-
-class ScanError(SkinError):
-    """A scan that cannot be read, or that does not show the sheet."""
+class PointCloudError(SkinError):
+    """Points that do not show the sheet."""
 
 
 @dataclass(frozen=True, slots=True)
-class ScanResult:
-    """An organised scan and what was found on the way."""
+class OrderedCloud:
+    """The ordered cloud, and what was found on the way."""
 
     cloud_mm: Array
     """(3, 30, 45) in the agreed pose, even by arc length."""
@@ -74,33 +67,34 @@ class ScanResult:
     corner: str
     """What decided where (0, 0) is: ``"given"`` or ``"scanner frame"``."""
     rotation: Array
-    """(3, 3) that turns the scan's frame into the cloud's."""
+    """(3, 3) that turns the points' frame into the cloud's."""
     translation_mm: Array
     """(3,) added after the rotation."""
 
 
-def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None) -> ScanResult:
-    """Return the ordered cloud of a raw scan.
+def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None) -> OrderedCloud:
+    """Return the ordered cloud of raw points.
 
     Args:
         points_mm: (n, 3) unordered points, in any pose.
-        corner_mm: A point near the sheet's corner (0, 0), in the scan's frame.
+        corner_mm: A point near the sheet's corner (0, 0), in the points' frame.
 
     Raises:
-        ScanError: Too few points, not the sheet, a hole that is too large, or a corner hint that decides nothing.
+        PointCloudError: Too few points, not the sheet, a hole that is too large, or a corner hint that decides nothing.
     """
     points = _check_points(points_mm)
     try:
         chart = unroll(points)
         outline = find_outline(chart.uv_mm)
     except ValueError as error:
-        raise ScanError(f"the scan does not show the sheet: {error}") from error
+        raise PointCloudError(f"the points do not show the sheet: {error}") from error
     _check_size(outline.size_mm)
     square = outline.to_square(chart.uv_mm)
     hole = largest_hole_mm(square, outline.size_mm)
     if hole > LARGEST_HOLE_MM + HOLE_SLACK_MM:
-        raise ScanError(
-            f"the scan has a hole of {hole:.1f} mm; at most {LARGEST_HOLE_MM:g} mm can be filled: scan that part again"
+        raise PointCloudError(
+            f"the points leave a hole of {hole:.1f} mm; at most {LARGEST_HOLE_MM:g} mm can be filled: measure "
+            "that part again"
         )
     size = np.array(outline.size_mm)
     on_sheet = np.all((square > -0.02) & (square < 1.02), axis=0)
@@ -108,7 +102,7 @@ def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | N
     ordered, corner = _choose_corner(surface, corner_mm)
     raw = by_arc_length(ordered)
     rotation, translation = _pose(raw)
-    return ScanResult(
+    return OrderedCloud(
         cloud_mm=align_cloud(raw),
         size_mm=side_lengths_mm(ordered),
         noise_mm=chart.noise_mm,
@@ -121,59 +115,45 @@ def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | N
     )
 
 
-def save_cloud(path: str | Path, result: ScanResult) -> None:
-    """Write an organised scan as .npz: ``cloud`` (3, 30, 45) float64 mm, ids, and how it was found."""
-    with Path(path).open("wb") as file:
-        np.savez(
-            file,
-            magic=MAGIC,
-            version=VERSION,
-            grid_id=GRID_ID,
-            cloud=result.cloud_mm,
-            size_mm=np.array(result.size_mm),
-            noise_mm=result.noise_mm,
-            corner=result.corner,
-            rotation=result.rotation,
-            translation_mm=result.translation_mm,
-        )
+def save_cloud(path: str | Path, result: OrderedCloud, predicted: tuple[Array, Array] | None = None) -> None:
+    """Write an ordered cloud, and how it was found, as the file that the runtime takes.
 
-
-def load_cloud(path: str | Path) -> Array:
-    """Return the (3, 30, 45) cloud of a file that :func:`save_cloud` wrote.
+    Args:
+        path: See :mod:`eitskin_proto.sensor.cloud_file` for what is in it.
+        result: The cloud.
+        predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
 
     Raises:
-        ScanError: The file is no cloud.
-        MismatchError: The cloud was made for another grid.
+        OSError: The file cannot be written.
     """
-    try:
-        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            if str(file["magic"]) != MAGIC:
-                raise ScanError(f"{path} is no cloud: make one with 'eitskin surface'")
-            if str(file["grid_id"]) != GRID_ID:
-                raise MismatchError(
-                    f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin surface' again"
-                )
-            return check_cloud(file["cloud"])
-    except (ValueError, KeyError, EOFError, BadZipFile) as error:
-        raise ScanError(f"{path} is no cloud ({error}): make one with 'eitskin surface'") from error
+    about = {
+        "size_mm": np.array(result.size_mm),
+        "noise_mm": result.noise_mm,
+        "corner": result.corner,
+        "rotation": result.rotation,
+        "translation_mm": result.translation_mm,
+    }
+    save_surface(path, Surface(result.cloud_mm, *(predicted or ())), about)
 
 
 def _check_points(points_mm: npt.ArrayLike) -> Array:
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
-        raise ScanError(f"a scan is a list of x, y, z in mm: found shape {points.shape}, expected (n, 3)")
+        raise PointCloudError(f"points are a list of x, y, z in mm: found shape {points.shape}, expected (n, 3)")
     finite = np.isfinite(points)
     if not finite.all():  # row by row takes 2 ms more
         points = points[finite.all(axis=1)]
     if len(points) > MOST_POINTS:
         points = points[np.arange(MOST_POINTS) * len(points) // MOST_POINTS]
     if len(points) < LEAST_POINTS:
-        raise ScanError(f"the scan has {len(points)} finite points; at least {LEAST_POINTS} are needed")
+        raise PointCloudError(
+            f"found {len(points)} finite points, expected at least {LEAST_POINTS}: measure the sheet more densely"
+        )
     sample = points[:: len(points) // 5000 + 1]
     spread = np.percentile(sample, 95, axis=0) - np.percentile(sample, 5, axis=0)
     if spread.max() < 5.0 or spread.max() > 5000.0:
-        raise ScanError(
-            f"the scan spans {spread.max():.3g} mm; the sheet is {SHEET_MM[0]:g} mm long: save the scan in millimetres"
+        raise PointCloudError(
+            f"the points span {spread.max():.3g} mm; the sheet is {SHEET_MM[0]:g} mm long: save them in millimetres"
         )
     return points
 
@@ -182,9 +162,9 @@ def _check_size(size_mm: tuple[float, float]) -> None:
     for name, found, flat in zip(("long", "wide"), size_mm, SHEET_MM, strict=True):
         low, high = (bound * flat for bound in STRETCH_BOUNDS)
         if not low <= found <= high:
-            raise ScanError(
-                f"the scanned sheet is {found:.1f} mm {name}; expected {low:g} to {high:g} mm: "
-                "scan the whole conductive layer, in millimetres, and nothing else"
+            raise PointCloudError(
+                f"the points' sheet is {found:.1f} mm {name}; expected {low:g} to {high:g} mm: "
+                "measure the whole conductive layer, in millimetres, and nothing else"
             )
 
 
@@ -198,9 +178,9 @@ def _choose_corner(surface: Array, corner_mm: tuple[float, float, float] | None)
     distance = np.array([np.linalg.norm(candidate[:, 0, 0] - hint) for candidate in candidates])
     nearest, second = np.sort(distance)[:2]
     if not nearest < 0.5 * second:
-        raise ScanError(
+        raise PointCloudError(
             f"the corner hint {tuple(float(x) for x in hint)} is {nearest:.1f} and {second:.1f} mm from the two "
-            "nearest corners: give a point, in the scan's frame, clearly nearest to the corner (0, 0)"
+            "nearest corners: give a point, in the points' frame, clearly nearest to the corner (0, 0)"
         )
     return candidates[int(np.argmin(distance))], "given"
 

@@ -36,33 +36,34 @@ LARGEST_HEADER: Final = 65_536
 """A PLY header is over within so many bytes."""
 
 
-class ScanFileError(SkinError):
-    """A file that holds no scan."""
+class PointFileError(SkinError):
+    """A file that holds no points."""
 
 
 def read_points(path: str | Path) -> Array:
-    """Return the (n, 3) points of a scan file.
+    """Return the (n, 3) points of a file.
 
     Args:
         path: A .ply, .xyz or .npy file; the suffix decides.
 
     Raises:
-        ScanFileError: The file holds no points; the message says where it broke off.
-        OSError: The file cannot be opened.
+        PointFileError: The file cannot be opened, or holds no points; the message says where it broke off.
     """
     path = Path(path)
     readers = {".ply": _read_ply, ".xyz": _read_xyz, ".npy": _read_npy}
     reader = readers.get(path.suffix.lower())
     if reader is None:
-        raise ScanFileError(f"{path.name}: a scan is a .ply, .xyz or .npy file, found suffix {path.suffix!r}")
+        raise PointFileError(f"{path}: points come as a .ply, .xyz or .npy file, found suffix {path.suffix!r}")
     try:
         points = reader(path)
+    except OSError as error:
+        raise PointFileError(
+            f"points file {path} cannot be read: {error.strerror or error}; name a .ply, .xyz or .npy file"
+        ) from error
     except (ValueError, IndexError, EOFError, UnicodeDecodeError) as error:
-        raise ScanFileError(f"{path.name} cannot be read as {path.suffix.lower()}: {error}") from error
+        raise PointFileError(f"{path} cannot be read as {path.suffix.lower()}: {error}") from error
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0:
-        raise ScanFileError(
-            f"{path.name} holds an array of shape {points.shape}; a scan has the shape (n, 3), n at least 1"
-        )
+        raise PointFileError(f"{path} holds an array of shape {points.shape}, expected (n, 3), n at least 1")
     return np.ascontiguousarray(points[:, :3], dtype=np.float64)
 
 

@@ -1,4 +1,4 @@
-"""V_pred: what the untouched, deformed sheet must read, from its scanned cloud alone.
+"""V_pred: what the untouched, deformed sheet must read, from its cloud alone.
 
 The cloud is the place in space of every pixel's centre. A tensor-product cubic spline through it, least squares on
 far fewer coefficients than points, takes the scanner's noise out and gives tangents everywhere, up to the border half
@@ -6,7 +6,7 @@ a pixel beyond the outermost points; their inner products are the metric E, F, G
 :func:`eitskin_sim.fem.forward.assemble` asks for. The voltages are solved on a coarse mesh and corrected by what the
 same mesh is off on the flat sheet, which is known.
 
-What a scan cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides
+What a cloud cannot show stays unknown: where the material is stretched unevenly within the surface. The cloud divides
 rows and columns by arc length, so V_pred is that of the evenly stretched sheet.
 
 A network's head takes the prediction as :func:`predicted_log`, the logarithm of its ratio to the same model's flat
@@ -52,7 +52,7 @@ _DEGREE: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
-class ScannedSurface:
+class FittedSurface:
     """A spline through a cloud, in the flat sheet's coordinates."""
 
     coefficients: Array
@@ -78,7 +78,7 @@ class ScannedSurface:
         return np.asarray(grid[at_x, at_y])
 
 
-def fit_cloud(cloud_mm: npt.ArrayLike) -> ScannedSurface:
+def fit_cloud(cloud_mm: npt.ArrayLike) -> FittedSurface:
     """Return the smooth surface through a cloud (3, 30, 45) in mm, in any pose.
 
     Raises:
@@ -86,7 +86,7 @@ def fit_cloud(cloud_mm: npt.ArrayLike) -> ScannedSurface:
     """
     cloud = check_cloud(cloud_mm)
     to_x, to_y = _fitters()
-    return ScannedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True))
+    return FittedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True))
 
 
 def predict(cloud_mm: npt.ArrayLike) -> Array:
@@ -108,7 +108,7 @@ def flat_voltages() -> Array:
 
 
 def predicted_log(clouds_mm: Iterable[npt.ArrayLike]) -> npt.NDArray[np.float32]:
-    """Return the (D, 104) log |V_pred| / |V_flat| of D scanned sheets: the head's second input.
+    """Return the (D, 104) log |V_pred| / |V_flat| of D sheets: the head's second input.
 
     About 40 ms a sheet on one core. :func:`eitskin_sim.dataset.prediction_cache.predicted_log_of` keeps a data set's.
 

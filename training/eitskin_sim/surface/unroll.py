@@ -58,7 +58,7 @@ class Chart:
     """Points of the sheet with their place on a flat plane."""
 
     points_mm: Array
-    """(3, n) the points that belong to the sheet, in the scan's frame."""
+    """(3, n) the points that belong to the sheet, in the points' frame."""
     uv_mm: Array
     """(2, n) where each lies on the rolled-out sheet: lengths are true, the origin and the directions are arbitrary."""
     noise_mm: float
@@ -68,7 +68,7 @@ class Chart:
 
 
 def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
-    """Return a flat chart of a scan of unordered points, without its outliers.
+    """Return a flat chart of unordered points, without its outliers.
 
     Args:
         points_mm: (n, 3) points in any pose.
@@ -88,7 +88,7 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     if len(keep) < LEAST_CELLS:
         raise ValueError(
             f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about 1000: "
-            "is the scan in millimetres, and of the whole sheet?"
+            "are they in millimetres, and of the whole sheet?"
         )
     nodes = centroid[keep]
     pairs = cKDTree(nodes).query_pairs(REACH_CELLS * cell_mm, output_type="ndarray")

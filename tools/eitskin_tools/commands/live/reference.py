@@ -1,4 +1,8 @@
-"""``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one."""
+"""``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one.
+
+A reference of a bent, touched or moving sheet is refused. It is held against the bundle's flat sheet, and against an
+older reference of the same device: that of ``--against``, or the file that ``--out`` is about to replace.
+"""
 
 import argparse
 import json
@@ -18,6 +22,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, metavar="FILE", help="capture: where it is stored")
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    parser.add_argument(
+        "--bundle", type=Path, help="bundle whose flat sheet and gate it is held against (default: area)"
+    )
+    parser.add_argument(
+        "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
+    )
+    parser.add_argument("--force", action="store_true", help="take it even if the sheet seems bent, touched or moving")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -46,9 +57,30 @@ def run(arguments: argparse.Namespace) -> int:
 def _capture(arguments: argparse.Namespace) -> Any:
     from eitskin.acquisition.capture import capture
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.model.bundle import load_bundle
+    from eitskin.reference.judged import yardstick_of
 
+    older = _older(arguments)
+    yardstick = yardstick_of(load_bundle(arguments.bundle, lazily=True), older)
     print("eitskin reference: the sheet must be flat and untouched now", file=sys.stderr)
-    return capture(arguments.port, arguments.frames, arguments.baud or DEFAULT_BAUD)
+    baud = arguments.baud or DEFAULT_BAUD
+    return capture(arguments.port, arguments.frames, baud, yardstick=yardstick, force=arguments.force)
+
+
+def _older(arguments: argparse.Namespace) -> Any:
+    """The reference that was named, or the one that is about to be replaced, if it is one."""
+    from eitskin.reference import captured as references
+    from eitskin_proto.errors import SkinError
+
+    if arguments.against is not None:
+        return references.load(arguments.against)
+    if not arguments.out.exists():
+        return None
+    try:
+        return references.load(arguments.out)
+    except SkinError as error:
+        print(f"eitskin reference: {arguments.out} is replaced unseen: {error}", file=sys.stderr)
+        return None
 
 
 def _fields(found: Any) -> dict[str, object]:
@@ -56,8 +88,7 @@ def _fields(found: Any) -> dict[str, object]:
         "serial_number": found.serial_number,
         "configuration": f"{found.configuration_name}/{found.configuration_digest:08x}",
         "captured_utc": found.captured_utc,
-        "frames": found.frames,
-        "weak_rows": found.weak.tolist(),
+        **found.answer(),
         "voltages_V": found.voltages_V.tolist(),
         "spread_V": found.spread_V.tolist(),
     }

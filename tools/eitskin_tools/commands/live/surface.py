@@ -1,65 +1,128 @@
-"""``eitskin surface``: a raw scan in, the ordered 3 x 30 x 45 cloud out."""
+"""``eitskin surface``: measured points of the bent sheet in, the ordered 3 x 30 x 45 cloud out, with V_pred if asked.
+
+The whole way from a 3-D scanner to a running stream is ``eitskin surface POINTS --out CLOUD.npz --predict --send``.
+"""
 
 import argparse
 import json
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 from eitskin_tools.command_line import files
+
+DEFAULT = "default"
+"""What ``--send`` without an endpoint means."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
-    parser.add_argument("file", metavar="FILE", help="scan in mm: .ply (ASCII or binary), .xyz or .npy; or sample")
+    parser.add_argument(
+        "file", metavar="POINTS", help="points of the sheet, mm: .ply (ASCII or binary), .xyz or .npy; or sample"
+    )
     parser.add_argument("--out", required=True, metavar="CLOUD.npz", help="where the cloud goes")
     parser.add_argument(
         "--corner",
         nargs=3,
         type=float,
         metavar=("X", "Y", "Z"),
-        help="a point near the sheet's corner (0, 0), in the scan's own frame, mm; it decides between the four ways in "
-        "which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
+        help="a point near the sheet's corner (0, 0), in the points' own frame, mm; it decides between the four ways "
+        "in which a rectangle fits. Without it the scanner's frame decides: the way that needs the smallest turn",
+    )
+    parser.add_argument(
+        "--predict",
+        action="store_true",
+        help="add V_pred, what the forward model says that this sheet reads untouched: maps are more accurate with it",
+    )
+    parser.add_argument(
+        "--send",
+        nargs="?",
+        const=DEFAULT,
+        metavar="ENDPOINT",
+        help="give it to a running stream, at the control endpoint of 'eitskin run' (default: the same as its default)",
     )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Organise one scan and write the cloud."""
-    from eitskin_sim.surface.ordered_cloud import organise, save_cloud
+    """Order the points, write the cloud, and predict and send it where that is asked for."""
+    from eitskin_sim.surface.ordered_cloud import PointCloudError, organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
     points = read_points(files.find(arguments.file, files.SCAN))
     files.writable(arguments.out)
     start = time.perf_counter()
-    result = organise(points, tuple(arguments.corner) if arguments.corner else None)
+    try:
+        result = organise(points, tuple(arguments.corner) if arguments.corner else None)
+    except PointCloudError as error:
+        raise PointCloudError(f"{arguments.file}: {error}") from error
     elapsed_ms = 1e3 * (time.perf_counter() - start)
-    save_cloud(arguments.out, result)
+    predicted, predict_ms = None, None
+    if arguments.predict:
+        from eitskin_sim.surface.predict import flat_voltages, predict
+
+        start = time.perf_counter()
+        predicted = predict(result.cloud_mm), flat_voltages()
+        predict_ms = 1e3 * (time.perf_counter() - start)
+    save_cloud(arguments.out, result, predicted)
+    sent = None if arguments.send is None else _send(arguments.send, arguments.out)
     if arguments.json:
-        report = {
-            "file": str(arguments.file),
-            "out": str(arguments.out),
-            "points": len(points),
-            "used": result.points,
-            "outliers": result.outliers,
-            "noise_mm": result.noise_mm,
-            "size_mm": list(result.size_mm),
-            "largest_hole_mm": result.largest_hole_mm,
-            "corner": result.corner,
-            "rotation": result.rotation.tolist(),
-            "translation_mm": result.translation_mm.tolist(),
-            "elapsed_ms": elapsed_ms,
-        }
-        print(json.dumps(report))
+        print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent)))
         return 0
     print(
         f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
         f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm, "
         f"largest hole {result.largest_hole_mm:.1f} mm, {elapsed_ms:.0f} ms"
     )
+    if predict_ms is not None:
+        print(f"V_pred added, {predict_ms:.0f} ms")
+    if sent is not None:
+        print(f"in use as cloud {sent}")
     if result.corner != "given":
         print(
             "the corner (0, 0) was taken from the scanner's frame; if that is not the sheet's, say --corner X Y Z",
             file=sys.stderr,
         )
     return 0
+
+
+def _send(endpoint: str, path: str) -> int:
+    """Give the cloud's file to the runtime and return the cloud's revision; what is doubtful goes to stderr."""
+    import warnings
+
+    import eitskin
+
+    with warnings.catch_warnings(record=True) as doubts:
+        warnings.simplefilter("always")
+        revision = eitskin.send_cloud(path) if endpoint == DEFAULT else eitskin.send_cloud(endpoint, path)
+    for doubt in doubts:
+        print(f"eitskin surface: {doubt.message}", file=sys.stderr)
+    return revision
+
+
+def _report(
+    arguments: argparse.Namespace,
+    result: Any,
+    points: int,
+    elapsed_ms: float,
+    predict_ms: float | None,
+    sent: int | None,
+) -> dict[str, object]:
+    return {
+        "file": str(arguments.file),
+        "out": str(arguments.out),
+        "points": points,
+        "used": result.points,
+        "outliers": result.outliers,
+        "noise_mm": result.noise_mm,
+        "size_mm": list(result.size_mm),
+        "largest_hole_mm": result.largest_hole_mm,
+        "corner": result.corner,
+        "rotation": result.rotation.tolist(),
+        "translation_mm": result.translation_mm.tolist(),
+        "elapsed_ms": elapsed_ms,
+        "predicted": predict_ms is not None,
+        "predict_ms": predict_ms,
+        "cloud": sent,
+    }

@@ -1,0 +1,95 @@
+"""The file between ``eitskin surface`` and the runtime: a cloud, its prediction where there is one, and the grid's id.
+
+::
+
+    CLOUD.npz   magic "eitskin-cloud", version 1, grid_id, cloud (3, 30, 45) float64 mm
+                predicted, predicted_flat (104,) float64 V under 1 A: only where they were asked for (--predict)
+                and how it was found, for people: size_mm, noise_mm, corner, rotation, translation_mm
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+from zipfile import BadZipFile
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.sensor.cloud import check_cloud
+from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.sensor.table import N_ROWS
+
+Array = npt.NDArray[np.float64]
+
+MAGIC: Final = "eitskin-cloud"
+"""First word of a cloud file."""
+
+VERSION: Final = 1
+"""Layout of a cloud file."""
+
+
+class CloudFileError(SkinError):
+    """A file that holds no cloud."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surface:
+    """A cloud and what the forward model says of it."""
+
+    cloud_mm: Array
+    """(3, 30, 45)"""
+    predicted_V: Array | None = None
+    """(104,) V_pred under 1 A, or None where nothing was predicted."""
+    predicted_flat_V: Array | None = None
+    """(104,) of the same model's flat sheet; there where a prediction is."""
+
+
+def save_surface(path: str | Path, surface: Surface, about: Mapping[str, Any] | None = None) -> None:
+    """Write a cloud file.
+
+    Args:
+        path: Where.
+        surface: What.
+        about: More fields, for people.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+    fields: dict[str, Any] = {"magic": MAGIC, "version": VERSION, "grid_id": GRID_ID, "cloud": surface.cloud_mm}
+    if surface.predicted_V is not None and surface.predicted_flat_V is not None:
+        fields |= {"predicted": surface.predicted_V, "predicted_flat": surface.predicted_flat_V}
+    with Path(path).open("wb") as file:
+        np.savez(file, **fields, **(about or {}))
+
+
+def load_surface(path: str | Path) -> Surface:
+    """Return the cloud of a file that ``eitskin surface`` wrote, and its prediction.
+
+    Raises:
+        CloudFileError: The file cannot be read, or is no cloud.
+        MismatchError: The cloud was made for another grid.
+    """
+    try:
+        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            if str(file["magic"]) != MAGIC:
+                raise CloudFileError(f"{path} is no cloud: make one with 'eitskin surface'")
+            if str(file["grid_id"]) != GRID_ID:
+                raise MismatchError(
+                    f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin surface' again"
+                )
+            predicted = [_rows(file[name]) if name in file else None for name in ("predicted", "predicted_flat")]
+            return Surface(check_cloud(file["cloud"]), *predicted)
+    except OSError as error:
+        raise CloudFileError(
+            f"cloud file {path} cannot be read: {error.strerror or error}; make one with 'eitskin surface'"
+        ) from error
+    except (ValueError, KeyError, EOFError, BadZipFile, TypeError, AttributeError) as error:
+        raise CloudFileError(f"{path} is no cloud ({error}): make one with 'eitskin surface'") from error
+
+
+def _rows(values: npt.NDArray[Any]) -> Array:
+    if values.shape != (N_ROWS,):
+        raise ValueError(f"a prediction of shape {values.shape}, expected ({N_ROWS},)")
+    return np.asarray(values, dtype=np.float64)

@@ -1,0 +1,145 @@
+"""Control requests to a running runtime, the asking side: a cloud, a reference, electrodes, its state, stop.
+
+Requests go to the *control* endpoint of ``eitskin run --control``, not to the one that frames are published on. Unless
+it is named, it is the default of both sides (:func:`eitskin.messaging.endpoints.default_control`).
+"""
+
+import warnings
+from os import PathLike
+from pathlib import Path
+from typing import Any
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+import zmq
+
+from eitskin.errors import CloudWarning, ControlError, EndpointError
+from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.endpoints import default_control
+from eitskin.reference.predicted import check_voltages
+from eitskin_proto.sensor.cloud_file import Surface, load_surface
+from eitskin_proto.sensor.sheet_cloud import check_sheet
+
+SCHEMES = ("ipc://", "tcp://")
+
+
+def request(
+    endpoint: str | None, command: str, *, timeout_s: float = 10.0, keys: ClientKeys | None = None, **fields: object
+) -> dict[str, Any]:
+    """Send one control request and return the answer's fields.
+
+    Args:
+        endpoint: Of the runtime's control (``eitskin run --control``); None for the default one.
+        command: ``cloud`` (see :func:`send_cloud`); ``reference``, with ``frames`` and ``force``, captures a new
+            reference; ``exclude``, with ``electrodes``, a list of numbers from 0 to 15, goes on without these, and an
+            empty list uses all again; ``status`` returns counters and ids; ``stop`` ends the runtime. What each takes
+            and answers is listed in :mod:`eitskin.messaging.control`.
+        timeout_s: How long to wait for the answer.
+        keys: CURVE keys, for TCP.
+        fields: Of the request.
+
+    Raises:
+        ControlError: The runtime refused, with its reason; or did not answer in time.
+        EndpointError: ZeroMQ cannot make sense of the endpoint.
+        ValueError: timeout_s is not positive.
+    """
+    if not timeout_s > 0:
+        raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
+    where = default_control() if endpoint is None else endpoint
+    context: zmq.Context[Any] = zmq.Context()
+    socket = context.socket(zmq.REQ)
+    try:
+        socket.setsockopt(zmq.LINGER, 0)
+        socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
+        if keys is not None:
+            keys.apply(socket)
+        socket.connect(where)
+        socket.send(msgpack.packb({"command": command, **fields}))
+        if not socket.poll(round(timeout_s * 1000)):
+            raise ControlError(f"no answer from {where} within {timeout_s:g} s; {_why_silent(where, keys)}")
+        answer = unpack_fields([socket.recv()])
+    except zmq.ZMQError as error:
+        raise EndpointError(f"{where} cannot be used: {error.strerror}") from error
+    finally:
+        socket.close(0)
+        context.term()
+    if answer.pop("ok", None) is not True:
+        raise ControlError(str(answer.get("error", "the runtime refused without a reason")))
+    return answer
+
+
+def send_cloud(
+    endpoint: str | PathLike[str] | Surface | npt.ArrayLike,
+    cloud: str | PathLike[str] | Surface | npt.ArrayLike | None = None,
+    predicted: npt.ArrayLike | None = None,
+    predicted_flat: npt.ArrayLike | None = None,
+    *,
+    timeout_s: float = 10.0,
+    keys: ClientKeys | None = None,
+) -> int:
+    """Give a running runtime the sheet's surface and return the cloud's revision, which frames carry from then on.
+
+    ``send_cloud(cloud)`` sends it to the default control endpoint, ``send_cloud(endpoint, cloud)`` to another one::
+
+        eitskin.send_cloud("CLOUD.npz")                                 # of 'eitskin surface POINTS --predict'
+        eitskin.send_cloud("ipc:///tmp/control", cloud, predicted, predicted_flat)
+
+    Args:
+        endpoint: Of the runtime's *control* (``eitskin run --control``), not the one that frames come from; left out,
+            it is the default one.
+        cloud: (3, 30, 45) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
+            :func:`eitskin_proto.sensor.cloud_file.load_surface` returns it, which brings its prediction along.
+        predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
+        predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
+            is right only if model and device agree on current and gain.
+        timeout_s: How long to wait for the answer.
+        keys: CURVE keys, for TCP.
+
+    Raises:
+        ValueError: The cloud or the voltages are malformed, or the cloud cannot be of this sheet; with the value and
+            the bound.
+        CloudFileError: The file holds no cloud.
+        ControlError: The runtime refused, or did not answer.
+
+    Warns:
+        CloudWarning: The cloud is used, but something about it is doubtful.
+    """
+    where: str | None = None
+    if cloud is None:
+        if isinstance(endpoint, str) and endpoint.startswith(SCHEMES):
+            raise ValueError(f"send_cloud was given the endpoint {endpoint} and no cloud: send_cloud(endpoint, cloud)")
+        cloud = endpoint
+    elif isinstance(endpoint, str):
+        where = endpoint
+    else:
+        raise ValueError(
+            f"endpoint is a {type(endpoint).__name__}, expected the text of the runtime's control endpoint: "
+            "send_cloud(endpoint, cloud, predicted, predicted_flat), or send_cloud(cloud) for the default one"
+        )
+    if isinstance(cloud, str | PathLike):
+        cloud = load_surface(Path(cloud))
+    if isinstance(cloud, Surface):
+        if predicted is None:
+            predicted, predicted_flat = cloud.predicted_V, cloud.predicted_flat_V
+        cloud = cloud.cloud_mm
+    fields: dict[str, object] = {"cloud": check_sheet(cloud)[0].astype("<f4").tobytes()}
+    for name, voltages in (("predicted", predicted), ("predicted_flat", predicted_flat)):
+        if voltages is not None:
+            fields[name] = np.asarray(check_voltages(name, voltages), dtype="<f8").tobytes()
+    answer = request(where, "cloud", timeout_s=timeout_s, keys=keys, **fields)
+    for line in answer.get("warnings", ()):
+        warnings.warn(str(line), CloudWarning, stacklevel=2)
+    return int(answer["cloud"])
+
+
+def _why_silent(endpoint: str, keys: ClientKeys | None) -> str:
+    """What to do about a runtime that does not answer."""
+    start = f"is the runtime running? Start it with: eitskin run --port PORT --control {endpoint}"
+    if endpoint.startswith("tcp://") and keys is None:
+        return f"control over TCP needs keys=load_client_keys(...); {start}"
+    path = Path(endpoint.removeprefix("ipc://"))
+    if endpoint.startswith("ipc://") and not path.exists():
+        return f"there is no {path}; {start}"
+    return f"is it the control endpoint that 'eitskin run' printed, not the one of frames? Else {start}"

@@ -1,0 +1,134 @@
+"""Can this prediction be of this cloud, and of this device? V_pred against the flat sheet's voltages.
+
+A prediction in other units, of another table of rows, or of nothing, has 104 finite numbers like any other. What
+deformations do was measured on 810 of them (the paper's ten, 400 draws each of the families A and B; see
+:mod:`eitskin_proto.sensor.sheet_cloud`)::
+
+    V_pred / V_flat                                              drawn            refused outside
+    in any row                                                   0.22 to 2.8      0.08 to 6
+    median of log, less what the cloud's size explains           -0.09 to 0.09    -0.25 to 0.25
+
+The second is 0.08 log(stretch along x) + 1.88 log(stretch along y): sixteen electrodes are nearer to each other across
+the sheet than along it. It tells a prediction of another scale; one of another cloud mostly passes.
+
+Where the captured reference stands in for V_flat, the device's gain and current come in, and its contacts: bounds are
+then 3 times as wide, and all rows may have the other sign. Where both are given, the model's flat sheet is held
+against the captured one: with a common factor taken out, the median row of an honest device is within 8 % (electrodes
+placed to 1 mm, contacts from a tenth to ten times the model's), and with another table of rows hundreds of per cent
+off; more than ``LARGEST_SHAPE`` is refused. The look takes 0.15 ms.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.reference.captured import Reference
+from eitskin.reference.predicted import check_voltages
+from eitskin_proto.sensor.grid import PITCH_MM
+from eitskin_proto.sensor.normalise import weak_rows
+
+Array = npt.NDArray[np.float64]
+
+RATIO: Final = (0.08, 6.0)
+"""V_pred / V_flat in any row."""
+
+LARGEST_EXCESS: Final = 0.25
+"""Of the median log ratio over what the cloud's size explains."""
+
+EXPLAINED: Final = (0.08, 1.88)
+"""What the logarithms of the mean stretch along x and y count in the median log ratio; a fit to the same draws."""
+
+WIDER: Final = 3.0
+"""How much wider bounds are against a captured reference."""
+
+LARGEST_SHAPE: Final = 0.5
+"""Median |log| between the model's flat sheet and the captured one, a common factor taken out."""
+
+BOTH: Final = "give the forward model's V_pred of this cloud and predicted_flat, its own V of the flat sheet, both in V"
+
+
+def check_prediction(
+    cloud: npt.ArrayLike,
+    predicted: npt.ArrayLike,
+    predicted_flat: npt.ArrayLike | None,
+    captured: Reference | None,
+) -> None:
+    """Refuse a prediction that cannot be of this cloud or this device.
+
+    Args:
+        cloud: (3, 30, 45) mm, of this sheet.
+        predicted: (104,) V, of this cloud, by the forward model.
+        predicted_flat: (104,) V, of the flat sheet, by the same model; None takes the captured reference.
+        captured: The device's reference; None if there is none.
+
+    Raises:
+        ValueError: With what was found, what was expected and what to do.
+    """
+    found = check_voltages("predicted", predicted)
+    model = None if predicted_flat is None else check_voltages("predicted_flat", predicted_flat)
+    device = None if captured is None else captured.voltages_V.copy()
+    if device is not None and captured is not None:
+        device[captured.weak] = 0.0  # what carries nothing is compared with nothing
+    against = device if model is None else model
+    if against is None:
+        return
+    with np.errstate(all="ignore"):  # what is infinite is beyond every bound
+        _check(cloud, found, against, model, device)
+
+
+def _check(cloud: npt.ArrayLike, found: Array, against: Array, model: Array | None, device: Array | None) -> None:
+    name, wider = ("the captured reference", WIDER) if model is None else ("predicted_flat", 1.0)
+    _check_level(found, against, name, wider, _explained(cloud))
+    if model is not None and device is not None:
+        _check_shape(model, device)
+
+
+def _explained(cloud: npt.ArrayLike) -> float:
+    points = np.asarray(cloud, dtype=np.float64)
+    stretch = [np.linalg.norm(np.diff(points, axis=axis), axis=0).mean() / PITCH_MM for axis in (2, 1)]
+    return float(np.dot(EXPLAINED, np.log(stretch)))
+
+
+def _check_level(found: Array, against: Array, name: str, wider: float, explained: float) -> None:
+    usable = _usable(against, name)
+    ratio = found[usable] / against[usable]
+    middle = float(np.median(ratio))
+    if wider > 1.0 and middle < 0.0:
+        ratio, middle = -ratio, -middle  # a front end whose polarity is the other one
+    excess = np.log(middle) - explained if middle > 0.0 else -np.inf
+    if abs(excess) > LARGEST_EXCESS * wider:
+        low, high = np.exp(explained + np.array([-1.0, 1.0]) * LARGEST_EXCESS * wider)
+        raise ValueError(
+            f"predicted is {middle:.3g} times {name} (median row), expected {low:.3g} to {high:.3g} times for this "
+            f"cloud: {BOTH}"
+        )
+    rows = np.flatnonzero(usable)
+    for worst, wrong in (
+        (int(ratio.argmin()), ratio.min() < RATIO[0] / wider),
+        (int(ratio.argmax()), ratio.max() > RATIO[1] * wider),
+    ):
+        if wrong:
+            raise ValueError(
+                f"predicted[{rows[worst]}] is {ratio[worst]:.3g} times {name}, expected {RATIO[0] / wider:.2g} to "
+                f"{RATIO[1] * wider:.2g} times: {BOTH}"
+            )
+
+
+def _usable(against: Array, name: str) -> npt.NDArray[np.bool_]:
+    try:
+        return np.asarray(~weak_rows(against))
+    except ValueError as error:
+        raise ValueError(f"{name} holds no voltage: {BOTH}") from error
+
+
+def _check_shape(model: Array, device: Array) -> None:
+    usable = _usable(device, "the captured reference")
+    ratio = np.log(np.abs(model[usable] / device[usable]) + 1e-300)
+    apart = float(np.median(np.abs(ratio - np.median(ratio))))
+    if apart > LARGEST_SHAPE:
+        raise ValueError(
+            f"predicted_flat differs from the captured reference by {np.expm1(apart):.0%} in the median row beyond a "
+            f"common factor, expected at most {np.expm1(LARGEST_SHAPE):.0%}: is it of this table of rows, is the "
+            "captured sheet flat, are electrodes in order ('eitskin doctor')?"
+        )

@@ -1,0 +1,37 @@
+import numpy as np
+import pytest
+
+from eitskin_proto.errors import MismatchError
+from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.sensor.cloud_file import CloudFileError, Surface, load_surface, save_surface
+
+
+def test_a_surface_comes_back_as_it_was_with_and_without_a_prediction(tmp_path):
+    predicted, flat = np.arange(104.0), np.ones(104)
+    save_surface(tmp_path / "both.npz", Surface(flat_cloud(), predicted, flat), {"corner": "given"})
+    found = load_surface(tmp_path / "both.npz")
+    assert np.array_equal(found.cloud_mm, flat_cloud())
+    assert np.array_equal(found.predicted_V, predicted)
+    assert np.array_equal(found.predicted_flat_V, flat)
+    save_surface(tmp_path / "cloud.npz", Surface(flat_cloud()))
+    assert load_surface(tmp_path / "cloud.npz").predicted_V is None
+
+
+def test_a_file_that_is_no_cloud_is_refused_and_named_with_the_command(tmp_path):
+    np.savez(tmp_path / "other.npz", cloud=np.zeros((3, 30, 45)))
+    np.save(tmp_path / "array.npy", np.zeros(3))
+    (tmp_path / "junk.npz").write_bytes(b"not a zip")
+    (tmp_path / "cut.npz").write_bytes((tmp_path / "other.npz").read_bytes()[:400])
+    save_surface(tmp_path / "short.npz", Surface(flat_cloud(), np.zeros(7), np.zeros(104)))
+    for name in ("other.npz", "array.npy", "junk.npz", "cut.npz", "short.npz", "nobody.npz"):
+        with pytest.raises(CloudFileError, match=rf"{name}.*eitskin surface"):
+            load_surface(tmp_path / name)
+
+
+def test_a_cloud_of_another_grid_is_refused(tmp_path):
+    save_surface(tmp_path / "cloud.npz", Surface(flat_cloud()))
+    with np.load(tmp_path / "cloud.npz") as file:
+        fields = {**file, "grid_id": "feed"}
+    np.savez(tmp_path / "cloud.npz", **fields)
+    with pytest.raises(MismatchError, match=r"grid_id: found feed, .*eitskin surface"):
+        load_surface(tmp_path / "cloud.npz")
