@@ -16,8 +16,8 @@ Bounds come from sheets of our own drawing. An honest sheet whose electrodes are
 0.5 mm (1 mm), with contacts from a tenth to ten times the model's, is 2 to 7 % (4 to 12 %) off the model. Half of the
 bends of family A, and two of three with a touch, are more than 20 % off; a touch alone on the flat sheet seldom is, so
 the first reference of a sheet that is bent a little, or touched and held still, is not caught. Against an earlier
-reference of the same device all touches of 240 captures were, and no honest capture of 440 was refused, with noise of
-50 dB of all three kinds. A bend that stretches nothing changes no voltage: it is as good a reference as the flat sheet.
+reference of the same device all of 320 touched captures were, and none of 1040 honest captures was refused, with noise
+of 50 dB of all three kinds. A bend that stretches nothing changes no voltage: it is as good as a flat sheet.
 """
 
 from dataclasses import dataclass

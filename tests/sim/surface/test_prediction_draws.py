@@ -12,7 +12,7 @@ from eitskin_sim.surface.predict import flat_voltages, predict
 @pytest.fixture(scope="module")
 def drawn():
     rng = np.random.default_rng(3)
-    clouds = [scanned_cloud(bend, rng) for bend in (*paper_bends(3), *draw("A", 8, 31), *draw("B", 8, 31))]
+    clouds = [scanned_cloud(bend, rng) for bend in (*paper_bends(3), *draw("A", 4, 31), *draw("B", 4, 31))]
     return [(cloud, predict(cloud)) for cloud in clouds]
 
 

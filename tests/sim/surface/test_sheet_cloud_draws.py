@@ -1,4 +1,4 @@
-"""Every cloud of a deformation that can be drawn passes without a word; the same one, wrongly made, never does."""
+"""Clouds of drawn deformations pass without a word; the same ones, wrongly made, never do."""
 
 import numpy as np
 import pytest
@@ -10,7 +10,7 @@ from eitskin_sim.surface.measured_cloud import scanned_cloud
 
 @pytest.fixture(scope="module")
 def bends():
-    return (*paper_bends(10), *draw("A", 30, 20261), *draw("B", 30, 20261))
+    return (*paper_bends(10), *draw("A", 12, 20261), *draw("B", 12, 20261))
 
 
 @pytest.fixture(scope="module")
@@ -54,5 +54,5 @@ def test_every_wrongly_made_cloud_is_refused(clouds, name):
 )
 def test_every_cloud_mirrored_is_warned_of_where_the_sheet_is_bent_by_80_degrees(bends, clouds, mirror):
     bent = [cloud for bend, cloud in zip(bends, clouds, strict=True) if bend.angle_deg > 80.0]
-    assert len(bent) > 20
+    assert len(bent) > 8
     assert all(check_sheet(mirror(cloud))[1] for cloud in bent)
