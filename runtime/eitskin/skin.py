@@ -158,9 +158,7 @@ class Skin:
         predicted: npt.ArrayLike | None = None,
         predicted_flat: npt.ArrayLike | None = None,
     ) -> int:
-        """Use a scanned surface from the next frame on, and return its revision; may be called from any thread.
-
-        The geometry graph runs here, in the caller's thread: frames do not wait for it.
+        """Use a scanned surface from the next frame on, and return its revision; frames do not wait for any of it.
 
         Args:
             cloud: (3, 30, 45) mm in any pose; None for the flat sheet.

@@ -46,6 +46,7 @@ def test_a_frame_is_handed_over_before_it_is_counted_and_counted_before_it_is_to
             break
     assert len(records) == 1  # one record, overwritten
     assert streaming.published == 20
+    assert repr(streaming).endswith(f"on {streaming.transport.name}: open, 20 frames>")
 
 
 def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming):

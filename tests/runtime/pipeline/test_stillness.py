@@ -184,10 +184,13 @@ def test_short_frames_are_sent_only_while_every_subscriber_agrees(tmp_path):
     try:
         with eitskin.subscribe(publisher.endpoint, skip_unchanged=True):
             wait_for(publisher, lambda: publisher.takes_short)
-            publisher.joined = False
+            assert not publisher.short
+            publisher.send(memoryview(b"a whole one"))
+            assert publisher.short
             with eitskin.subscribe(publisher.endpoint, skip_unchanged=True):
                 wait_for(publisher, lambda: publisher.joined)  # the newcomer has no map yet
                 assert publisher.takes_short
+                assert not publisher.short
             with eitskin.subscribe(publisher.endpoint):
                 wait_for(publisher, lambda: not publisher.takes_short)
             wait_for(publisher, lambda: publisher.takes_short)
