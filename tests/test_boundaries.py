@@ -34,19 +34,20 @@ ROOMS: dict[str, Arrows] = {
     "eitskin_proto": {
         "__init__": set(),
         "errors": set(),
-        "sensor": set(),
+        "sensor": {"errors"},
         "wire": {"errors", "sensor"},
     },
     "eitskin": {
         "errors": set(),
         "model": {"errors"},
-        "reference": {"errors"},
+        "reference": {"errors", "model"},
         "acquisition": {"errors", "reference"},
         "health": {"errors", "model", "reference"},
         "messaging": {"errors", "reference"},
         "pipeline": {"acquisition", "errors", "health", "messaging", "model", "reference"},
         "diagnostics": {"acquisition", "errors", "health", "messaging", "model", "reference"},
-        "frame_loop": {"acquisition", "errors", "messaging", "pipeline", "reference"},
+        "frame_source": {"acquisition", "errors", "pipeline"},
+        "frame_loop": {"acquisition", "errors", "frame_source", "messaging", "pipeline", "reference"},
         "status": {"acquisition", "frame_loop", "pipeline"},
         "skin": {
             "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
@@ -96,11 +97,15 @@ ROOMS: dict[str, Arrows] = {
     "eitskin_tools": {
         "__init__": set(),
         "choices": set(),
+        "command_line": set(),
+        "console": set(),
         "errors": set(),
         "flash": set(),
         "phantoms": set(),
         "pictures": set(),
         "processes": set(),
+        "scans": {"command_line"},
+        "scenes": set(),
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -108,10 +113,10 @@ ROOMS: dict[str, Arrows] = {
         "demo": {"pictures", "processes", "scripted_scene"},
         "fault_injection": {"emulator", "flash", "virtual_skin"},
         "bench": {
-            "choices", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
+            "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
-        "commands": {"demo", "errors", "evaluation", "flash", "virtual_skin"},
-        "cli": {"errors"},
+        "commands": {"command_line", "console", "demo", "errors", "evaluation", "flash", "virtual_skin"},
+        "cli": {"command_line", "errors"},
     },
 }  # fmt: skip
 """Of each package: room, and what it may import of its neighbours."""

@@ -119,7 +119,7 @@ class Skin:
     @property
     def recoveries(self) -> int:
         """How often the device was greeted anew after silence or a reset."""
-        return self.loop.recoveries
+        return self.loop.source.recoveries
 
     @property
     def published(self) -> int:
@@ -158,7 +158,7 @@ class Skin:
         predicted: npt.ArrayLike | None = None,
         predicted_flat: npt.ArrayLike | None = None,
     ) -> int:
-        """Use a scanned surface from the next frame on, and return its revision; frames do not wait for any of it.
+        """Use a measured surface from the next frame on, and return its revision; frames do not wait for any of it.
 
         Args:
             cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
@@ -172,10 +172,7 @@ class Skin:
         return self._clouds.use(cloud, predicted, predicted_flat, self.reference)
 
     def set_regions(self, regions: Iterable[Region]) -> None:
-        """Compute only the union of some regions, from a frame soon after; none of them means the whole sheet.
-
-        What computes them is made in a thread of its own, in tens of milliseconds; every frame says what it has.
-        """
+        """Compute only the union of some regions, none meaning all, from a frame some tens of milliseconds later."""
         self._region_worker.want(union(regions))
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
@@ -229,11 +226,11 @@ class Skin:
     @property
     def stopping(self) -> bool:
         """Whether ``stop`` was called."""
-        return self.loop.stopping
+        return self.loop.source.stopping
 
     def stop(self) -> None:
         """End the loops soon; may be called from any thread and from a signal handler."""
-        self.loop.stopping = True
+        self.loop.source.stopping = True
         self.transport.cancel()
 
     def close(self) -> None:
@@ -241,7 +238,7 @@ class Skin:
         if self._closed:
             return
         self._closed = True
-        self.loop.stopping = True
+        self.loop.source.stopping = True
         with suppress(SkinError):  # the port may be gone; then there is nothing to stop
             self.device.leave()
         self.transport.close()

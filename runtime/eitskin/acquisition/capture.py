@@ -7,7 +7,8 @@ from eitskin.acquisition.device import Device
 from eitskin.acquisition.ports import open_line
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import BadReference
-from eitskin.reference.captured import DEFAULT_FRAMES, Reference, ReferenceBuilder
+from eitskin.reference.builder import ReferenceBuilder
+from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.judged import Yardstick
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.errors import ProtocolError

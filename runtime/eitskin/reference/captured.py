@@ -15,9 +15,8 @@ reported.
 import hashlib
 import json
 import os
-import time
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,8 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference, MismatchError
-from eitskin.reference.judged import Judgement, Yardstick, accept, judge
-from eitskin.reference.movement import Movement
+from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
@@ -116,75 +114,6 @@ class Reference:
                 expected=f"{hello.configuration_digest:08x} ({hello.configuration_name})",
                 hint=hint,
             )
-
-
-class ReferenceBuilder:
-    """Takes frame after frame and makes the reference; allocates nothing a frame (Welford's running mean).
-
-    Args:
-        frames: How many to take, at least 2.
-    """
-
-    __slots__ = ("_delta", "_mean", "_movement", "_product", "_squares", "frames", "taken")
-
-    def __init__(self, frames: int) -> None:
-        if frames < 2:
-            raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2")
-        self.frames = frames
-        self.taken = 0
-        self._mean = np.zeros(N_ROWS)
-        self._squares = np.zeros(N_ROWS)
-        self._delta = np.zeros(N_ROWS)
-        self._product = np.zeros(N_ROWS)
-        self._movement = Movement(frames)
-
-    def add(self, voltages: npt.NDArray[np.float64]) -> bool:
-        """Take one frame and return whether there are enough.
-
-        Args:
-            voltages: (104,) V.
-        """
-        self.taken += 1
-        self._movement.add(voltages)
-        np.subtract(voltages, self._mean, out=self._delta)
-        np.divide(self._delta, self.taken, out=self._product)
-        np.add(self._mean, self._product, out=self._mean)
-        np.subtract(voltages, self._mean, out=self._product)
-        np.multiply(self._product, self._delta, out=self._product)
-        np.add(self._squares, self._product, out=self._squares)
-        return self.taken >= self.frames
-
-    def finish(self, hello: Hello, yardstick: Yardstick | None = None, *, force: bool = False) -> Reference:
-        """Return the reference of what was taken.
-
-        Args:
-            hello: Of the device.
-            yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
-            force: Take it even if the sheet was bent, touched or moving.
-
-        Raises:
-            BadReference: All voltages are zero; or the sheet was bent, touched or moving, with what was found.
-        """
-        largest = float(np.abs(self._mean).max())
-        if not largest >= SMALLEST_V:
-            raise BadReference(
-                f"the reference is at most {largest:.3g} V in every row, expected at least {SMALLEST_V:g} V in one: "
-                "check that the electrodes are connected"
-            )
-        found = Reference(
-            voltages_V=self._mean.copy(),
-            spread_V=np.sqrt(self._squares / (self.taken - 1)),
-            frames=self.taken,
-            serial_number=hello.serial_number,
-            configuration_digest=hello.configuration_digest,
-            configuration_name=hello.configuration_name,
-            captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-        )
-        against = yardstick or Yardstick()
-        looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
-        judgement = judge(found, self._movement.relative(looked_at), against)
-        accept(judgement, force=force)
-        return replace(found, judgement=judgement)
 
 
 def save(reference: Reference, path: str | Path) -> None:

@@ -28,11 +28,12 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.model.gate import Gate
+from eitskin.reference.captured import Reference
+from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import lost_rows, relative_spread
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
-    from eitskin.reference.captured import Reference
 
 Array = npt.NDArray[np.float64]
 
@@ -65,46 +66,15 @@ class Yardstick:
 
     flat_V: Array | None = None
     """(104,) V of the model's flat sheet, of any current."""
-    older: "Reference | None" = None
+    older: Reference | None = None
     """Of the same device in the same configuration."""
     gate: Gate | None = None
     missing: npt.NDArray[np.bool_] | None = None
     """(104,) rows that say nothing, such as those of electrodes left out."""
 
 
-@dataclass(frozen=True, slots=True)
-class Judgement:
-    """What was found of a reference."""
-
-    median_spread: float
-    """Of a single frame's row, relative."""
-    movement: float
-    """Relative; 0 if nothing but noise was seen, or too few frames to tell."""
-    model_difference: float | None
-    """Rms of log(V / V_model); None without a model."""
-    older_difference: float | None
-    """Rms of log(V / V_older); None without an older reference."""
-    touched: bool | None
-    """What the gate says against the older reference; None without one, or without a gate."""
-    refusals: tuple[str, ...]
-    """Reasons not to take it."""
-    remarks: tuple[str, ...]
-    """What people should know if it is taken."""
-
-    def fields(self) -> dict[str, object]:
-        """Return what was found, for an answer or ``--json``."""
-        return {
-            "median_spread": self.median_spread,
-            "movement": self.movement,
-            "model_difference": self.model_difference,
-            "older_difference": self.older_difference,
-            "touched": self.touched,
-            "remarks": [*self.refusals, *self.remarks],
-        }
-
-
 def yardstick_of(
-    bundle: "Bundle", older: "Reference | None" = None, missing: npt.NDArray[np.bool_] | None = None
+    bundle: "Bundle", older: Reference | None = None, missing: npt.NDArray[np.bool_] | None = None
 ) -> Yardstick:
     """Return what a bundle has to hold a reference against, with an older one.
 
@@ -122,7 +92,7 @@ def yardstick_of(
     return Yardstick(flat, older, None if arrays is None else Gate(arrays), missing)
 
 
-def judge(found: "Reference", movement: float, yardstick: Yardstick) -> Judgement:
+def judge(found: Reference, movement: float, yardstick: Yardstick) -> Judgement:
     """Return what there is to say of a captured reference.
 
     Args:
@@ -176,7 +146,7 @@ def accept(judgement: Judgement, *, force: bool = False) -> None:
         raise BadReference(f"{', and '.join(judgement.refusals)}: {REMEDY}")
 
 
-def _same_device(found: "Reference", older: "Reference | None") -> "Reference | None":
+def _same_device(found: Reference, older: Reference | None) -> Reference | None:
     if older is None or older.serial_number != found.serial_number:
         return None
     return older if older.configuration_digest == found.configuration_digest else None

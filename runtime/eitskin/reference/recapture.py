@@ -3,7 +3,8 @@
 import threading
 
 from eitskin.errors import BadReference, SkinError
-from eitskin.reference.captured import Reference, ReferenceBuilder
+from eitskin.reference.builder import ReferenceBuilder
+from eitskin.reference.captured import Reference
 from eitskin.reference.judged import Yardstick
 from eitskin_proto.wire.answers import Hello
 

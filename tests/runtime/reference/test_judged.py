@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
-from eitskin.reference.captured import ReferenceBuilder
+from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.movement import Movement
 from eitskin_proto.sensor.table import TABLE

@@ -8,7 +8,7 @@ import pytest
 
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference import captured as references
-from eitskin.reference.captured import ReferenceBuilder
+from eitskin.reference.builder import ReferenceBuilder
 
 
 @pytest.fixture

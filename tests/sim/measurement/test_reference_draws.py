@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.errors import BadReference
 from eitskin.model.bundle import load_bundle
-from eitskin.reference.captured import ReferenceBuilder
+from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.judged import yardstick_of
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise

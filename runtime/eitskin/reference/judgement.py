@@ -1,0 +1,34 @@
+"""What was found of a reference when it was captured."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Judgement:
+    """What was found of a reference."""
+
+    median_spread: float
+    """Of a single frame's row, relative."""
+    movement: float
+    """Relative; 0 if nothing but noise was seen, or too few frames to tell."""
+    model_difference: float | None
+    """Rms of log(V / V_model); None without a model."""
+    older_difference: float | None
+    """Rms of log(V / V_older); None without an older reference."""
+    touched: bool | None
+    """What the gate says against the older reference; None without one, or without a gate."""
+    refusals: tuple[str, ...]
+    """Reasons not to take it."""
+    remarks: tuple[str, ...]
+    """What people should know if it is taken."""
+
+    def fields(self) -> dict[str, object]:
+        """Return what was found, for an answer or ``--json``."""
+        return {
+            "median_spread": self.median_spread,
+            "movement": self.movement,
+            "model_difference": self.model_difference,
+            "older_difference": self.older_difference,
+            "touched": self.touched,
+            "remarks": [*self.refusals, *self.remarks],
+        }
