@@ -1,0 +1,26 @@
+"""Sphinx: MyST pages and docstrings to HTML, offline; warnings are errors (``make docs``)."""
+
+from importlib import metadata
+
+project = "eitskin"
+author = "The eitskin developers"
+copyright = author  # noqa: A001 -- Sphinx names it so
+release = metadata.version("eitskin")
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+exclude_patterns = ["examples"]
+myst_enable_extensions = ["deflist"]
+myst_heading_anchors = 3
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {"npt.ArrayLike": "ArrayLike"}
+napoleon_google_docstring = True
+napoleon_numpy_docstring = False
+napoleon_attr_annotations = True
+
+html_theme = "furo"
+html_title = f"eitskin {release}"
+html_show_sourcelink = False
+html_copy_source = False
