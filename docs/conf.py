@@ -4,7 +4,7 @@ from importlib import metadata
 
 project = "eitskin"
 author = "The eitskin developers"
-copyright = author  # noqa: A001 -- Sphinx names it so
+copyright = author
 release = metadata.version("eitskin")
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]

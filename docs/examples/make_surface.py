@@ -21,9 +21,7 @@ rng = np.random.default_rng(1)
 places = rng.uniform((0.0, 0.0), scene.sheet.size_mm, (POINTS, 2))  # (n, 2) mm on the flat sheet
 points = surface(scene.bend, scene.sheet, places)  # (n, 3) mm
 points += NOISE_MM * rng.standard_normal(points.shape)
-tilt = np.array(
-    [[1, 0, 0], [0, math.cos(TILT_RAD), -math.sin(TILT_RAD)], [0, math.sin(TILT_RAD), math.cos(TILT_RAD)]]
-)
+tilt = np.array([[1, 0, 0], [0, math.cos(TILT_RAD), -math.sin(TILT_RAD)], [0, math.sin(TILT_RAD), math.cos(TILT_RAD)]])
 seen = points @ tilt.T + [40.0, -25.0, 310.0]
 header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(seen)}\n"
 header += "property float x\nproperty float y\nproperty float z\nend_header\n"

@@ -23,6 +23,7 @@ while True:
         sys.exit(f"this program reads frames of version 1, found {frame['v']}")
     rows, columns = frame["shape"]
     pixels = struct.unpack(f"<{rows * columns}f", frame["map"])  # row by row from the corner (0, 0)
-    age_ms = frame["age_us"] / 1e3 + (time.perf_counter_ns() - frame["host_ns"]["publish"]) / 1e6  # on the same machine
+    # Clocks compare on the same machine only; elsewhere count from the frame's arrival.
+    age_ms = frame["age_us"] / 1e3 + (time.perf_counter_ns() - frame["host_ns"]["publish"]) / 1e6
     place = divmod(max(range(len(pixels)), key=pixels.__getitem__), columns)
-    print(f"frame {frame['seq']}: highest pixel {max(pixels):.2f} at row {place[0]}, column {place[1]}, {age_ms:.1f} ms")
+    print(f"frame {frame['seq']}: highest pixel {max(pixels):.2f} at row, column {place}, {age_ms:.1f} ms")

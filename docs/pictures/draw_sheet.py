@@ -75,7 +75,7 @@ axes.annotate(
     (x1, y1), (52, 85), fontsize=9, bbox={"facecolor": "white", "edgecolor": "0.7"},
     arrowprops={"arrowstyle": "-", "color": "tab:blue"},
 )  # fmt: skip
-note = f"row {ROW} of the table: current into {drive} and out of {drive + 1} (red),\nV = U[{measure}] - U[{measure + 1}]"
+note = f"row {ROW} of the table: current into {drive}, out of {drive + 1} (red),\nV = U[{measure}] - U[{measure + 1}]"
 axes.text(width / 2, height / 2, f"{note} (green)", ha="center", va="center", fontsize=9, backgroundcolor="white")
 axes.set(xlim=(-12, width + 12), ylim=(-12, height + 12), aspect="equal", xlabel="x, mm", ylabel="y, mm")
 axes.set_title("The flat sheet: origin in the corner (0, 0), electrodes counter-clockwise", fontsize=10)
