@@ -23,7 +23,8 @@ help:
 	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
 
 $(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "eitskin needs Python 3.11 or newer, found " + sys.version'
+	@$(PYTHON) -c 'import sys; \
+	    assert sys.version_info >= (3, 11), "eitskin needs Python 3.11 or newer, found " + sys.version'
 	@$(PYTHON) -m venv $(VENV) || { tools/system-packages.sh python3-venv && $(PYTHON) -m venv --clear $(VENV); }
 
 $(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
@@ -74,7 +75,8 @@ wheel-test: $(VENV)/.dev
 	@rm -rf .build/wheel .build/clean && mkdir -p .build
 	$(BIN)/python -m build --wheel --outdir .build/wheel . >/dev/null
 	$(PYTHON) -m venv .build/clean
-	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt .build/wheel/*.whl pytest hypothesis
+	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt \
+	    .build/wheel/*.whl pytest hypothesis
 	tools/wheel-test.sh .build/clean/bin/python
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.

@@ -6,9 +6,10 @@ import re
 import shlex
 
 import pytest
-from .markdown import ROOT, commands, pages
 
 from eitskin_tools.cli import _parser
+
+from .markdown import ROOT, commands, pages
 
 PLACEHOLDERS = {"K": "2", "K-L": "2-4", "MM": "10", "N": "2", "S": "5", "X": "1", "Y": "2", "Z": "3"}
 """Numbers; every other word in capitals stands for a text."""

@@ -3,10 +3,11 @@
 import re
 
 import pytest
-from .markdown import ROOT
 
 from eitskin.messaging import control, frame, publish, regions
 from eitskin.pipeline.frame_pipeline import REASONS
+
+from .markdown import ROOT
 
 SPEC = (ROOT / "firmware_proto/SPEC.md").read_text(encoding="utf-8")
 FLAT = " ".join(SPEC.split())
