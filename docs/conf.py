@@ -24,3 +24,14 @@ html_theme = "furo"
 html_title = f"eitskin {release}"
 html_show_sourcelink = False
 html_copy_source = False
+
+
+def _keep_colons(app, what, name, obj, options, lines):
+    """Keep Napoleon from taking what stands before a colon in a field's docstring for its type."""
+    if what in {"attribute", "data", "property"}:
+        lines.insert(0, "")
+
+
+def setup(app):
+    """Go before Napoleon, whose priority is 500."""
+    app.connect("autodoc-process-docstring", _keep_colons, priority=400)
