@@ -25,13 +25,20 @@ html_title = f"eitskin {release}"
 html_show_sourcelink = False
 html_copy_source = False
 
+COLON = "\ue000"
+"""Stands for a colon while Napoleon looks, which takes what is before one in a field's docstring for its type."""
 
-def _keep_colons(app, what, name, obj, options, lines):
-    """Keep Napoleon from taking what stands before a colon in a field's docstring for its type."""
+
+def _hide_colons(app, what, name, obj, options, lines):
     if what in {"attribute", "data", "property"}:
-        lines.insert(0, "")
+        lines[:] = [line.replace(":", COLON) for line in lines]
+
+
+def _show_colons(app, what, name, obj, options, lines):
+    lines[:] = [line.replace(COLON, ":") for line in lines]
 
 
 def setup(app):
-    """Go before Napoleon, whose priority is 500."""
-    app.connect("autodoc-process-docstring", _keep_colons, priority=400)
+    """Hide colons before Napoleon, whose priority is 500, and show them after it."""
+    app.connect("autodoc-process-docstring", _hide_colons, priority=400)
+    app.connect("autodoc-process-docstring", _show_colons, priority=600)
