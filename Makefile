@@ -1,6 +1,7 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
 # make test    everything that CI runs: lint, types, Python and C tests, the runtime from its wheel
 # make check   lint, types and tests, without the wheel
+# make docs    the documentation as HTML in .build/docs; a warning is an error
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
@@ -15,14 +16,15 @@ PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
 SECONDS_DEMO ?= 20
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test check lint types unit wheel-test firmware-test system-packages bench clean \
+.PHONY: help demo docs test check lint types unit wheel-test firmware-test system-packages bench clean \
         firmware qemu powercut fuzz hotplug soak
 
 help:
 	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
 
 $(VENV)/bin/python:
-	@$(PYTHON) -c 'import sys; assert sys.version_info >= (3, 11), "eitskin needs Python 3.11 or newer, found " + sys.version'
+	@$(PYTHON) -c 'import sys; \
+	    assert sys.version_info >= (3, 11), "eitskin needs Python 3.11 or newer, found " + sys.version'
 	@$(PYTHON) -m venv $(VENV) || { tools/system-packages.sh python3-venv && $(PYTHON) -m venv --clear $(VENV); }
 
 $(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
@@ -35,8 +37,18 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster]'
 	@touch $@ $(VENV)/.demo
 
+# Beside the demonstration's packages, so that docstrings can be read; no torch.
+$(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/.demo
+	$(PIP) install --constraint constraints.txt --editable '.[sim,docs]'
+	@touch $@
+
 demo: $(VENV)/.demo
 	$(BIN)/eitskin demo --seconds $(SECONDS_DEMO)
+
+docs: $(VENV)/.docs
+	@rm -rf .build/docs
+	$(BIN)/python -m sphinx -W --keep-going -q -b html -d .build/doctrees docs .build/docs
+	@echo "open .build/docs/index.html"
 
 test: check wheel-test
 
@@ -63,7 +75,8 @@ wheel-test: $(VENV)/.dev
 	@rm -rf .build/wheel .build/clean && mkdir -p .build
 	$(BIN)/python -m build --wheel --outdir .build/wheel . >/dev/null
 	$(PYTHON) -m venv .build/clean
-	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt .build/wheel/*.whl pytest hypothesis
+	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt \
+	    .build/wheel/*.whl pytest hypothesis
 	tools/wheel-test.sh .build/clean/bin/python
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.

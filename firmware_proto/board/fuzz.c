@@ -1,8 +1,8 @@
 /* The whole device under any input, built with the address and undefined-behaviour sanitizers.
  *
  * An input is a list of records: a length byte, then so many bytes. Records with an even length byte go to the line as
- * they are; odd ones are sent as the payload of an intact packet, so that what lies behind the check is reached. After each
- * record some time passes, and now and then the device is switched off and on. With clang's libFuzzer
+ * they are; odd ones are sent as the payload of an intact packet, so that what lies behind the check is reached.
+ * After each record some time passes, and now and then the device is switched off and on. With clang's libFuzzer
  * LLVMFuzzerTestOneInput() is the target; without, main() makes records of every message type and bends them. */
 #include <stdint.h>
 #include <stdio.h>
@@ -138,8 +138,8 @@ int main(int argc, char **argv)
         }
         (void)LLVMFuzzerTestOneInput(input, size);
     }
-    printf("{\"device_fuzz\": {\"inputs\": %lu, \"records\": %lu, \"storage_changes\": %lu, \"restarts\": %lu}}\n", inputs,
-           records, storage_changes, restarts);
+    printf("{\"device_fuzz\": {\"inputs\": %lu, \"records\": %lu, \"storage_changes\": %lu, \"restarts\": %lu}}\n",
+           inputs, records, storage_changes, restarts);
     return 0;
 }
 #endif

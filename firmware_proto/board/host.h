@@ -1,8 +1,8 @@
 /* The core on the host, for tests by ctypes: a device whose line, clock, storage and front end are plain memory.
  *
- * The test owns the memory (eit_host_bytes() of it), moves the clock by hand, reads what was sent, and may cut the power at
- * the n-th change of storage: that change is then left half done, by a pattern that the test chooses, and nothing works
- * until eit_host_boot(). */
+ * The test owns the memory (eit_host_bytes() of it), moves the clock by hand, reads what was sent, and may cut the
+ * power at the n-th change of storage: that change is then left half done, by a pattern that the test chooses, and
+ * nothing works until eit_host_boot(). */
 #ifndef EIT_HOST_H
 #define EIT_HOST_H
 
@@ -50,8 +50,8 @@ void eit_host_set_front_end(struct eit_host *host, int fails);
 
 void eit_host_set_clock(struct eit_host *host, uint32_t now_us);
 
-/* Push bytes through a deframer; writes each payload as u16 length and bytes. Returns the bytes written; payloads that do
- * not fit into capacity are left out. */
+/* Push bytes through a deframer; writes each payload as u16 length and bytes. Returns the bytes written; payloads
+ * that do not fit into capacity are left out. */
 size_t eit_host_feed(struct eit_deframer *deframer, const uint8_t *data, size_t length, uint8_t *out, size_t capacity);
 
 #endif

@@ -1,14 +1,15 @@
-/* The core on an emulated Cortex-M3 (QEMU's mps2-an385): UART0 is the line, timer 0 the clock, timer 1 the alarm, PSRAM the
- * storage and the analogue front end.
+/* The core on an emulated Cortex-M3 (QEMU's mps2-an385): UART0 is the line, timer 0 the clock, timer 1 the alarm,
+ * PSRAM the storage and the analogue front end.
  *
  *     0x21000000  slot 0, 0x21001000  slot 1
  *     0x21080000  power[4]: cut at this change, changes so far, seed of the torn word, 0xdead once cut
- *     0x21100000  recording: "EITV", frames, volts a count at gain 1 (double), rate in mHz, 0, then frames of 208 int32 in
- *                 full-table order; played by the clock from the first scan on, or frame by frame if the rate is 0
+ *     0x21100000  recording: "EITV", frames, volts a count at gain 1 (double), rate in mHz, 0, then frames of
+ *                 208 int32 in full-table order; played by the clock from the first scan on, or frame by frame if
+ *                 the rate is 0
  *
- * A host that maps the PSRAM's file can cut the power at a chosen change of storage: the firmware leaves that change half
- * done, says so in power[3] and stands still until it is killed. Without a recording the front end plays a pattern that
- * names drive, pair and scan. This is a board of its own right, so it has globals; the core has none. */
+ * A host that maps the PSRAM's file can cut the power at a chosen change of storage: the firmware leaves that change
+ * half done, says so in power[3] and stands still until it is killed. Without a recording the front end plays a
+ * pattern that names drive, pair and scan. This is a board of its own right, so it has globals; the core has none. */
 
 #include <string.h>
 
@@ -184,8 +185,8 @@ static uint32_t recorded_frames(void)
 
 static enum eit_status drive(void *ctx, uint8_t number, const struct eit_config *config)
 {
-    /* Emulated electronics settle at once, so the clock jumps ahead and waits for timer 0 at the end of the scan. Fourteen
-     * alarms a frame would measure the scheduler of the machine below. */
+    /* Emulated electronics settle at once, so the clock jumps ahead and waits for timer 0 at the end of the scan.
+     * Fourteen alarms a frame would measure the scheduler of the machine below. */
     const uint32_t now = now_us(ctx);
 
     settled_us = now + config->settle_us;
@@ -281,7 +282,8 @@ static void sleep_us(uint32_t duration_us)
 static void run(void)
 {
     static const struct eit_port port = {
-        NULL, now_us, write_line, storage_read, storage_erase, storage_program, drive, measure, volts_per_count, restart,
+        NULL,  now_us,  write_line,      storage_read, storage_erase, storage_program,
+        drive, measure, volts_per_count, restart,
     };
     static const struct eit_identity identity = {"QEMU-AN385", {1, 0, 0}, BAUD / 10u};
 

@@ -41,7 +41,8 @@ bool eit_config_is_full(const struct eit_config *config)
 /* Whole microseconds, rounded up, so that host and device agree to the last one. Capped: it must not wrap. */
 uint32_t eit_config_scan_us(const struct eit_config *config, uint16_t drives)
 {
-    const uint64_t periods_us = ((uint64_t)config->averages * 1000000u + config->frequency_hz - 1u) / config->frequency_hz;
+    const uint64_t periods_us =
+        ((uint64_t)config->averages * 1000000u + config->frequency_hz - 1u) / config->frequency_hz;
     const uint64_t total_us =
         EIT_SCAN_OVERHEAD_US +
         eit_drive_count(eit_config_is_full(config), drives) * ((uint64_t)config->settle_us + periods_us);

@@ -27,8 +27,8 @@ struct eit_config {
 };
 
 /* Read a blob. EIT_DAMAGED: not a configuration, or its check is wrong. EIT_VERSION: another format. EIT_HARDWARE: for
- * other electronics. EIT_VALUE: a value that means nothing or that these electronics do not have. EIT_RATE: they are too
- * slow for its rate. The configuration is only complete with EIT_OK. */
+ * other electronics. EIT_VALUE: a value that means nothing or that these electronics do not have. EIT_RATE: they are
+ * too slow for its rate. The configuration is only complete with EIT_OK. */
 enum eit_status eit_config_read(const uint8_t *blob, size_t length, struct eit_config *config);
 
 /* Whether the rows come from the full table. */

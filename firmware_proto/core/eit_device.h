@@ -1,7 +1,8 @@
 /* The device: answers requests, streams frames at the configuration's rate, keeps the configuration's lock and trial.
  *
- * A board calls eit_device_boot() once, then eit_device_receive() with what the line brought and eit_device_poll() again
- * and again; eit_device_idle_us() says how long it may sleep. All state is in struct eit_device, which the board owns. */
+ * A board calls eit_device_boot() once, then eit_device_receive() with what the line brought and eit_device_poll()
+ * again and again; eit_device_idle_us() says how long it may sleep. All state is in struct eit_device, which the
+ * board owns. */
 #ifndef EIT_DEVICE_H
 #define EIT_DEVICE_H
 

@@ -1,4 +1,5 @@
-/* Requests that change the stored configuration: lock, session, chunks, commit, trial, rollback (SPEC.md, section 6). */
+/* Requests that change the stored configuration: lock, session, chunks, commit, trial, rollback (SPEC.md, section 6).
+ * */
 #ifndef EIT_FLASH_H
 #define EIT_FLASH_H
 

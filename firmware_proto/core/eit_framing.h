@@ -36,8 +36,8 @@ struct eit_deframer {
 
 void eit_deframer_init(struct eit_deframer *deframer, uint8_t *buffer, size_t capacity);
 
-/* Take one byte. EIT_OK: it completed a packet, whose payload of *length bytes lies at the start of the buffer until the
- * next byte is pushed. EIT_DAMAGED: it ended a piece that was dropped. EIT_AGAIN: otherwise. */
+/* Take one byte. EIT_OK: it completed a packet, whose payload of *length bytes lies at the start of the buffer until
+ * the next byte is pushed. EIT_DAMAGED: it ended a piece that was dropped. EIT_AGAIN: otherwise. */
 enum eit_status eit_deframer_push(struct eit_deframer *deframer, uint8_t byte, size_t *length);
 
 #endif

@@ -1,5 +1,5 @@
-/* The hardware, as callbacks. A board fills one of these and hands it to eit_device_boot(); the core never calls anything
- * else. Every callback gets `ctx`. None may call back into the core. */
+/* The hardware, as callbacks. A board fills one of these and hands it to eit_device_boot(); the core never calls
+ * anything else. Every callback gets `ctx`. None may call back into the core. */
 #ifndef EIT_PORT_H
 #define EIT_PORT_H
 
@@ -33,8 +33,9 @@ struct eit_port {
     /* Send the current into electrode `drive` and out of the next one. EIT_OK or EIT_FRONT_END. */
     enum eit_status (*drive)(void *ctx, uint8_t drive, const struct eit_config *config);
 
-    /* Measure all pairs at once under the present drive, averaged as the configuration says. counts[m] is left-justified
-     * in 32 bit; bit m of *saturated tells that pair m was cut off in at least one sample. EIT_OK or EIT_FRONT_END. */
+    /* Measure all pairs at once under the present drive, averaged as the configuration says. counts[m] is
+     * left-justified in 32 bit; bit m of *saturated tells that pair m was cut off in at least one sample. EIT_OK or
+     * EIT_FRONT_END. */
     enum eit_status (*measure)(void *ctx, const struct eit_config *config, int32_t counts[EIT_PAIRS],
                                uint16_t *saturated);
 

@@ -1,5 +1,5 @@
-/* What the device sends apart from frames. Each function packs one message and queues it; a message that finds no room on
- * the line is lost, and the host asks again. */
+/* What the device sends apart from frames. Each function packs one message and queues it; a message that finds no
+ * room on the line is lost, and the host asks again. */
 #ifndef EIT_REPLY_H
 #define EIT_REPLY_H
 

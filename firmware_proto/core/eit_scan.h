@@ -1,7 +1,7 @@
 /* One scan: drive after drive, settle, measure all pairs, write the rows that the table has, in its order.
  *
- * Nothing blocks longer than one measurement: eit_scan_step() returns EIT_AGAIN with the time of its next action, and the
- * caller does something else until then. The samples go straight into the frame's payload. */
+ * Nothing blocks longer than one measurement: eit_scan_step() returns EIT_AGAIN with the time of its next action, and
+ * the caller does something else until then. The samples go straight into the frame's payload. */
 #ifndef EIT_SCAN_H
 #define EIT_SCAN_H
 

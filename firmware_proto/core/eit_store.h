@@ -1,10 +1,11 @@
-/* Two slots for the configuration, so that a power cut at any moment leaves the old one or the new one (SPEC.md, section 6).
+/* Two slots for the configuration, so that a power cut at any moment leaves the old one or the new one (SPEC.md,
+ * section 6).
  *
  *     0          64           68        72        76        80
  *     blob       generation   commit    attempt   confirm   revoked
  *
- * One word decides each step: commit makes a slot count, attempt says that its trial began, confirm ends the trial, revoked
- * takes it out. A word is programmed once after an erase; programming clears bits. */
+ * One word decides each step: commit makes a slot count, attempt says that its trial began, confirm ends the trial,
+ * revoked takes it out. A word is programmed once after an erase; programming clears bits. */
 #ifndef EIT_STORE_H
 #define EIT_STORE_H
 
@@ -42,7 +43,8 @@ uint8_t eit_store_other(const struct eit_store *store);
 /* Empty the other slot for a new blob. EIT_STORAGE if the storage did not obey. */
 enum eit_status eit_store_begin(struct eit_store *store);
 
-/* Append to the new blob. EIT_VALUE unless length is a multiple of 4 that fits; EIT_STORAGE if a word does not read back. */
+/* Append to the new blob. EIT_VALUE unless length is a multiple of 4 that fits; EIT_STORAGE if a word does not read
+ * back. */
 enum eit_status eit_store_write(struct eit_store *store, const uint8_t *data, uint32_t length);
 
 /* Read the new blob back. Returns what eit_config_read() says about it. */

@@ -51,7 +51,7 @@ class Skin:
             (:mod:`eitskin.pipeline.idle`); None scans all of them always.
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
         compensate_drift: Whether to take out of the frames what the reference has drifted
-        (:mod:`eitskin.health.drift`).
+            (:mod:`eitskin.health.drift`).
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.

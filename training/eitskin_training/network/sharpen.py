@@ -6,7 +6,7 @@ the nine channels of a cell of 10 mm, and each block adds to them what it makes 
 
     z (B, 1350) -- cells (B, 9, 10, 15) -- [ z + conv1x1(act(conv3x3(z / 4))) ] ... -- pixels (B, 1350)
 
-Six thousand weights, 0.9 million products a frame. What it gains beside a wider network: DESIGN.md.
+Six thousand weights, 0.9 million products a frame. What it gains beside a wider network: docs/results/ablations.md.
 """
 
 from collections.abc import Sequence

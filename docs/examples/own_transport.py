@@ -1,0 +1,79 @@
+"""A line of one's own: a skin behind a serial-to-network adapter, read through a TCP socket.
+
+    python docs/examples/own_transport.py HOST PORT
+
+Whatever has these six methods and two properties can stand where a port's name stands
+(:class:`eitskin.acquisition.transport.Transport`); no base class is needed.
+"""
+
+import os
+import select
+import socket
+import sys
+from contextlib import suppress
+
+import eitskin
+
+
+class SocketLine:
+    """A full-duplex byte stream that blocks in ``read`` and can be woken from elsewhere.
+
+    Args:
+        host: Of the adapter.
+        port: Of the adapter.
+    """
+
+    line_bytes_per_s = 0  # no baud rate limits it
+
+    def __init__(self, host: str, port: int) -> None:
+        self.name = f"{host}:{port}"
+        try:
+            self._socket = socket.create_connection((host, port), timeout=5.0)
+        except OSError as error:
+            raise eitskin.PortMissing(f"{self.name} cannot be reached: {error}") from error
+        self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self._wake = os.eventfd(0, os.EFD_NONBLOCK)
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return what has arrived, waiting for the first byte; nothing after the timeout or ``cancel``."""
+        ready, _, _ = select.select([self._socket, self._wake], [], [], timeout_s)
+        if self._wake in ready:
+            os.eventfd_read(self._wake)
+            return b""
+        if not ready:
+            return b""
+        try:
+            data = self._socket.recv(65536)
+        except OSError as error:
+            raise eitskin.PortLost(f"{self.name} is gone: {error}") from error
+        if not data:
+            raise eitskin.PortLost(f"{self.name} hung up")
+        return data
+
+    def write(self, data: bytes) -> None:
+        """Send all of it."""
+        try:
+            self._socket.sendall(data)
+        except OSError as error:
+            raise eitskin.PortLost(f"{self.name} is gone: {error}") from error
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once."""
+        os.eventfd_write(self._wake, 1)
+
+    def report(self) -> list[str]:
+        """Return what was got, a line for people each."""
+        return [f"{self.name}: TCP, without delay"]
+
+    def close(self) -> None:
+        """Give the line back; closing twice is fine."""
+        self._socket.close()
+        with suppress(OSError):
+            os.close(self._wake)
+
+
+if __name__ == "__main__":
+    with eitskin.Skin(SocketLine(sys.argv[1], int(sys.argv[2]))) as skin:
+        skin.capture_reference(frames=50)
+        for frame in skin.frames(timeout_s=2.0):
+            print(f"frame {frame.sequence} over TCP: highest pixel {frame.map.max():.2f}")

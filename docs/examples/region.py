@@ -1,0 +1,17 @@
+"""Ask for a part of the sheet only, and do without maps in which nothing but noise changed.
+
+    python docs/examples/region.py [ENDPOINT]
+
+The runtime computes what its subscribers ask for, all together, and no more.
+"""
+
+import sys
+
+import eitskin
+
+LEFT_EDGE_MM = (0.0, 0.0, 30.0, 100.0)  # x0, y0, x1, y1 on the flat sheet
+
+with eitskin.subscribe(*sys.argv[1:2], region_mm=LEFT_EDGE_MM, skip_unchanged=True, timeout_s=10.0) as frames:
+    for frame in frames:
+        part = frame.map[frames.region.slices]  # rows and columns of the rectangle; the rest of the map may be 0
+        print(f"left edge {part.shape}: highest pixel {part.max():.2f}; computed {frame.regions}")

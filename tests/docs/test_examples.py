@@ -1,0 +1,114 @@
+"""Every program of docs/examples runs as it stands, against a virtual skin and a runtime of their own."""
+
+import socket
+import threading
+from contextlib import contextmanager, suppress
+
+import numpy as np
+import pytest
+
+from eitskin.acquisition.serial_port import SerialPort
+from eitskin.errors import TransportError
+from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_sim.scene.bend import surface
+from eitskin_sim.scene.scene import load_scene
+
+from .markdown import ROOT
+
+EXAMPLES = ROOT / "docs/examples"
+
+pytestmark = pytest.mark.process
+
+
+def test_subscribe_prints_frame_after_frame(example, runtime):
+    with example("subscribe.py", runtime.frames) as program:
+        first, second = (int(program.until("ms old").split()[1].rstrip(":")) for _ in range(2))
+    assert second > first
+
+
+def test_a_region_shows_its_rows_and_columns(example, runtime):
+    with example("region.py", runtime.frames) as program:
+        assert "(30, 9)" in program.until("left edge")
+
+
+def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
+    (tmp_path / "eitskin.py").write_text("raise ModuleNotFoundError('eitskin is not installed here')\n")
+    with example("without_eitskin.py", runtime.frames, PYTHONPATH=str(tmp_path)) as program:
+        assert "at row, column" in program.until("highest pixel")
+
+
+def test_a_robot_goes_stops_where_it_is_touched_and_stops_when_it_is_blind(example, runtime):
+    with example("react.py", runtime.frames) as robot:
+        robot.until("go")
+        robot.until("stop")
+        assert "mm, y" in robot.until("touched at")
+
+
+def test_a_robot_without_a_runtime_is_blind_and_stops(example, tmp_path):
+    with example("react.py", f"ipc://{tmp_path}/nobody") as robot:
+        robot.until("blind")
+        robot.until("stop")
+
+
+def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime, tmp_path):
+    cloud = tmp_path / "cloud.npz"
+    with start("-m", "eitskin_tools.cli", "surface", EXAMPLES / "surface.ply", "--out", cloud) as program:
+        program.until("6000 points")
+        program.until("corner (0, 0)")
+    with example("send_cloud.py", cloud, runtime.control) as program:
+        assert "is in use" in program.until("cloud ")
+    scene = load_scene(EXAMPLES / "scene.json")
+    places = surface(scene.bend, scene.sheet, pixel_centres_mm().reshape(-1, 2))
+    with np.load(cloud) as file:
+        assert (
+            abs(file["cloud"] - align_cloud(places.T.reshape(3, 30, 45))).max() < 2.0
+        )  # mm, at the border; the points have 0.1 mm of noise
+
+
+def test_a_skin_is_read_within_one_process(example, skin):
+    with skin() as port, example("in_process.py", port) as program:
+        assert "weak rows 0" in program.until("reference of 50 frames")
+        program.until("touched at")
+        assert "lost" in program.until(" frames, ")
+
+
+def test_a_line_of_ones_own_carries_a_skin_over_tcp(example, skin):
+    with skin() as port, bridged(port) as number, example("own_transport.py", "127.0.0.1", number) as program:
+        assert "over TCP" in program.until("frame ")
+
+
+@contextmanager
+def bridged(port):
+    """A serial-to-network adapter: carries bytes both ways, and gives its TCP port."""
+    line = SerialPort(port)
+    listener = socket.create_server(("127.0.0.1", 0))
+    threads = []
+
+    def to_line(peer):
+        with suppress(OSError, TransportError):
+            while data := peer.recv(4096):
+                line.write(data)
+        line.cancel()
+
+    def to_peer():
+        with suppress(OSError):
+            peer, _ = listener.accept()
+            back = threading.Thread(target=to_line, args=(peer,))
+            back.start()
+            with peer:
+                with suppress(OSError, TransportError):
+                    while back.is_alive():
+                        peer.sendall(line.read(1.0))
+                back.join()
+
+    threads.append(threading.Thread(target=to_peer))
+    threads[0].start()
+    try:
+        yield listener.getsockname()[1]
+    finally:
+        with suppress(OSError):
+            listener.shutdown(socket.SHUT_RDWR)
+        listener.close()
+        threads[0].join()
+        line.close()
