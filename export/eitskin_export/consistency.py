@@ -19,8 +19,9 @@ from eitskin.health.correction import NAMES
 from eitskin.health.drift import estimates
 from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.consistency import FLOOR, RATIO_RANGE
+from eitskin_sim.measurement.consistency import FLOOR
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
 from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change

@@ -24,6 +24,7 @@ from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import Buffers, GeometryGraph, engines
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.evaluation import trials
 from eitskin_sim.fem.solve import solve_scene
@@ -63,7 +64,7 @@ def stored_inputs(count: int = 32) -> tuple[Array, Array, Array]:
             noisy = add_noise(_voltages(phantom.scene), flat, "N2", 50.0, rng)
             changes.append(relative_change(noisy, flat))
             clouds.append(cloud)
-            predicted.append(np.log(np.abs(untouched) / np.abs(flat)))
+            predicted.append(log_prediction(untouched, flat))
     return tuple(np.asarray(values, dtype=np.float32) for values in (changes, clouds, predicted))  # type: ignore[return-value]
 
 

@@ -26,8 +26,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.normalise import relative_change
-from eitskin_training.network.model import RATIO_FLOOR, VD2T
+from eitskin_proto.sensor.log_prediction import log_prediction
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import Score, score, untouched_peaks
@@ -126,8 +126,7 @@ def variant_data(data: TrainingData, variant: str, deformations: int | None, sam
     must not mean fewer steps.
     """
     if variant == "post":
-        ratio = 1.0 + relative_change(data.untouched, data.reference)
-        data = replace(data, log_predicted=np.log(np.maximum(ratio, RATIO_FLOOR)).astype(np.float32))
+        data = replace(data, log_predicted=log_prediction(data.untouched, data.reference))
     rows = data.train
     if deformations is not None:
         kept = np.unique(data.deformation[rows])[:deformations]

@@ -23,8 +23,8 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.sensor.grid import map_from_units
+from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.measurement.consistency import logarithms
 from eitskin_training.network.filling import WIDTH, Filling, Lost
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.network.model import VD2T
@@ -164,7 +164,7 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
         count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
         chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
         groups.append((slice(start, stop), chosen))
-    logs = torch.from_numpy(logarithms(change[:lost]).astype(np.float32))
+    logs = torch.from_numpy(log_of_change(change[:lost]).astype(np.float32))
     return _Drawn(logs, torch.from_numpy(change), groups, lost, torch.from_numpy(predicted), rows, number)
 
 
@@ -257,7 +257,7 @@ def held_out(
     truth = batch.labels.numpy()
     truth = map_from_units(truth).reshape(len(rows), -1) if data.labels_kind == "units" else truth
     touched = truth.max(axis=1) > 0
-    logs = torch.from_numpy(logarithms(change).astype(np.float32))
+    logs = torch.from_numpy(log_of_change(change).astype(np.float32))
 
     def cc(lost: Lost) -> float:
         shown = batch.dv

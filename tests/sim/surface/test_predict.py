@@ -5,6 +5,7 @@ import pytest
 
 from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.sensor.log_prediction import RATIO_FLOOR
 from eitskin_sim.dataset import prediction_cache
 from eitskin_sim.dataset.reader import DataSet
 from eitskin_sim.fem.solve import solve_scene
@@ -12,7 +13,7 @@ from eitskin_sim.scene.bend import metric, surface
 from eitskin_sim.scene.scene import Bend, Scene, Sheet
 from eitskin_sim.scene.touch_table import FreeTouches
 from eitskin_sim.surface.measured_cloud import scanned_cloud
-from eitskin_sim.surface.predict import RATIO_FLOOR, fit_cloud, flat_voltages, predict, predicted_log
+from eitskin_sim.surface.predict import fit_cloud, flat_voltages, predict, predicted_log
 
 EVEN = Bend(angle_deg=120, axis_deg=20, skew=0.4, stretch_along=1.12, stretch_across=0.97)
 UNEVEN = Bend(angle_deg=120, axis_deg=20, skew=0.4, stretch_along=1.12, stretch_across=0.97, nonuniformity=0.1)

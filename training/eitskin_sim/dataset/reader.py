@@ -16,7 +16,6 @@ when a batch is made. ``index.json`` is written last: a folder without it is unf
 with it.
 """
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,7 +26,7 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, ProtocolError
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
 from eitskin_sim.dataset.plan import SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import FreeTouches
@@ -156,7 +155,7 @@ def read_index(folder: Path) -> dict[str, Any]:
 def _read(folder: Path, entry: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
     path = folder / entry["file"]
     content = path.read_bytes()
-    found = hashlib.sha256(content).hexdigest()
+    found = sha256_of(content)
     if found != entry["sha256"]:
         raise MismatchError(f"{path}: sha256", found=found[:16], expected=entry["sha256"][:16], hint=HINT)
     with np.load(path, allow_pickle=False) as arrays:

@@ -1,6 +1,6 @@
 """What a Gaussian cannot know of a lost electrode's rows, a small network adds: touches are no linear cause.
 
-The conditional mean of :mod:`eitskin_sim.measurement.consistency` is taken first; the network sees all 104 rows as they
+The conditional mean of :mod:`eitskin_proto.sensor.row_gaussian` is taken first; the network sees all 104 rows as they
 then are, which electrodes are gone, and V_pred, and corrects the missing rows alone ::
 
     [ (l - mean) / spread | gone | log(V_pred / V0) / 0.3 ]   (224,)
@@ -18,8 +18,8 @@ import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, RowGaussian, missing_spread, missing_weights, rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
-from eitskin_sim.measurement.consistency import RATIO_RANGE, Consistency, rows_of
 
 WIDTH: Final = 320
 """Of both hidden layers: 208,000 weights, a fifth of what a frame of a shipped network reads."""
@@ -36,13 +36,13 @@ class Gaussian:
     """The conditional mean in torch, for batches in which groups of samples lose the same electrodes.
 
     Args:
-        consistency: How rows go together.
+        gaussian: How rows go together.
     """
 
-    def __init__(self, consistency: Consistency) -> None:
-        self.mean = torch.tensor(consistency.mean, dtype=torch.float32)
-        self.spread = torch.tensor(np.sqrt(np.diag(consistency.covariance)), dtype=torch.float32)
-        self._precision = consistency.precision()
+    def __init__(self, gaussian: RowGaussian) -> None:
+        self.mean = torch.tensor(gaussian.mean, dtype=torch.float32)
+        self.spread = torch.tensor(np.sqrt(np.diag(gaussian.covariance)), dtype=torch.float32)
+        self._precision = gaussian.precision()
         self._known: dict[Lost, tuple[Tensor, Tensor, Tensor, Tensor]] = {}
 
     def missing(self, lost: Lost) -> Tensor:
@@ -63,14 +63,12 @@ class Gaussian:
     def _of(self, lost: Lost) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         if lost not in self._known:
             rows = rows_of(lost)
-            inner = self._precision[np.ix_(rows, rows)]
-            weights = np.linalg.solve(inner, self._precision[np.ix_(rows, ~rows)])
             left_over = np.ones(N_ROWS)
-            left_over[rows] = np.sqrt(np.diag(np.linalg.inv(inner)))
+            left_over[rows] = missing_spread(self._precision, rows)
             self._known[lost] = (
                 torch.from_numpy(np.flatnonzero(rows)),
                 torch.from_numpy(np.flatnonzero(~rows)),
-                torch.tensor(weights, dtype=torch.float32),
+                torch.tensor(missing_weights(self._precision, rows), dtype=torch.float32),
                 torch.tensor(left_over, dtype=torch.float32),
             )
         return self._known[lost]
@@ -80,13 +78,13 @@ class Filling(nn.Module):
     """Fills in lost rows: the Gaussian, then the network's correction.
 
     Args:
-        consistency: How rows go together.
+        gaussian: How rows go together.
         width: Of both hidden layers.
     """
 
-    def __init__(self, consistency: Consistency, width: int = WIDTH) -> None:
+    def __init__(self, gaussian: RowGaussian, width: int = WIDTH) -> None:
         super().__init__()
-        self.gaussian = Gaussian(consistency)
+        self.gaussian = Gaussian(gaussian)
         self.layers = nn.Sequential(
             nn.Linear(2 * N_ROWS + N_ELECTRODES, width), nn.SiLU(), nn.Linear(width, width), nn.SiLU()
         )

@@ -28,8 +28,9 @@ from eitskin_training.network.sharpen import Sharpen
 VoltageChannel = Literal["paper", "residual"]
 Activation = Literal["relu", "silu"]
 
-RATIO_FLOOR: Final = 1e-2
-"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero."""
+MEASURED_FLOOR: Final = 1e-2
+"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero. It is
+part of every exported graph; :mod:`eitskin_proto.sensor.log_prediction` has the floors side by side."""
 
 CHANGE_RANGE: Final = (-1.2, 5.0)
 """V / V0 - 1 is clamped here. Touches and deformations stay inside; noise on a weak row, alone, may not, and one such
@@ -231,7 +232,7 @@ def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | Non
     dv = torch.clamp(dv, *CHANGE_RANGE)
     blocks = [dv]
     if architecture.log_ratio or architecture.log_predicted:
-        log_ratio = torch.log(torch.clamp(1.0 + dv, min=RATIO_FLOOR))
+        log_ratio = torch.log(torch.clamp(1.0 + dv, min=MEASURED_FLOOR))
         if architecture.log_ratio:
             blocks.append(log_ratio)
         if architecture.log_predicted:
