@@ -1,6 +1,7 @@
 """Elements that a touch's border cuts: their blocks, from integrals that do not depend on the deformation.
 
-Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.cut_elements`, a cut element gets two functions of
+Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.cut_elements` (what the two share and where they
+differ is in :mod:`eitskin_sim.fem.cut_rule`), a cut element gets two functions of
 its own, d+ and d+ t less their biquadratic interpolants (d+ the distance outside, t along the border), whose strengths
 minimise the element's energy E. They differ a little between neighbours, so what counts is only what the touch changes:
 
@@ -20,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.touch_table import Array
@@ -27,23 +29,17 @@ from eitskin_sim.scene.touch_table import Array
 POINTS: Final = 6
 """Points a side in a cut element, each with the cell around it."""
 
-FLOOR: Final = 1e-8
-"""A kink whose energy is below this share of the element's is held back: dividing by it would divide by rounding."""
 
-
-def _rule() -> tuple[Array, Array, Array]:
+def _rule() -> tuple[Array, Array]:
     line = (np.arange(POINTS) + 0.5) / POINTS
     points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    nodes = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(-1, 2)
     slopes = np.stack(gradients(points), axis=1)  # (q, 2, 9)
-    return points, nodes, slopes
+    return points, slopes
 
 
 UNIT_POINTS: Final = _rule()[0]
 """(q, 2) middles of the cells of a unit element."""
-UNIT_NODES: Final = _rule()[1]
-"""(9, 2)"""
-SLOPES: Final = _rule()[2]
+SLOPES: Final = _rule()[1]
 """(q, 2, 9) gradients of the shape functions there."""
 
 

@@ -5,7 +5,8 @@ ratios use it. Each row says what its seconds hold: set-up of a deformation and 
 shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
 against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
 How far the free set's mesh is from finer ones is measured on fewer sets
-(:mod:`eitskin_tools.bench.dataset.freeform_error`).
+(:mod:`eitskin_tools.bench.dataset.freeform_error`), and how far apart the two rules for cut elements are
+(:mod:`eitskin_tools.bench.dataset.cut_rules`).
 """
 
 import argparse
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Any
 
+from eitskin_tools.bench.dataset.cut_rules import rule_rows
 from eitskin_tools.bench.dataset.freeform_error import error_rows, gap_rows
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
@@ -49,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     one_blas_thread()
     rows = [*_paper(arguments), *_free(arguments), _pyeit()]
-    errors = [*error_rows(arguments.scenes), *gap_rows()] if arguments.scenes else []
+    errors = [*error_rows(arguments.scenes), *gap_rows(), *rule_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
     default = next((row for row in errors if row["what"] == "free, default"), {})

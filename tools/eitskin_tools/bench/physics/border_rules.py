@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_elements import half_plane_share, touch
+from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.cut_rule import half_plane_share
 from eitskin_sim.fem.forward import MM, Factor, System, assemble
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
