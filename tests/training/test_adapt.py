@@ -11,7 +11,7 @@ import torch
 
 from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
 from eitskin_sim.measurement.consistency import Filler, fit
-from eitskin_training import train
+from eitskin_training import run_files, train
 from eitskin_training.adapt import Plan, adapt, write
 from eitskin_training.network.filling import Filling
 from eitskin_training.network.model import VD2T
@@ -98,16 +98,16 @@ def test_the_same_seed_gives_the_same_network(toy_data: Any) -> None:
 def test_maps_without_an_electrode_gain(toy_data: Any, tmp_path: Path) -> None:
     data, chosen = toy_data("units", samples=1000), tiny(epochs=6, learning_rate=5e-3, lost_electrode=0.0)
     train.train(data, chosen, tmp_path / "run")
-    content = train.read(tmp_path / "run" / "best.pt")
-    model = train.network(chosen, content["weights"])
+    content = run_files.read(tmp_path / "run" / "best.pt")
+    model = run_files.network(chosen, content["weights"])
     adapted = adapt(model, chosen, data, replace(QUICK, steps=80))
     before, after = adapted.facts["before"], adapted.facts["after"]
     assert after["two_lost"] > before["two_lost"]
     assert after["whole"] > before["whole"] - 0.05
     path = write(tmp_path / "adapted", content, adapted)
-    again = train.read(path)
+    again = run_files.read(path)
     assert again["adapted"] == adapted.facts
-    network = train.network(chosen, again["weights"])
+    network = run_files.network(chosen, again["weights"])
     assert torch.equal(network.out.weight, adapted.model.out.weight)
     assert again["filling"]["filling_first"].shape[0] == 224
 

@@ -29,9 +29,10 @@ import numpy.typing as npt
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.run_files import network
 from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import Score, score, untouched_peaks
-from eitskin_training.train import network, train
+from eitskin_training.train import train
 
 PAPER_CLOUD_CHANNELS: Final = (16, 8)
 """Two 2-D convolutions, as the paper's cloud channel has; their widths are ours."""

@@ -29,9 +29,9 @@ from eitskin_training.network.filling import WIDTH, Filling, Lost
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.run_files import write_file
 from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
 from eitskin_training.score import correlation, training_loss
-from eitskin_training.train import write_file
 
 HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""

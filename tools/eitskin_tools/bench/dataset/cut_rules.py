@@ -10,6 +10,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
+    from eitskin_sim.scene.parts import Bend
     from eitskin_sim.scene.touch_table import Array
 
 SIDES_MM: Final = (5.0, 10.0, 20.0, 40.0)
@@ -45,22 +46,19 @@ def rule_rows(sides_mm: Sequence[float] = SIDES_MM) -> list[dict[str, Any]]:
         for x, y in PLACES_MM
     ]
     table = gather(pieces)
-    found: dict[str, list[Array]] = {"generators": [], "scenes": [], "exact": []}
-    for bend in (Bend(), *draw("A", 3, SEED)[1:]):
-        sheet = free_sheet(bend)
-        bare = solve_scene(Scene(bend=bend, element_size_mm=SCENE_MM)).voltages
-        found["generators"].append(free_voltages([sheet], table)[0] / sheet.untouched_V - 1.0)
-        for name, change in (
-            ("scenes", lambda touches, at=sheet: factorise(at.system, touches).voltages() / at.untouched_V - 1.0),
-            (
-                "exact",
-                lambda touches, at=bend, flat=bare: (
-                    solve_scene(Scene(bend=at, touches=touches, element_size_mm=SCENE_MM)).voltages / flat - 1.0
-                ),
-            ),
-        ):
-            found[name].append(np.array([change(table.touches(number)) for number in range(len(table))]))
-    generators, scenes, exact = (np.stack(found[name], axis=1) for name in ("generators", "scenes", "exact"))
+    sheets = [(bend, free_sheet(bend)) for bend in (Bend(), *draw("A", 3, SEED)[1:])]
+    sets = [table.touches(number) for number in range(len(table))]
+
+    def followed(bend: "Bend") -> "Array":
+        scenes = [Scene(bend=bend, touches=touches, element_size_mm=SCENE_MM) for touches in ((), *sets)]
+        bare, *touched = (solve_scene(scene).voltages for scene in scenes)
+        return np.array(touched) / bare - 1.0
+
+    generators = np.stack([free_voltages([sheet], table)[0] / sheet.untouched_V - 1.0 for _, sheet in sheets], axis=1)
+    scenes = np.array(
+        [[factorise(sheet.system, some).voltages() / sheet.untouched_V - 1.0 for _, sheet in sheets] for some in sets]
+    )
+    exact = np.stack([followed(bend) for bend, _ in sheets], axis=1)
 
     def percent(one: "Array", other: "Array") -> "Array":
         return np.asarray(100.0 * np.linalg.norm(one - other, axis=-1) / np.linalg.norm(other, axis=-1))
