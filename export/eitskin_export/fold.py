@@ -14,9 +14,10 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from eitskin_proto.sensor.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
 from eitskin_training.network.mirror import MIRRORS
-from eitskin_training.network.model import VD2T, Architecture, Residual, Standardise, activation, features
+from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
 from eitskin_training.network.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
 
 

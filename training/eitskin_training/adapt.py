@@ -22,16 +22,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from eitskin_proto.sensor.grid import map_from_units
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_training.missing_electrodes_score import held_out, score_line
 from eitskin_training.network.filling import WIDTH, Filling, Lost
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import write_file
-from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
-from eitskin_training.score import correlation, training_loss
+from eitskin_training.samples.batches import TrainingData, consistency_of, lose_rows, noisy_change
+from eitskin_training.score import training_loss
 
 HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""
@@ -107,7 +107,7 @@ def adapt(
     model.eval()
     filling = Filling(consistency_of(data, recipe), plan.width)
     before = held_out(model, filling, data)
-    tell(f"before: {_line(before)}")
+    tell(f"before: {score_line(before)}")
     biases = _biases(model, data)
     rng = np.random.default_rng([seed, 0xADA])
     frozen = {id(parameter) for part in (model.cloud, model.fusion_cloud) for parameter in part.parameters()}
@@ -128,7 +128,7 @@ def adapt(
     for parameter in model.parameters():
         parameter.requires_grad_(True)
     after = held_out(model, filling, data)
-    tell(f"after: {_line(after)}")
+    tell(f"after: {score_line(after)}")
     return Adapted(model, filling, {"plan": asdict(plan), "seed": seed, "before": before, "after": after})
 
 
@@ -234,52 +234,6 @@ def _run(
 def _share(step: int, steps: int) -> float:
     """Return the share of the peak learning rate at a step."""
     return min(1.0, (step + 1) / RISING_STEPS) * (0.5 + 0.5 * math.cos(math.pi * step / steps))
-
-
-def held_out(
-    model: VD2T, filling: Filling, data: TrainingData, *, most: int = 600, sets: int = 6, seed: int = 0
-) -> dict[str, float]:
-    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes.
-
-    Args:
-        model: The network.
-        filling: Fills lost rows in.
-        data: The data set.
-        most: Samples, with N2 noise.
-        sets: Of two and of three electrodes; of one, all 16.
-        seed: Of the draws.
-    """
-    rng = np.random.default_rng([seed, 0x0FF])
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
-    rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
-    change = noisy_change(data, rows, ("N2",), 50.0, rng)
-    batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
-    truth = batch.labels.numpy()
-    truth = map_from_units(truth).reshape(len(rows), -1) if data.labels_kind == "units" else truth
-    touched = truth.max(axis=1) > 0
-    logs = torch.from_numpy(log_of_change(change).astype(np.float32))
-
-    def cc(lost: Lost) -> float:
-        shown = batch.dv
-        if lost:
-            filled, missing = filling(logs, [(slice(0, len(rows)), lost)], batch.log_predicted)
-            shown = torch.where(missing, torch.expm1(filled), batch.dv)
-        maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
-        return float(correlation(maps[touched], truth[touched]).mean())
-
-    with torch.inference_mode():
-        bias = model.bias(batch.clouds)[batch.which]
-        found = {"whole": cc(())}
-        single = [cc((electrode,)) for electrode in range(N_ELECTRODES)]
-        found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
-        for name, count in (("two_lost", 2), ("three_lost", 3)):
-            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
-            found[name] = float(np.mean([cc(lost) for lost in drawn]))
-    return {name: round(value, 5) for name, value in found.items()}
-
-
-def _line(scores: dict[str, float]) -> str:
-    return "held-out CC " + ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
 
 
 def write(out: Path, content: dict[str, Any], adapted: Adapted) -> Path:

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 from eitskin_proto.sensor.grid import N_PIXELS, N_UNITS
-from eitskin_training.network.model import Architecture
+from eitskin_training.network.architecture import Architecture
 
 Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]

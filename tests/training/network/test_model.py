@@ -4,7 +4,8 @@ import torch
 
 from eitskin_proto.sensor.grid import N_UNITS, map_from_units
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_training.network.model import MEASURED_FLOOR, VD2T, Architecture, features
+from eitskin_training.network.architecture import Architecture
+from eitskin_training.network.model import MEASURED_FLOOR, VD2T, features
 from eitskin_training.recipes import RECIPES, Recipe, recipe
 
 

@@ -30,8 +30,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
-from eitskin_sim.fem.forward import MM, Factor, System
-from eitskin_sim.fem.mesh import MERGE_MM
+from eitskin_sim.fem.forward import Factor, System
+from eitskin_sim.fem.mesh import MERGE_MM, MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Shape

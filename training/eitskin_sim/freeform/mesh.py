@@ -19,7 +19,8 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.forward import Contacts, System, assemble
+from eitskin_sim.fem.contacts import Contacts
+from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.freeform.inverse import Lines, make_lines

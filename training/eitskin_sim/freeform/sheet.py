@@ -7,7 +7,8 @@ import numpy as np
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.cut_blocks import cut_blocks
 from eitskin_sim.fem.cut_touches import Cuts, find_cuts
-from eitskin_sim.fem.forward import MM, System
+from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, free_mesh, free_system, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric

@@ -16,8 +16,8 @@ import numpy.typing as npt
 
 from eitskin_sim.fem.cut_elements import touch
 from eitskin_sim.fem.cut_rule import half_plane_share
-from eitskin_sim.fem.forward import MM, Factor, System, assemble
-from eitskin_sim.fem.mesh import TensorMesh, graded_lines
+from eitskin_sim.fem.forward import Factor, System, assemble
+from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.fem.solve import solve_scene
