@@ -3,9 +3,9 @@
 Every variant sees the same touch sets, noises, seed, batch size, schedule and number of samples; one thing differs::
 
     none          voltages alone
-    cloud         the scanned shape through the recipe's small CNN
-    paper-cloud   the scanned shape through a CNN of the paper's kind (paper section IV.B)
-    predicted     log(V / V_pred), V_pred by the forward model on the scanned shape, without a CNN
+    cloud         the measured shape through the recipe's small CNN
+    paper-cloud   the measured shape through a CNN of the paper's kind (paper section IV.B)
+    predicted     log(V / V_pred), V_pred by the forward model on the measured shape, without a CNN
     post          log(V / V_post), the true untouched voltages of the bent sheet: what no robot has, the bound
     both          predicted and cloud together, as in the recipe
     unsharpened   both, and the map as the last linear layer gives it

@@ -1,9 +1,9 @@
-"""A short second training for lost electrodes: the network and what fills their rows in learn together.
+"""A short second training for missing electrodes: the network and what fills their rows in learn together.
 
 Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.missing_rows`).
 This stage starts from a run's best epoch ::
 
-    1. fitting     the filling alone, towards the rows that were lost
+    1. fitting     the filling alone, towards the rows that are missing
     2. together    filling and network on the training's loss; half of each batch lacks one to four electrodes
 
 Alone, a filling that is nearer to the true rows makes the maps worse: the network knows the Gaussian's errors and not
@@ -25,7 +25,7 @@ from torch import Tensor
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_training.missing_electrodes_score import held_out, score_line
-from eitskin_training.network.filling import WIDTH, Filling, Lost
+from eitskin_training.network.filling import WIDTH, Filling, Missing
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
@@ -74,7 +74,7 @@ class Adapted:
 
     Args:
         model: The network, in evaluation mode.
-        filling: What fills lost rows in for it.
+        filling: What fills missing rows in for it.
         facts: Held-out accuracy before and after.
     """
 
@@ -96,7 +96,7 @@ def adapt(
 
     Args:
         model: A trained network.
-        recipe: Of it: noise, flips, lost rows.
+        recipe: Of it: noise, flips, missing rows.
         data: The data set that it was trained on.
         plan: Lengths and rates.
         seed: Of every draw.
@@ -138,8 +138,8 @@ class _Drawn:
 
     logs: Tensor
     change: Tensor
-    groups: list[tuple[slice, Lost]]
-    lost: int
+    groups: list[tuple[slice, Missing]]
+    incomplete: int
     predicted: Tensor
     rows: npt.NDArray[np.intp]
     mirror: int
@@ -150,33 +150,36 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
     rows = rng.choice(data.train, size=size)
     number = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
     change = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
-    lost = max(GROUPS, int(share * size))
-    whole = change[lost:]
+    incomplete = max(GROUPS, int(share * size))
+    whole = change[incomplete:]
     lose_rows(whole, recipe, rng)
-    change[lost:] = whole
+    change[incomplete:] = whole
     predicted = data.log_predicted[data.deformation[rows]]
     predicted[rng.random(size) < recipe.predicted_dropout] = 0.0
     image = MIRRORS[number].rows
     change, predicted = np.ascontiguousarray(change[:, image]), np.ascontiguousarray(predicted[:, image])
-    edges = np.linspace(0, lost, GROUPS + 1).astype(int)
+    edges = np.linspace(0, incomplete, GROUPS + 1).astype(int)
     groups = []
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
         chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
         groups.append((slice(start, stop), chosen))
-    logs = torch.from_numpy(log_of_change(change[:lost]).astype(np.float32))
-    return _Drawn(logs, torch.from_numpy(change), groups, lost, torch.from_numpy(predicted), rows, number)
+    logs = torch.from_numpy(log_of_change(change[:incomplete]).astype(np.float32))
+    return _Drawn(logs, torch.from_numpy(change), groups, incomplete, torch.from_numpy(predicted), rows, number)
 
 
 def _rows_loss(filling: Filling, drawn: _Drawn) -> Tensor:
     """Return the mean square error of filled-in rows, in variances that the Gaussian leaves them."""
-    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.incomplete])
     return _rows_error(filling, drawn, filled, missing)
 
 
 def _rows_error(filling: Filling, drawn: _Drawn, filled: Tensor, missing: Tensor) -> Tensor:
     scale = torch.cat(
-        [filling.gaussian.uncertainty(lost).expand(part.stop - part.start, -1) for part, lost in drawn.groups]
+        [
+            filling.gaussian.uncertainty(electrodes).expand(part.stop - part.start, -1)
+            for part, electrodes in drawn.groups
+        ]
     )
     return (((filled - drawn.logs) / scale).square() * missing).sum() / missing.sum()
 
@@ -184,9 +187,9 @@ def _rows_error(filling: Filling, drawn: _Drawn, filled: Tensor, missing: Tensor
 def _map_loss(
     model: VD2T, recipe: Recipe, filling: Filling, biases: list[Tensor], data: TrainingData, drawn: _Drawn
 ) -> Tensor:
-    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.incomplete])
     change = torch.cat(
-        [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.lost]), drawn.change[drawn.lost :]]
+        [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.incomplete]), drawn.change[drawn.incomplete :]]
     )
     mirror = MIRRORS[drawn.mirror]
     columns = mirror.units if data.labels_kind == "units" else mirror.pixels

@@ -6,7 +6,7 @@ import torch
 from eitskin_proto.sensor.grid import map_from_units
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_training.network.filling import Filling, Lost
+from eitskin_training.network.filling import Filling, Missing
 from eitskin_training.network.model import VD2T
 from eitskin_training.samples.batches import TrainingData, assemble, noisy_change
 from eitskin_training.score import correlation
@@ -19,7 +19,7 @@ def held_out(
 
     Args:
         model: The network.
-        filling: Fills lost rows in.
+        filling: Fills missing rows in.
         data: The data set.
         most: Samples, with N2 noise.
         sets: Of two and of three electrodes; of one, all 16.
@@ -35,10 +35,10 @@ def held_out(
     touched = truth.max(axis=1) > 0
     logs = torch.from_numpy(log_of_change(change).astype(np.float32))
 
-    def cc(lost: Lost) -> float:
+    def cc(electrodes: Missing) -> float:
         shown = batch.dv
-        if lost:
-            filled, missing = filling(logs, [(slice(0, len(rows)), lost)], batch.log_predicted)
+        if electrodes:
+            filled, missing = filling(logs, [(slice(0, len(rows)), electrodes)], batch.log_predicted)
             shown = torch.where(missing, torch.expm1(filled), batch.dv)
         maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
         return float(correlation(maps[touched], truth[touched]).mean())
@@ -50,7 +50,7 @@ def held_out(
         found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
         for name, count in (("two_lost", 2), ("three_lost", 3)):
             drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
-            found[name] = float(np.mean([cc(lost) for lost in drawn]))
+            found[name] = float(np.mean([cc(electrodes) for electrodes in drawn]))
     return {name: round(value, 5) for name, value in found.items()}
 
 

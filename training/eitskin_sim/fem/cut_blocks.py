@@ -7,13 +7,13 @@ minimise the element's energy E. They differ a little between neighbours, so wha
 
     S = S_1 + E_sigma - E_1,      E_sigma = A_sigma - C_sigma K_sigma^-1 C_sigma^T
 
-with A the biquadratic functions among themselves, K the kinks and C between them. E grows with the conductivity and
-E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what no conductor
+with A the biquadratic functions among themselves, K the enrichment functions and C between them. E grows with the
+conductivity and E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what no conductor
 does. The conductance tensor is taken at the middle of the touched part; its three components c multiply integrals that
 know only the touch, so a touch is integrated once for all deformations:
 
     D_c = integral (sigma - 1) grad phi_i grad phi_j = A_sigma - A_1
-    C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the kinks' values at the nodes
+    C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the enrichment's values at the nodes
 """
 
 from dataclasses import dataclass
@@ -60,7 +60,7 @@ class Integrals:
 
     Args:
         added: (c, 3, 9, 9) D.
-        held: (c, 9, 2) the kinks at the nodes.
+        held: (c, 9, 2) the enrichment functions at the nodes.
         coupling: (c, 3, 9, 2) C_1.
         corner: (c, 3, 2, 2) K_1.
         centroid: (c, 2) middle of the touched part, from the element's middle, in its sides.
@@ -96,7 +96,7 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
     straight = normal[:, :q] * stretch
     sloped = straight * t[:, :q, None] + plus[:, :q, None] * (along[:, None, :] * stretch)
     interpolant = (SLOPES.reshape(-1, 9) @ held).reshape(count, q, 2, 2)
-    beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 kinks)
+    beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 functions)
     outer = (1.0 - share)[:, :, None, None] / q
     mean = beyond * outer - interpolant / q  # a cell's mean slope of a kink, with its weight
     coupling = np.stack([_x(mean), _y(mean)], axis=1)
@@ -113,7 +113,7 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
 
 
 def _x(slopes: Array) -> Array:
-    """Return (c, 9, 2): the x slopes of the shape functions times those of kinks, added up."""
+    """Return (c, 9, 2): the x slopes of the shape functions times those of enrichment functions, added up."""
     return np.asarray(SLOPES[:, 0].T @ slopes[:, :, 0])
 
 

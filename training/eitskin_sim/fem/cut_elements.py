@@ -175,7 +175,7 @@ def _node_positions(system: System, elements: Index) -> Array:
 
 
 def _condensed(system: System, cut: Index, phases: _Phases) -> Array:
-    """Return the (k, 9, 9) blocks of cut elements, their kinks eliminated."""
+    """Return the (k, 9, 9) blocks of cut elements, their enrichment functions eliminated."""
     sizes, area = system.mesh.sizes_mm[cut], np.prod(system.mesh.sizes_mm[cut], axis=1)
     conductance = _conductance(system, cut)
     unit_x, unit_y = gradients(_unit_points())

@@ -28,7 +28,8 @@ WHOLE: Final = 1e-9
 """A share of an element below this is none, and one above 1 - WHOLE is all: a border on a line of the mesh."""
 
 FLOOR: Final = 1e-8
-"""A kink whose energy is below this share of the element's is held back: dividing by it would divide by rounding."""
+"""An enrichment function whose energy is below this share of the element's is held back: dividing by it would divide by
+rounding."""
 
 UNIT_NODES: Final[Array] = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(-1, 2)
 """(9, 2) nodes of a unit element, along x first."""

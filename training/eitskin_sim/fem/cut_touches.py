@@ -13,7 +13,7 @@ from eitskin_sim.fem.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
 from eitskin_sim.fem.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.touch_table import DISC, Array, FreeTouches
+from eitskin_sim.scene.touch_table import DISC, Array, TouchTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +40,7 @@ class Cuts:
         return len(self.integrals.added)
 
 
-def find_cuts(touches: FreeTouches, sets: Index, mesh: TensorMesh) -> Cuts:
+def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     """Return what some touch sets do to a mesh's elements.
 
     Args:

@@ -1,4 +1,4 @@
-"""How rows go together on a healthy sheet: the Gaussian of samples with noise, and lost rows filled in by it.
+"""How rows go together on a healthy sheet: the Gaussian of samples with noise, and missing rows filled in by it.
 
 Sixteen electrodes give 104 rows, but touches and deformations move them together: given 78 rows of fifteen electrodes,
 the 26 of the sixteenth are known to half or a third of their spread. A Gaussian of l = log(V / V0), fitted to samples
@@ -46,7 +46,7 @@ def fit(change: npt.NDArray[np.floating]) -> RowGaussian:
 
 
 class Filler:
-    """Fills in the rows of lost electrodes; what a set of electrodes needs is kept for the next time.
+    """Fills in the rows of missing electrodes; what a set of electrodes needs is kept for the next time.
 
     Args:
         gaussian: How rows go together.

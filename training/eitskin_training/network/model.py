@@ -1,4 +1,4 @@
-"""VD2T: voltages and a scanned shape in, the touched map out (paper section IV.B, Fig. 3).
+"""VD2T: voltages and a measured cloud in, the touched map out (paper section IV.B, Fig. 3).
 
 Two channels meet in two linear layers. The first of them is linear in both channels, so it is kept as its two column
 blocks: what the cloud adds there is a *bias* that changes only when the sheet's shape does. ::

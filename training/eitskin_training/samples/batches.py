@@ -1,4 +1,4 @@
-"""Batches: noise, lost rows, mirror images and labels are made when a batch is, so no epoch sees a sample twice alike.
+"""Batches: noise, missing rows, mirror images and labels are made when a batch is; no epoch sees a sample twice alike.
 
 A data set holds each touch set's label once and each bend's cloud once; a sample is an index into both. A batch carries
 the clouds that occur in it, each once, and which of them every sample has. One batch is shown in one mirror image: the

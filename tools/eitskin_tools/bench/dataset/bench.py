@@ -128,23 +128,23 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
     from eitskin_sim.dataset.plan import GROUP, VALIDATION
     from eitskin_sim.fem.forward import Factor
-    from eitskin_sim.freeform.mesh import free_mesh
+    from eitskin_sim.freeform.mesh import shared_mesh
     from eitskin_sim.freeform.parts import geometry
-    from eitskin_sim.freeform.pool import free_pool
-    from eitskin_sim.freeform.sheet import free_sheet, sheet_blocks
+    from eitskin_sim.freeform.pool import set_pool
+    from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
     from eitskin_sim.freeform.voltages import pool_voltages
     from eitskin_sim.scene.family import draw
 
     print(f"eitskin bench dataset: {arguments.free} free touch sets at each of {GROUP} deformations", file=sys.stderr)
-    bends, grid = draw("A", GROUP, 0), free_mesh()
+    bends, grid = draw("A", GROUP, 0), shared_mesh()
 
     def ours() -> Any:
         count = (arguments.free, round(VALIDATION * arguments.free))
-        pool = free_pool(dict.fromkeys(range(GROUP), count), 0)
+        pool = set_pool(dict.fromkeys(range(GROUP), count), 0)
         batches = geometry(pool.parts, grid)
         made, used = [], None
         for number, bend in enumerate(bends):
-            sheet = free_sheet(bend, into=used)
+            sheet = inverted_sheet(bend, into=used)
             made.append(pool_voltages(sheet, grid, pool, batches, number))
             used = sheet.inverse
         return pool.touches(pool.sets[GROUP - 1]), made
@@ -152,7 +152,7 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     (touches, made), seconds = _timed(ours)
     note = "drawing, geometry and set-up included; every sample a set of its own"
     row = _row("free", "ours", GROUP * arguments.free, seconds, note)
-    sheet = free_sheet(bends[-1])
+    sheet = inverted_sheet(bends[-1])
     pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
 
     def naive() -> Any:

@@ -33,8 +33,8 @@ def rule_rows(sides_mm: Sequence[float] = SIDES_MM) -> list[dict[str, Any]]:
 
     from eitskin_sim.fem.cut_elements import factorise
     from eitskin_sim.fem.solve import solve_scene
-    from eitskin_sim.freeform.sheet import free_sheet
-    from eitskin_sim.freeform.voltages import free_voltages
+    from eitskin_sim.freeform.sheet import inverted_sheet
+    from eitskin_sim.freeform.voltages import set_voltages
     from eitskin_sim.scene.family import draw
     from eitskin_sim.scene.parts import Bend, Scene
     from eitskin_sim.scene.touch_table import gather
@@ -46,7 +46,7 @@ def rule_rows(sides_mm: Sequence[float] = SIDES_MM) -> list[dict[str, Any]]:
         for x, y in PLACES_MM
     ]
     table = gather(pieces)
-    sheets = [(bend, free_sheet(bend)) for bend in (Bend(), *draw("A", 3, SEED)[1:])]
+    sheets = [(bend, inverted_sheet(bend)) for bend in (Bend(), *draw("A", 3, SEED)[1:])]
     sets = [table.touches(number) for number in range(len(table))]
 
     def followed(bend: "Bend") -> "Array":
@@ -54,7 +54,7 @@ def rule_rows(sides_mm: Sequence[float] = SIDES_MM) -> list[dict[str, Any]]:
         bare, *touched = (solve_scene(scene).voltages for scene in scenes)
         return np.array(touched) / bare - 1.0
 
-    generators = np.stack([free_voltages([sheet], table)[0] / sheet.untouched_V - 1.0 for _, sheet in sheets], axis=1)
+    generators = np.stack([set_voltages([sheet], table)[0] / sheet.untouched_V - 1.0 for _, sheet in sheets], axis=1)
     scenes = np.array(
         [[factorise(sheet.system, some).voltages() / sheet.untouched_V - 1.0 for _, sheet in sheets] for some in sets]
     )

@@ -2,7 +2,7 @@
 
     area fraction   a cut element has the mean of the two conductivities, by area
     laminate        it conducts as layers do: the mean along the border, the harmonic mean across
-    kinks           what eitskin does: :mod:`eitskin_sim.fem.cut_elements`
+    enriched        what eitskin does: :mod:`eitskin_sim.fem.cut_elements`
 
 The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
 """
@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 SQUARE_MM = 10.0
 PLACES_MM = ((71.4, 33.1), (21.7, 14.3), (103.26, 57.62))
 """Lower left corners, off every line of the meshes."""
-RULES = ("area fraction", "laminate", "kinks")
+RULES = ("area fraction", "laminate", "enriched")
 
 
 def size_errors(largest_mm: float, conductivity: float = 50.0) -> list[dict[str, Any]]:
@@ -91,7 +91,7 @@ def _blind_system(largest_mm: float) -> System:
 
 def _solve(system: System, item: Touch, rule: str) -> Array:
     touched = touch(system, (item,))
-    if rule == "kinks":
+    if rule == "enriched":
         return Factor(system, touched.blocks, touched.density).voltages()
     blocks = touched.sigma[:, None, None] * system.stiffness
     if rule == "laminate":
