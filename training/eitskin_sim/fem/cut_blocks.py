@@ -8,9 +8,9 @@ minimise the element's energy E. They differ a little between neighbours, so wha
     S = S_1 + E_sigma - E_1,      E_sigma = A_sigma - C_sigma K_sigma^-1 C_sigma^T
 
 with A the biquadratic functions among themselves, K the enrichment functions and C between them. E grows with the
-conductivity and E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what no conductor
-does. The conductance tensor is taken at the middle of the touched part; its three components c multiply integrals that
-know only the touch, so a touch is integrated once for all deformations:
+conductivity and E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what
+no conductor does. The conductance tensor is taken at the middle of the touched part; its three components c multiply
+integrals that know only the touch, so a touch is integrated once for all deformations:
 
     D_c = integral (sigma - 1) grad phi_i grad phi_j = A_sigma - A_1
     C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the enrichment's values at the nodes

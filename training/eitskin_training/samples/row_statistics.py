@@ -1,7 +1,8 @@
 """How the rows of healthy frames spread, from the data that a network learned from: what a bundle carries of it.
 
 The Gaussian is that of the training samples with the recipe's noise, the same that filled in missing electrodes while
-the network learned. Beside it are two of deformations alone, by which the runtime tells drift from bending: of l = log(V / V0), and of what l leaves when log(V_pred / V0) is taken off.
+the network learned. Beside it are two of deformations alone, by which the runtime tells drift from bending: of
+l = log(V / V0), and of what l leaves when log(V_pred / V0) is taken off.
 """
 
 import numpy as np
