@@ -81,12 +81,14 @@ def log_of_change(
     Args:
         change: (..., rows) dV.
         ratio_range: Where V / V0 is cut off.
-        out: Where to write; None makes a new array.
+        out: Where to write, without another array: single precision is then cut off in single precision. None makes a
+            new array, in double precision throughout.
     """
     low, high = ratio_range
-    logs = np.empty(change.shape) if out is None else out
-    np.clip(change, low - 1.0, high - 1.0, out=logs)
-    return np.log1p(logs, out=logs)
+    if out is None:
+        change = out = np.array(change, dtype=np.float64)
+    np.clip(change, low - 1.0, high - 1.0, out=out)
+    return np.log1p(out, out=out)
 
 
 def change_of_log(logs: Array, ratio_range: tuple[float, float] = RATIO_RANGE, out: Array | None = None) -> Array:

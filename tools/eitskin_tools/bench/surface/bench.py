@@ -71,8 +71,8 @@ def _cloud_rows(count: int, repeats: int) -> list[dict[str, Any]]:
         points[stray] = rng.uniform(points.min(axis=0) - 20, points.max(axis=0) + 20, (len(stray), 3))
         turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
         turn *= np.sign(np.linalg.det(turn))
-        scanned = points @ turn.T + 100.0
-        found = organise(scanned)
+        seen = points @ turn.T + 100.0
+        found = organise(seen)
         x, y = np.meshgrid(np.arange(0.0, 150.05, 0.1), np.arange(0.0, 100.05, 0.1))
         dense = surface(bend, Sheet(), np.stack([x.ravel(), y.ravel()], -1)) @ turn.T + 100.0
         there = (found.cloud_mm.reshape(3, -1).T - found.translation_mm) @ found.rotation
@@ -80,7 +80,7 @@ def _cloud_rows(count: int, repeats: int) -> list[dict[str, Any]]:
         gap = cKDTree(dense).query(there)[0]
         off = float(max(float(np.mean(gap**2)) - 0.1**2 / 6, 0.0) ** 0.5)
         extra = {"points": count, "bend": name, "off_mm": round(off, 4), "outliers": found.outliers}
-        rows.append(_timed(f"scan, {name}", repeats, lambda scanned=scanned: organise(scanned), **extra))  # type: ignore[misc]
+        rows.append(_timed(f"scan, {name}", repeats, lambda seen=seen: organise(seen), **extra))  # type: ignore[misc]
     return rows
 
 
