@@ -1,6 +1,6 @@
 """What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
 
-How rows spread is a statistic of the training data (:mod:`eitskin_training.samples.row_statistics`). Thresholds and
+How rows spread is a statistic of the training data (:mod:`eitskin_training.row_statistics`). Thresholds and
 limits are found here, since they are of the runtime's own arithmetic. The thresholds are those that one frame in
 ``RATE`` of touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime
 asks for ten such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of
@@ -22,8 +22,8 @@ from eitskin.health.imputation import Consistency as Deployed
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
+from eitskin_training.row_statistics import row_statistics, unpredicted
 from eitskin_training.samples.batches import TrainingData, noisy_change
-from eitskin_training.samples.row_statistics import row_statistics, unpredicted
 
 RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
