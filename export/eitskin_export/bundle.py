@@ -11,7 +11,6 @@ Its id is the first 16 hex digits of the manifest's sha256: whoever has the id h
 date, so the same contents give the same file.
 """
 
-import hashlib
 import io
 import json
 import os
@@ -24,7 +23,7 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_proto.sensor.table import N_ROWS
 
 VERSION: Final = 1
@@ -62,9 +61,7 @@ def manifest(files: dict[str, bytes], facts: dict[str, Any]) -> bytes:
         "protocol_id": PROTOCOL_ID,
         "grid_id": GRID_ID,
         **facts,
-        "files": {
-            name: {"sha256": hashlib.sha256(data).hexdigest(), "bytes": len(data)} for name, data in files.items()
-        },
+        "files": {name: {"sha256": sha256_of(data), "bytes": len(data)} for name, data in files.items()},
     }
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
@@ -84,7 +81,7 @@ def write(path: Path, files: dict[str, bytes], facts: dict[str, Any]) -> str:
         for name, data in {MANIFEST: head, **files}.items():
             archive.writestr(zipfile.ZipInfo(name, date_time=_DATE), data)
     os.replace(beside, path)
-    return hashlib.sha256(head).hexdigest()[:16]
+    return id_of(head)
 
 
 def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
@@ -102,7 +99,7 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
     except (KeyError, ValueError, zipfile.BadZipFile) as error:
         raise SkinError(f"{path} is no bundle ({error}); make one with 'eitskin export'") from error
     for name, data in files.items():
-        found = hashlib.sha256(data).hexdigest()
+        found = sha256_of(data)
         if found != listed[name]["sha256"]:
             raise MismatchError(f"{path}: {name}", found=found, expected=listed[name]["sha256"], hint="export it again")
     for name in ("format", "version", "protocol_id", "grid_id"):

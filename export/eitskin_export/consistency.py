@@ -1,10 +1,10 @@
 """What a bundle says of healthy frames: how rows go together, and how far from that no touch takes them.
 
-The Gaussian is that of the training samples with the recipe's noise, the same that filled in lost electrodes while the
-network learned (:mod:`eitskin_sim.measurement.consistency`). The thresholds are those that one frame in ``RATE`` of
-touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime asks for ten
-such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of these few,
-does.
+How rows spread is a statistic of the training data (:mod:`eitskin_training.row_statistics`). Thresholds and
+limits are found here, since they are of the runtime's own arithmetic. The thresholds are those that one frame in
+``RATE`` of touches and deformations never trained on exceeds; half of them choose, the other half measure. The runtime
+asks for ten such frames of fourteen, so that noise alone names no electrode; a scene that is held, and is itself one of
+these few, does.
 """
 
 import io
@@ -20,10 +20,10 @@ from eitskin.health.drift import estimates
 from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.measurement.consistency import FLOOR, RATIO_RANGE
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
-from eitskin_training.samples.batches import TrainingData, consistency_of, noisy_change
+from eitskin_training.row_statistics import row_statistics, unpredicted
+from eitskin_training.samples.batches import TrainingData, noisy_change
 
 RATE: Final = 1e-4
 """Share of healthy frames, touches that cover electrodes among them, that may exceed a threshold."""
@@ -87,22 +87,12 @@ def healthy(
         projection_inverse: (104, 104) (J J^T + tau I)^-1 of the bundle's projection.
         filling: What corrects filled-in rows, of an adapted run; stored in half precision.
     """
-    found = consistency_of(data, recipe)
     rng = np.random.default_rng([data.seed, 0xE1EC])
     rows = np.concatenate([*data.held_out.values(), data.validation])
     rows = rng.permutation(rows)[: 2 * FRAMES]
     change = noisy_change(data, rows, ("N2",), SNR_DB, rng)
-    logs = np.concatenate([bends.train, np.zeros((1, N_ROWS))])
-    unpredicted = _unpredicted(data, np.unique(data.deformation[data.train]))
     arrays: dict[str, npt.NDArray[np.floating]] = {
-        "mean": found.mean,
-        "covariance": found.covariance,
-        "ratio_range": np.array(RATIO_RANGE),
-        "reference": np.asarray(data.reference, dtype=np.float64),
-        "untouched_mean": logs.mean(axis=0),
-        "untouched_covariance": np.cov(logs, rowvar=False) + FLOOR * np.eye(N_ROWS),
-        "predicted_mean": unpredicted.mean(axis=0),
-        "predicted_covariance": np.cov(unpredicted, rowvar=False) + FLOOR * np.eye(N_ROWS),
+        **row_statistics(data, recipe, bends),
         "drift_limits": np.ones((2, 2)),
         "projection_inverse": projection_inverse,
         "thresholds": np.ones(2),
@@ -127,11 +117,6 @@ def _half(value: npt.NDArray[np.floating]) -> npt.NDArray[np.float16]:
     return np.asarray(value, dtype=np.float16)
 
 
-def _unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:
-    """Return (n, 104) what of l of untouched deformations their predicted reference does not explain."""
-    return np.asarray(np.log(data.untouched[deformations] / data.reference) - data.log_predicted[deformations])
-
-
 def _drift_limits(deployed: Deployed, data: TrainingData, bends: Bends) -> Array:
     """Return (2, 2) rms error of the common factor and largest distance, on deformations that taught nothing.
 
@@ -140,7 +125,7 @@ def _drift_limits(deployed: Deployed, data: TrainingData, bends: Bends) -> Array
     held_out = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
     apart = np.concatenate([bends.choose, bends.measure])
     found = []
-    for predicted, logs in ((False, apart), (True, _unpredicted(data, np.unique(data.deformation[held_out])))):
+    for predicted, logs in ((False, apart), (True, unpredicted(data, np.unique(data.deformation[held_out])))):
         seen = estimates(deployed, logs, predicted=predicted)
         found.append([float(np.sqrt(np.mean(seen[:, 0] ** 2))), MARGIN * float(seen[:, 1].max())])
     return np.array(found)

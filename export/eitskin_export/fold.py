@@ -14,13 +14,14 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
 from eitskin_proto.sensor.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
 from eitskin_training.network.mirror import MIRRORS
-from eitskin_training.network.model import VD2T, Architecture, Residual, Standardise, activation, features
+from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
 from eitskin_training.network.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
 
 
-class Geometry(nn.Module):
+class GeometryHalf(nn.Module):
     """(1, 3, 30, 45) cloud -> (1, H) bias, or (1, 4 H), that of every mirror image."""
 
     def __init__(self, convolutions: nn.Module, linear: nn.Linear, use_cloud: bool, symmetric: bool) -> None:
@@ -152,7 +153,7 @@ class PredictedHead(Head):
         return self.map(dv, bias, log_predicted)
 
 
-def split(model: VD2T) -> tuple[Geometry, Head]:
+def split(model: VD2T) -> tuple[GeometryHalf, Head]:
     """Return the geometry's half and the head of a network, folded, in float32.
 
     Args:
@@ -180,7 +181,7 @@ def split(model: VD2T) -> tuple[Geometry, Head]:
         assert isinstance(block, nn.Sequential)
         _divide(block[0], LOGITS)
     head = kind(architecture, voltage, fusion, out, exact.sharpen)
-    geometry = Geometry(_folded(exact.cloud), linear, architecture.use_cloud, architecture.symmetric)
+    geometry = GeometryHalf(_folded(exact.cloud), linear, architecture.use_cloud, architecture.symmetric)
     return geometry.float().eval(), head.float().eval()
 
 

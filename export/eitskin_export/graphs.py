@@ -15,7 +15,7 @@ from typing import Final
 import onnx
 import torch
 
-from eitskin_export.fold import Geometry, Head
+from eitskin_export.fold import GeometryHalf, Head
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.cloud import CLOUD_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
@@ -28,7 +28,7 @@ TRAINING_ONLY: Final = frozenset({"Dropout", "BatchNormalization"})
 """Operators that no deployed graph may hold."""
 
 
-def geometry_graph(geometry: Geometry) -> bytes:
+def geometry_graph(geometry: GeometryHalf) -> bytes:
     """Return the graph from "cloud" (1, 3, 30, 45) to "bias" (1, H)."""
     return _export(geometry, (torch.zeros(1, *CLOUD_SHAPE),), ["cloud"], ["bias"])
 

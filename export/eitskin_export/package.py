@@ -1,7 +1,10 @@
-"""From a training run to a bundle: fold, export, compare, quantise, fit the gate, score, write."""
+"""From a training run to a bundle: fold, export, compare, quantise, audit the gate, score, write.
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+Nothing is fitted here. The gate is the run's own (:mod:`eitskin_training.gate.stored`), which training makes up for a
+run that has none.
+"""
+
+from collections.abc import Callable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -16,59 +19,10 @@ from eitskin_export.fold import split
 from eitskin_export.gate_audit import audit_pixels
 from eitskin_proto.errors import MismatchError
 from eitskin_training.card import card
-from eitskin_training.gate import fit
-from eitskin_training.gate.untouched import Bends, solved_bends
-from eitskin_training.network.model import VD2T
-from eitskin_training.recipes import Recipe
+from eitskin_training.gate.fit import Gate
+from eitskin_training.gate.stored import GiveBends, gate_of_run
+from eitskin_training.run_files import Trained
 from eitskin_training.samples.batches import TrainingData, noisy_change
-from eitskin_training.samples.joined import load_all
-from eitskin_training.train import network, read
-
-
-@dataclass(frozen=True, slots=True)
-class Trained:
-    """What a run's best epoch gives.
-
-    Args:
-        model: The network, in evaluation mode.
-        recipe: How it was trained.
-        content: Everything else in ``best.pt``: seed, data digest, history, ids.
-    """
-
-    model: VD2T
-    recipe: Recipe
-    content: dict[str, Any]
-
-
-def trained(run: Path) -> Trained:
-    """Return the best epoch of a run.
-
-    Raises:
-        SkinError: There is none, or it was made for another protocol or grid.
-    """
-    content = read(run / "best.pt")
-    recipe = Recipe.from_dict(content["recipe"])
-    return Trained(network(recipe, content["weights"]), recipe, content)
-
-
-def data_of(found: Trained, directories: Sequence[str] | None = None) -> TrainingData:
-    """Return the data set of a run, from where it was or from ``directories``.
-
-    Raises:
-        MismatchError: It is another data set.
-        OSError: It is gone.
-    """
-    known: str | list[str] = found.content["data"]  # a run of one data set used to keep its folder alone
-    data = load_all(directories or ([known] if isinstance(known, str) else known))
-    if data.digest != found.content["data_digest"]:
-        raise MismatchError(
-            "data set of the run: digest",
-            found=data.digest,
-            expected=found.content["data_digest"],
-            hint="name the one it was trained on with --data",
-        )
-    data.require(found.recipe)
-    return data
 
 
 def export(
@@ -78,8 +32,8 @@ def export(
     *,
     tell: Callable[[str], None] = lambda _: None,
     jacobian: Callable[[], npt.NDArray[np.float64]] = projection.flat_jacobian,
-    bends: Callable[[TrainingData], Bends] = solved_bends,
-    gate_steps: int = fit.STEPS,
+    bends: GiveBends | None = None,
+    gate_steps: int | None = None,
 ) -> dict[str, Any]:
     """Write a bundle and return what is worth knowing of it: id, bytes, parity, int8 error, gate, metrics.
 
@@ -89,8 +43,8 @@ def export(
         out: The bundle's path.
         tell: Told what is being done.
         jacobian: Gives the (104, 1350) relative Jacobian of the projection.
-        bends: Gives the untouched sheets that the gate learns from.
-        gate_steps: Steps that the gate is fitted for.
+        bends: Gives the untouched sheets for a gate that must be made up; None solves them.
+        gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
 
     Raises:
         SkinError: The graphs differ from the network, or still hold a training layer.
@@ -102,15 +56,13 @@ def export(
     tell("quantising")
     int8_bytes = quantise.int8_head(head_bytes)
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
-    tell("fitting the gate")
-    untouched = bends(data)
-    touch_gate = fit.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
-        audit_pixels(geometry_bytes, head_bytes, untouched.measure, data.reference)
-    )
-    tell("learning what healthy frames look like")
+    own = gate_of_run(found.folder, data, found.seed, tell=tell, bends=bends, steps=gate_steps)
+    tell("auditing the gate")
+    touch_gate = own.gate.audited(audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference))
+    tell("measuring what healthy frames look like")
     inverse = projection.damped_inverse(jacobian())
     filling = {name: value.numpy() for name, value in found.content.get("filling", {}).items()}
-    healthy = consistency.healthy(data, found.recipe, untouched, inverse, filling)
+    healthy = consistency.healthy(data, found.recipe, own.bends, inverse, filling)
     tell("scoring on held-out bends")
     metrics = {
         "held_out": card(found.model, data),
@@ -149,17 +101,19 @@ def refit_gate(
     data: TrainingData,
     path: Path,
     *,
-    bends: Callable[[TrainingData], Bends] = solved_bends,
-    gate_steps: int = fit.STEPS,
+    tell: Callable[[str], None] = lambda _: None,
+    bends: GiveBends | None = None,
+    gate_steps: int | None = None,
 ) -> dict[str, Any]:
     """Fit a bundle's gate once more, leave all else as it is, and return its new id and the gate's facts.
 
     Args:
-        found: The bundle's network, for its seed.
+        found: The run that the bundle was made from; its stored gate is replaced too.
         data: Its data set.
         path: The bundle; replaced in one rename.
-        bends: Gives the untouched sheets that the gate learns from.
-        gate_steps: Steps that the gate is fitted for.
+        tell: Told what is being done.
+        bends: Gives the untouched sheets for a gate that must be made up; None solves them.
+        gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
 
     Raises:
         MismatchError: The bundle is of another data set.
@@ -170,10 +124,10 @@ def refit_gate(
         raise MismatchError(
             f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
         )
-    untouched = bends(data)
-    touch_gate = fit.fit(data, untouched, seed=int(found.content["seed"]), steps=gate_steps).audited(
-        audit_pixels(files["geometry.onnx"], files["head.onnx"], untouched.measure, data.reference)
-    )
+    own = gate_of_run(found.folder, data, found.seed, tell=tell, anew=True, bends=bends, steps=gate_steps)
+    tell("auditing the gate")
+    pixels = audit_pixels(files["geometry.onnx"], files["head.onnx"], own.bends.measure, data.reference)
+    touch_gate = own.gate.audited(pixels)
     identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()})
     return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
@@ -187,7 +141,7 @@ def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array,
     return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
 
 
-def _facts(found: Trained, data: TrainingData, touch_gate: fit.Gate, metrics: dict[str, Any]) -> dict[str, Any]:
+def _facts(found: Trained, data: TrainingData, touch_gate: Gate, metrics: dict[str, Any]) -> dict[str, Any]:
     history = found.content["history"]
     architecture = found.recipe.architecture
     return {

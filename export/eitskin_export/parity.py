@@ -1,7 +1,7 @@
 """Whether the exported graphs say what the trained network says: the largest difference of each tensor.
 
 The inputs are the same for every network: one to four touches on sheets bent by seeds that no data set uses, solved
-on a coarse mesh, with N2 noise, and their scans. (White noise in place of voltages and shapes drives logits past 130,
+on a coarse mesh, with N2 noise, and their clouds. (White noise in place of voltages and shapes drives logits past 130,
 where float32 itself is off by 1.8e-5, in torch as well: that says nothing of the graphs.) The network is run whole and
 unfolded, so folding, splitting and exporting are all held to account at once, and in float64, so that float32 is
 counted once and not twice.
@@ -26,19 +26,20 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
+from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.evaluation import trials
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Scene
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_training.network.model import VD2T
 
 TOLERANCE: Final = 1e-5
 """Largest difference allowed in the map: float32 rounds a sum of 500 products to about 1e-6 of its size."""
 
 SEED: Final = 7
-"""Of the noise and the scans."""
+"""Of the noise and the clouds."""
 
 BENDS: Final = 8
 """Different deformations among the inputs."""
@@ -60,12 +61,12 @@ def stored_inputs(count: int = 32) -> tuple[Array, Array, Array]:
     changes, clouds, predicted = [], [], []
     for bend, group in groupby(phantoms, key=lambda phantom: phantom.scene.bend):
         untouched = _voltages(Scene(bend=bend))
-        cloud = network_input(scanned_cloud(bend, rng))
+        cloud = network_input(measured_cloud(bend, rng))
         for phantom in group:
             noisy = add_noise(_voltages(phantom.scene), flat, "N2", 50.0, rng)
             changes.append(relative_change(noisy, flat))
             clouds.append(cloud)
-            predicted.append(np.log(np.abs(untouched) / np.abs(flat)))
+            predicted.append(log_prediction(untouched, flat))
     return tuple(np.asarray(values, dtype=np.float32) for values in (changes, clouds, predicted))  # type: ignore[return-value]
 
 

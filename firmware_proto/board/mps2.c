@@ -202,12 +202,12 @@ static enum eit_status drive(void *ctx, uint8_t number, const struct eit_config 
 /* Which frame of a recording is due. */
 static uint32_t due_frame(uint32_t frames)
 {
-    const uint32_t rate_millihertz = eit_get32(RECORDING + 16);
+    const uint32_t rate_mHz = eit_get32(RECORDING + 16);
 
-    if (rate_millihertz == 0) {
+    if (rate_mHz == 0) {
         return (scans - 1u) % frames;
     }
-    return (uint32_t)(playing_us * rate_millihertz / 1000000000u % frames);
+    return (uint32_t)(playing_us * rate_mHz / 1000000000u % frames);
 }
 
 static int32_t played(uint32_t frames, uint32_t due, uint32_t pair)

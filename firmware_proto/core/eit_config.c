@@ -51,9 +51,9 @@ uint32_t eit_config_scan_us(const struct eit_config *config, uint16_t drives)
 }
 
 /* A rate is reachable if rate * duration <= 1; in units of mHz and us that is 1e9. */
-static bool rate_is_reachable(const struct eit_config *config, uint16_t drives, uint32_t rate_millihertz)
+static bool rate_is_reachable(const struct eit_config *config, uint16_t drives, uint32_t rate_mHz)
 {
-    return (uint64_t)rate_millihertz * eit_config_scan_us(config, drives) <= 1000000000u;
+    return (uint64_t)rate_mHz * eit_config_scan_us(config, drives) <= 1000000000u;
 }
 
 static enum eit_status check_values(const struct eit_config *c)
@@ -61,10 +61,10 @@ static enum eit_status check_values(const struct eit_config *c)
     const bool full = eit_config_is_full(c);
 
     if ((c->rows != EIT_ROWS && c->rows != EIT_FULL_ROWS) || c->sample_bytes < 2u || c->sample_bytes > 4u ||
-        !name_is_text(c->name) || c->averages == 0 || c->current_ua == 0 || c->rate_millihertz == 0) {
+        !name_is_text(c->name) || c->averages == 0 || c->current_ua == 0 || c->rate_mHz == 0) {
         return EIT_VALUE;
     }
-    if (eit_row_count(full, c->drives) == 0 || (c->idle_drives != 0) != (c->idle_rate_millihertz != 0) ||
+    if (eit_row_count(full, c->drives) == 0 || (c->idle_drives != 0) != (c->idle_rate_mHz != 0) ||
         (c->idle_drives != 0 && eit_row_count(full, c->idle_drives) == 0)) {
         return EIT_VALUE;
     }
@@ -72,8 +72,8 @@ static enum eit_status check_values(const struct eit_config *c)
         c->current_ua > EIT_MAX_CURRENT_UA || c->settle_us < EIT_MIN_SETTLE_US || !gain_exists(c->gain)) {
         return EIT_VALUE;
     }
-    if (!rate_is_reachable(c, c->drives, c->rate_millihertz) ||
-        (c->idle_drives != 0 && !rate_is_reachable(c, c->idle_drives, c->idle_rate_millihertz))) {
+    if (!rate_is_reachable(c, c->drives, c->rate_mHz) ||
+        (c->idle_drives != 0 && !rate_is_reachable(c, c->idle_drives, c->idle_rate_mHz))) {
         return EIT_RATE;
     }
     return EIT_OK;
@@ -107,8 +107,8 @@ enum eit_status eit_config_read(const uint8_t *blob, size_t length, struct eit_c
     config->gain = eit_get16(blob + EIT_CONFIG_GAIN);
     config->frequency_hz = eit_get32(blob + EIT_CONFIG_FREQUENCY_HZ);
     config->current_ua = eit_get32(blob + EIT_CONFIG_CURRENT_UA);
-    config->rate_millihertz = eit_get32(blob + EIT_CONFIG_RATE_MHZ);
-    config->idle_rate_millihertz = eit_get32(blob + EIT_CONFIG_IDLE_RATE_MHZ);
+    config->rate_mHz = eit_get32(blob + EIT_CONFIG_RATE_MHZ);
+    config->idle_rate_mHz = eit_get32(blob + EIT_CONFIG_IDLE_RATE_MHZ);
     config->revision = eit_get32(blob + EIT_CONFIG_REVISION);
     config->digest = eit_get32(blob + EIT_CONFIG_CRC);
     eit_copy(config->name, blob + EIT_CONFIG_NAME, sizeof config->name);

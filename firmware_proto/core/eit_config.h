@@ -19,8 +19,8 @@ struct eit_config {
     uint16_t gain;            /* linear */
     uint32_t frequency_hz;    /* of the drive current */
     uint32_t current_ua;      /* amplitude of the drive current */
-    uint32_t rate_millihertz; /* scans in 1000 s */
-    uint32_t idle_rate_millihertz;
+    uint32_t rate_mHz; /* scans in 1000 s */
+    uint32_t idle_rate_mHz;
     uint32_t revision;        /* the author's count */
     uint32_t digest;          /* the blob's CRC-32C */
     uint8_t name[16];         /* ASCII, padded with zeros */

@@ -56,15 +56,15 @@ void eit_device_receive(struct eit_device *device, const uint8_t *data, size_t l
     }
 }
 
-static uint32_t rate_millihertz(const struct eit_device *device)
+static uint32_t rate_mHz(const struct eit_device *device)
 {
-    return device->idle ? device->config.idle_rate_millihertz : device->config.rate_millihertz;
+    return device->idle ? device->config.idle_rate_mHz : device->config.rate_mHz;
 }
 
 /* One period is 1e9 / rate us; the remainder is carried along, so that no rate drifts. */
 static void advance(struct eit_device *device)
 {
-    const uint32_t rate = rate_millihertz(device);
+    const uint32_t rate = rate_mHz(device);
     uint64_t remainder = (uint64_t)device->remainder + 1000000000u % rate;
 
     device->next_us += 1000000000u / rate;
@@ -94,7 +94,7 @@ static void end_scan(struct eit_device *device)
 
 static void begin_scan(struct eit_device *device, uint32_t now_us)
 {
-    const uint32_t period_us = 1000000000u / rate_millihertz(device);
+    const uint32_t period_us = 1000000000u / rate_mHz(device);
     const uint16_t drives = device->idle ? device->config.idle_drives : device->config.drives;
 
     /* A scan that should have ended before now is given up and counted; its number is not given to another. */

@@ -61,7 +61,7 @@ void eit_reply_hello(struct eit_device *device, uint8_t tag)
     eit_put32(at + EIT_HELLO_CONFIGURATION_DIGEST, config->digest);
     eit_put32(at + EIT_HELLO_GENERATION, device->store.generation);
     eit_copy(at + EIT_HELLO_CONFIGURATION_NAME, config->name, sizeof config->name);
-    eit_put32(at + EIT_HELLO_RATE_MHZ, config->rate_millihertz);
+    eit_put32(at + EIT_HELLO_RATE_MHZ, config->rate_mHz);
     at[EIT_HELLO_ROWS] = eit_row_count(eit_config_is_full(config), config->drives);
     at[EIT_HELLO_SAMPLE_BYTES] = config->sample_bytes;
     eit_put16(at + EIT_HELLO_DRIVES, config->drives);

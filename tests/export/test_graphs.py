@@ -12,7 +12,8 @@ from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
-from eitskin_training.network.model import VD2T, Architecture
+from eitskin_training.network.architecture import Architecture
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
 
 

@@ -11,7 +11,7 @@ import torch
 from eitskin.model.bundle import load_bundle
 from eitskin_export import bundle, package, parity, projection
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_training import train
+from eitskin_training import run_files, train
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import TrainingData
@@ -37,7 +37,7 @@ def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
     return out, package.export(
-        package.trained(run), data, out, jacobian=lambda: JACOBIAN, bends=bends_of, gate_steps=100
+        run_files.trained(run), data, out, jacobian=lambda: JACOBIAN, bends=bends_of, gate_steps=100
     )
 
 
@@ -82,16 +82,16 @@ def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
 def test_another_data_set_than_the_run_was_trained_on_is_refused(
     run: Path, data: TrainingData, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(package, "load_all", lambda _: replace(data, digest="other"))
+    monkeypatch.setattr(run_files, "load_all", lambda _: replace(data, digest="other"))
     with pytest.raises(MismatchError, match=r"found other, expected toy; .*--data"):
-        package.data_of(package.trained(run), "somewhere")
+        run_files.data_of(run_files.trained(run), "somewhere")
 
 
 def test_a_run_of_another_grid_is_refused(run: Path, tmp_path: Path) -> None:
     content = torch.load(run / "best.pt", weights_only=True)
     torch.save({**content, "grid_id": "0123"}, tmp_path / "best.pt")
     with pytest.raises(MismatchError, match="grid_id: found 0123"):
-        package.trained(tmp_path)
+        run_files.trained(tmp_path)
 
 
 def test_tikhonov_solves_its_normal_equations() -> None:
@@ -129,7 +129,7 @@ def test_a_gate_is_fitted_again_and_all_else_stays(
 ) -> None:
     copy = tmp_path / "copy.eitskin"
     copy.write_bytes(exported[0].read_bytes())
-    found = package.trained(run)
+    found = run_files.trained(run)
     result = package.refit_gate(found, data, copy, bends=bends_of, gate_steps=20)
     before, after = load_bundle(exported[0]), load_bundle(copy)
     assert after.id == result["bundle"] != before.id

@@ -170,7 +170,7 @@ def test_host_and_device_accept_the_same_configurations(data):
     changes = {
         "frequency_hz": st.integers(900, 110_000), "settle_us": st.integers(15, 400), "averages": st.integers(1, 30),
         "gain": st.sampled_from([1, 2, 3, 32, 64]), "current_ua": st.integers(1, 6000),
-        "rate_millihertz": st.integers(1, 400_000), "drives": st.integers(1, 0xFFFF),
+        "rate_mHz": st.integers(1, 400_000), "drives": st.integers(1, 0xFFFF),
         "rows": st.sampled_from([104, 208]),
     }  # fmt: skip
     chosen = data.draw(st.lists(st.sampled_from(sorted(changes)), max_size=3, unique=True))
@@ -190,7 +190,7 @@ def test_the_last_rate_that_works_is_the_same_on_both_sides(core):
         base = replace(config_toml.named("paper"), settle_us=settle_us, frequency_hz=33_333)
         largest = 1_000_000_000 // base.scan_us()
         for rate, works in ((largest, True), (largest + 1, False)):
-            blob = replace(base, rate_millihertz=rate).to_blob()
+            blob = replace(base, rate_mHz=rate).to_blob()
             assert electronics_accept(Configuration.from_blob(blob)) == works
             assert (core.eit_config_read(blob, len(blob), out) == OK) == works
 

@@ -99,7 +99,7 @@ def test_a_change_of_mode_acts_at_once_and_marks_its_frames(clocked):
     idle = [frame for frame in frames if frame.flags & FrameFlag.IDLE]
     assert len(idle) >= len(frames) - 1
     assert all(frame.drives == PAPER.idle_drives and len(frame.counts) == 49 for frame in idle)
-    assert len(idle) == pytest.approx(PAPER.idle_rate_millihertz / 1000, abs=2)
+    assert len(idle) == pytest.approx(PAPER.idle_rate_mHz / 1000, abs=2)
     hello = clocked.ask(m.HelloRequest(3))
     assert (hello.rate_mHz, hello.rows) == (200_000, 104), "HELLO describes the active mode"
     assert hello.flags & HelloFlag.IDLE
@@ -112,7 +112,7 @@ def test_a_change_of_mode_acts_at_once_and_marks_its_frames(clocked):
 
 
 def test_a_mode_that_the_configuration_does_not_have_is_refused(asked):
-    assert asked.flash(replace(FAST, idle_drives=0, idle_rate_millihertz=0)).code == Code.OK
+    assert asked.flash(replace(FAST, idle_drives=0, idle_rate_mHz=0)).code == Code.OK
     asked.restart(9)
     assert asked.ask(m.SetMode(5, Mode.IDLE)) == m.Ack(request=4, code=Code.BAD_VALUE, detail=1, tag=5)
 
@@ -296,9 +296,9 @@ def resealed(blob: bytes, **changes: tuple[int, int]) -> bytes:
     ("blob", "code"),
     [
         (replace(FAST, hardware_id=99).to_blob(), Code.WRONG_HARDWARE),
-        (replace(FAST, rate_millihertz=900_000).to_blob(), Code.RATE_TOO_HIGH),
-        (replace(FAST, idle_rate_millihertz=90_000_000).to_blob(), Code.RATE_TOO_HIGH),
-        (replace(FAST, rate_millihertz=900_000, gain=5).to_blob(), Code.INVALID_CONFIGURATION),
+        (replace(FAST, rate_mHz=900_000).to_blob(), Code.RATE_TOO_HIGH),
+        (replace(FAST, idle_rate_mHz=90_000_000).to_blob(), Code.RATE_TOO_HIGH),
+        (replace(FAST, rate_mHz=900_000, gain=5).to_blob(), Code.INVALID_CONFIGURATION),
         (replace(FAST, gain=5).to_blob(), Code.INVALID_CONFIGURATION),
         (replace(FAST, frequency_hz=3_000_000_000).to_blob(), Code.INVALID_CONFIGURATION),
         (resealed(FAST.to_blob(), name=(16, 7)), Code.INVALID_CONFIGURATION),

@@ -68,7 +68,7 @@ def test_it_streams_at_the_rate_in_table_order_with_saturation_where_it_was(devi
 
 def test_the_rate_does_not_drift_even_if_its_period_is_no_whole_microsecond(device):
     exchange = Exchange(device)
-    procedure.write(exchange, replace(FAST, rate_millihertz=333_333))
+    procedure.write(exchange, replace(FAST, rate_mHz=333_333))
     frames = [m for m in talk(device, messages.Start(), run_us=3_000_000) if isinstance(m, Frame)]
     span_us = frames[-1].device_us - frames[0].device_us
     assert abs(span_us - (len(frames) - 1) * 1e9 / 333_333) <= 100  # two steps of this test's clock, after 3 s
@@ -294,7 +294,7 @@ def test_chunks_must_follow_each_other_and_may_be_repeated(device):
 
 
 def test_a_blob_that_means_nothing_is_not_committed(device):
-    for change, code in (({"hardware_id": 99}, Code.WRONG_HARDWARE), ({"rate_millihertz": 900_000}, Code.RATE_TOO_HIGH),
+    for change, code in (({"hardware_id": 99}, Code.WRONG_HARDWARE), ({"rate_mHz": 900_000}, Code.RATE_TOO_HIGH),
                          ({"gain": 5}, Code.INVALID_CONFIGURATION)):  # fmt: skip
         wrong = replace(FAST, **change)
         blob = wrong.to_blob()
@@ -361,7 +361,7 @@ def test_a_device_that_never_answers_is_named(device):
 def test_the_host_refuses_what_the_line_cannot_carry_before_it_writes(device):
     before = device.changes
     with pytest.raises(ValueError, match=r"rate_Hz is 400\.0, but a line of 92160 bytes/s reaches at most 354"):
-        procedure.write(Exchange(device), replace(FAST, rate_millihertz=400_000))
+        procedure.write(Exchange(device), replace(FAST, rate_mHz=400_000))
     with pytest.raises(procedure.FlashError, match=r"'fast' is for 0x00000063, the device is eitskin-16: nothing was"):
         procedure.write(Exchange(device), replace(FAST, hardware_id=99))
     with pytest.raises(Refused, match=r"refused CONFIG_BEGIN: DOWNGRADE: .*detail 1"):

@@ -50,7 +50,7 @@ def all_messages() -> dict[str, messages.Message]:
         "hello": messages.Hello(
             tag=15, firmware_version=(1, 2, 3), flags=codes.HelloFlag.TRIAL | codes.HelloFlag.STREAMING,
             hardware_id=paper.hardware_id, serial_number="EITSKIN-0001", configuration_digest=paper.digest,
-            generation=7, configuration_name=paper.name, rate_mHz=paper.rate_millihertz, rows=paper.frame_rows,
+            generation=7, configuration_name=paper.name, rate_mHz=paper.rate_mHz, rows=paper.frame_rows,
             sample_bytes=paper.sample_bytes, drives=paper.drives, idle_drives=paper.idle_drives, max_payload=64,
             uptime_ms=123456, line_bytes_per_s=92160, volts_per_count=2.0**-26,
         ),

@@ -8,7 +8,7 @@ import pytest
 import torch
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_training import curves, train
+from eitskin_training import curves, run_files, train
 from eitskin_training.card import card
 from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
@@ -40,8 +40,8 @@ def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_p
     run = train.train(data, tiny(epochs=12, learning_rate=5e-3), tmp_path)
     losses = [epoch.validation_loss for epoch in run.history]
     assert min(losses) < 0.8 * losses[0]
-    content = train.read(tmp_path / "best.pt")
-    kept = train.network(run.recipe, content["weights"])
+    content = run_files.read(tmp_path / "best.pt")
+    kept = run_files.network(run.recipe, content["weights"])
     again = score(kept, data, data.validation, run.recipe.noises)
     assert again.loss == pytest.approx(min(losses), rel=1e-5)
     assert run.best is not None
@@ -53,7 +53,7 @@ def test_a_worse_epoch_does_not_replace_the_best(toy_data: Any, tmp_path: Path) 
     data = toy_data("area", samples=1500)
     run = train.train(data, tiny(epochs=4, learning_rate=0.5, schedule="constant", average=0.0), tmp_path)
     assert run.best is not None
-    assert len(train.read(tmp_path / "best.pt")["history"]) == run.best.number
+    assert len(run_files.read(tmp_path / "best.pt")["history"]) == run.best.number
     assert run.best.validation_loss == min(epoch.validation_loss for epoch in run.history)
 
 
@@ -73,11 +73,11 @@ def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: P
     first = train.train(data, tiny(epochs=6, learning_rate=5e-3), tmp_path / "first", seed=3)
     chosen = tiny(epochs=2, learning_rate=0.0, schedule="constant", weight_decay=0.0)
     later = train.train(other, chosen, tmp_path / "later", seed=4, start=tmp_path / "first", stop_after=1)
-    kept = train.read(tmp_path / "first" / "best.pt")
+    kept = run_files.read(tmp_path / "first" / "best.pt")
     for name, value in later.averaged.items():  # nothing was learned, so these are the first run's, inputs' scale too
         if "running_" not in name and "num_batches" not in name:
             assert torch.equal(value, kept["weights"][name]), name
-    told = train.read(tmp_path / "later" / "best.pt")["started_from"]
+    told = run_files.read(tmp_path / "later" / "best.pt")["started_from"]
     assert told == {"seed": 3, "data_digest": data.digest, "epochs": len(kept["history"]), "started_from": None}
     assert first.started_from is None
     with pytest.raises(MismatchError, match="run it started from"):
@@ -102,12 +102,12 @@ def test_labels_that_the_recipe_does_not_learn_from_are_refused(toy_data: Any, t
 def test_a_checkpoint_of_another_protocol_or_no_checkpoint_is_refused(tmp_path: Path) -> None:
     torch.save({"format": 1, "protocol_id": "0123", "grid_id": "4567"}, tmp_path / "best.pt")
     with pytest.raises(MismatchError, match="protocol_id: found 0123"):
-        train.read(tmp_path / "best.pt")
+        run_files.read(tmp_path / "best.pt")
     (tmp_path / "best.pt").write_bytes(b"not a checkpoint")
     with pytest.raises(SkinError, match="no file of a training run"):
-        train.read(tmp_path / "best.pt")
+        run_files.read(tmp_path / "best.pt")
     with pytest.raises(SkinError, match="eitskin train"):
-        train.read(tmp_path / "missing.pt")
+        run_files.read(tmp_path / "missing.pt")
 
 
 def test_a_loss_that_is_no_number_stops_the_run(toy_data: Any, tmp_path: Path) -> None:

@@ -3,9 +3,9 @@
 Every variant sees the same touch sets, noises, seed, batch size, schedule and number of samples; one thing differs::
 
     none          voltages alone
-    cloud         the scanned shape through the recipe's small CNN
-    paper-cloud   the scanned shape through a CNN of the paper's kind (paper section IV.B)
-    predicted     log(V / V_pred), V_pred by the forward model on the scanned shape, without a CNN
+    cloud         the measured shape through the recipe's small CNN
+    paper-cloud   the measured shape through a CNN of the paper's kind (paper section IV.B)
+    predicted     log(V / V_pred), V_pred by the forward model on the measured shape, without a CNN
     post          log(V / V_post), the true untouched voltages of the bent sheet: what no robot has, the bound
     both          predicted and cloud together, as in the recipe
     unsharpened   both, and the map as the last linear layer gives it
@@ -26,12 +26,13 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.normalise import relative_change
-from eitskin_training.network.model import RATIO_FLOOR, VD2T
+from eitskin_proto.sensor.log_prediction import log_prediction
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.run_files import network
 from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import Score, score, untouched_peaks
-from eitskin_training.train import network, train
+from eitskin_training.train import train
 
 PAPER_CLOUD_CHANNELS: Final = (16, 8)
 """Two 2-D convolutions, as the paper's cloud channel has; their widths are ours."""
@@ -126,8 +127,7 @@ def variant_data(data: TrainingData, variant: str, deformations: int | None, sam
     must not mean fewer steps.
     """
     if variant == "post":
-        ratio = 1.0 + relative_change(data.untouched, data.reference)
-        data = replace(data, log_predicted=np.log(np.maximum(ratio, RATIO_FLOOR)).astype(np.float32))
+        data = replace(data, log_predicted=log_prediction(data.untouched, data.reference))
     rows = data.train
     if deformations is not None:
         kept = np.unique(data.deformation[rows])[:deformations]

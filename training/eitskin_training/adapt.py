@@ -1,9 +1,9 @@
-"""A short second training for lost electrodes: the network and what fills their rows in learn together.
+"""A short second training for missing electrodes: the network and what fills their rows in learn together.
 
 Training shows a network rows that the Gaussian filled in, now and then (:mod:`eitskin_training.samples.missing_rows`).
 This stage starts from a run's best epoch ::
 
-    1. fitting     the filling alone, towards the rows that were lost
+    1. fitting     the filling alone, towards the rows that are missing
     2. together    filling and network on the training's loss; half of each batch lacks one to four electrodes
 
 Alone, a filling that is nearer to the true rows makes the maps worse: the network knows the Gaussian's errors and not
@@ -22,16 +22,16 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from eitskin_proto.sensor.grid import map_from_units
+from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.measurement.consistency import logarithms
-from eitskin_training.network.filling import WIDTH, Filling, Lost
+from eitskin_training.missing_electrodes_score import held_out, score_line
+from eitskin_training.network.filling import WIDTH, Filling, Missing
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.samples.batches import TrainingData, assemble, consistency_of, lose_rows, noisy_change
-from eitskin_training.score import correlation, training_loss
-from eitskin_training.train import write_file
+from eitskin_training.run_files import write_file
+from eitskin_training.samples.batches import TrainingData, consistency_of, lose_rows, noisy_change
+from eitskin_training.score import training_loss
 
 HOW_MANY: Final = (0.55, 0.25, 0.13, 0.07)
 """Chances that one to four electrodes are gone; the runtime leaves out four at most."""
@@ -74,7 +74,7 @@ class Adapted:
 
     Args:
         model: The network, in evaluation mode.
-        filling: What fills lost rows in for it.
+        filling: What fills missing rows in for it.
         facts: Held-out accuracy before and after.
     """
 
@@ -96,7 +96,7 @@ def adapt(
 
     Args:
         model: A trained network.
-        recipe: Of it: noise, flips, lost rows.
+        recipe: Of it: noise, flips, missing rows.
         data: The data set that it was trained on.
         plan: Lengths and rates.
         seed: Of every draw.
@@ -107,7 +107,7 @@ def adapt(
     model.eval()
     filling = Filling(consistency_of(data, recipe), plan.width)
     before = held_out(model, filling, data)
-    tell(f"before: {_line(before)}")
+    tell(f"before: {score_line(before)}")
     biases = _biases(model, data)
     rng = np.random.default_rng([seed, 0xADA])
     frozen = {id(parameter) for part in (model.cloud, model.fusion_cloud) for parameter in part.parameters()}
@@ -128,7 +128,7 @@ def adapt(
     for parameter in model.parameters():
         parameter.requires_grad_(True)
     after = held_out(model, filling, data)
-    tell(f"after: {_line(after)}")
+    tell(f"after: {score_line(after)}")
     return Adapted(model, filling, {"plan": asdict(plan), "seed": seed, "before": before, "after": after})
 
 
@@ -138,8 +138,8 @@ class _Drawn:
 
     logs: Tensor
     change: Tensor
-    groups: list[tuple[slice, Lost]]
-    lost: int
+    groups: list[tuple[slice, Missing]]
+    incomplete: int
     predicted: Tensor
     rows: npt.NDArray[np.intp]
     mirror: int
@@ -150,33 +150,36 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
     rows = rng.choice(data.train, size=size)
     number = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
     change = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
-    lost = max(GROUPS, int(share * size))
-    whole = change[lost:]
+    incomplete = max(GROUPS, int(share * size))
+    whole = change[incomplete:]
     lose_rows(whole, recipe, rng)
-    change[lost:] = whole
+    change[incomplete:] = whole
     predicted = data.log_predicted[data.deformation[rows]]
     predicted[rng.random(size) < recipe.predicted_dropout] = 0.0
     image = MIRRORS[number].rows
     change, predicted = np.ascontiguousarray(change[:, image]), np.ascontiguousarray(predicted[:, image])
-    edges = np.linspace(0, lost, GROUPS + 1).astype(int)
+    edges = np.linspace(0, incomplete, GROUPS + 1).astype(int)
     groups = []
     for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
         count = int(rng.choice(len(HOW_MANY), p=HOW_MANY)) + 1
         chosen = tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist()))
         groups.append((slice(start, stop), chosen))
-    logs = torch.from_numpy(logarithms(change[:lost]).astype(np.float32))
-    return _Drawn(logs, torch.from_numpy(change), groups, lost, torch.from_numpy(predicted), rows, number)
+    logs = torch.from_numpy(log_of_change(change[:incomplete]).astype(np.float32))
+    return _Drawn(logs, torch.from_numpy(change), groups, incomplete, torch.from_numpy(predicted), rows, number)
 
 
 def _rows_loss(filling: Filling, drawn: _Drawn) -> Tensor:
     """Return the mean square error of filled-in rows, in variances that the Gaussian leaves them."""
-    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.incomplete])
     return _rows_error(filling, drawn, filled, missing)
 
 
 def _rows_error(filling: Filling, drawn: _Drawn, filled: Tensor, missing: Tensor) -> Tensor:
     scale = torch.cat(
-        [filling.gaussian.uncertainty(lost).expand(part.stop - part.start, -1) for part, lost in drawn.groups]
+        [
+            filling.gaussian.uncertainty(electrodes).expand(part.stop - part.start, -1)
+            for part, electrodes in drawn.groups
+        ]
     )
     return (((filled - drawn.logs) / scale).square() * missing).sum() / missing.sum()
 
@@ -184,9 +187,9 @@ def _rows_error(filling: Filling, drawn: _Drawn, filled: Tensor, missing: Tensor
 def _map_loss(
     model: VD2T, recipe: Recipe, filling: Filling, biases: list[Tensor], data: TrainingData, drawn: _Drawn
 ) -> Tensor:
-    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.lost])
+    filled, missing = filling(drawn.logs, drawn.groups, drawn.predicted[: drawn.incomplete])
     change = torch.cat(
-        [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.lost]), drawn.change[drawn.lost :]]
+        [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.incomplete]), drawn.change[drawn.incomplete :]]
     )
     mirror = MIRRORS[drawn.mirror]
     columns = mirror.units if data.labels_kind == "units" else mirror.pixels
@@ -234,52 +237,6 @@ def _run(
 def _share(step: int, steps: int) -> float:
     """Return the share of the peak learning rate at a step."""
     return min(1.0, (step + 1) / RISING_STEPS) * (0.5 + 0.5 * math.cos(math.pi * step / steps))
-
-
-def held_out(
-    model: VD2T, filling: Filling, data: TrainingData, *, most: int = 600, sets: int = 6, seed: int = 0
-) -> dict[str, float]:
-    """Return the mean CC of maps on bends never trained on: whole, and without one, two and three electrodes.
-
-    Args:
-        model: The network.
-        filling: Fills lost rows in.
-        data: The data set.
-        most: Samples, with N2 noise.
-        sets: Of two and of three electrodes; of one, all 16.
-        seed: Of the draws.
-    """
-    rng = np.random.default_rng([seed, 0x0FF])
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
-    rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
-    change = noisy_change(data, rows, ("N2",), 50.0, rng)
-    batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
-    truth = batch.labels.numpy()
-    truth = map_from_units(truth).reshape(len(rows), -1) if data.labels_kind == "units" else truth
-    touched = truth.max(axis=1) > 0
-    logs = torch.from_numpy(logarithms(change).astype(np.float32))
-
-    def cc(lost: Lost) -> float:
-        shown = batch.dv
-        if lost:
-            filled, missing = filling(logs, [(slice(0, len(rows)), lost)], batch.log_predicted)
-            shown = torch.where(missing, torch.expm1(filled), batch.dv)
-        maps = model.maps(model.logits(shown, bias, batch.log_predicted)).numpy()
-        return float(correlation(maps[touched], truth[touched]).mean())
-
-    with torch.inference_mode():
-        bias = model.bias(batch.clouds)[batch.which]
-        found = {"whole": cc(())}
-        single = [cc((electrode,)) for electrode in range(N_ELECTRODES)]
-        found |= {"one_lost": float(np.mean(single)), "worst_lost": min(single)}
-        for name, count in (("two_lost", 2), ("three_lost", 3)):
-            drawn = [tuple(sorted(rng.choice(N_ELECTRODES, count, replace=False).tolist())) for _ in range(sets)]
-            found[name] = float(np.mean([cc(lost) for lost in drawn]))
-    return {name: round(value, 5) for name, value in found.items()}
-
-
-def _line(scores: dict[str, float]) -> str:
-    return "held-out CC " + ", ".join(f"{name} {value:.4f}" for name, value in scores.items())
 
 
 def write(out: Path, content: dict[str, Any], adapted: Adapted) -> Path:

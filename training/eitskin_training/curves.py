@@ -27,7 +27,7 @@ def draw(history: Sequence[Epoch], path: Path, *, title: str = "") -> bool:
     figure = Figure(figsize=(7, 4), layout="constrained")
     axes = figure.subplots()
     numbers = [epoch.number for epoch in history]
-    axes.semilogy(numbers, [epoch.training_loss for epoch in history], label="training (noise, flips, lost rows)")
+    axes.semilogy(numbers, [epoch.training_loss for epoch in history], label="training (noise, flips, missing rows)")
     axes.semilogy(numbers, [epoch.validation_loss for epoch in history], label="validation (noise)")
     best = min(history, key=lambda epoch: epoch.validation_loss)
     axes.plot(best.number, best.validation_loss, "o", color="black", label=f"best: epoch {best.number}")

@@ -1,7 +1,7 @@
 """Recipes: everything that decides a training run, as named values with their source.
 
 ``paper`` is section V.A of the paper. ``units`` and ``free`` are what a robot needs: several-parameter deformations,
-all three noises, the sheet's mirror symmetries, lost rows; ``units`` keeps the paper's hard labels on the 126 units,
+all three noises, the sheet's mirror symmetries, missing rows; ``units`` keeps the paper's hard labels on the 126 units,
 ``free`` has area labels of touches anywhere. ``tiny`` is ``free`` in seconds, for tests and CI.
 """
 
@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
 from eitskin_proto.sensor.grid import N_PIXELS, N_UNITS
-from eitskin_training.network.model import Architecture
+from eitskin_training.network.architecture import Architecture
 
 Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]

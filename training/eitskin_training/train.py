@@ -28,11 +28,9 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.run_files import FORMAT, network, read, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
 from eitskin_training.score import score, training_loss
-
-FORMAT: Final = 1
-"""Version of both .pt files."""
 
 RISING_SHARE: Final = 0.05
 """Share of the steps in which a cycle rises to its peak."""
@@ -243,13 +241,6 @@ def _validate(run: Run, data: TrainingData, number: int, training_loss: float, s
     return Epoch(number, training_loss, found.loss, found.cc, seconds)
 
 
-def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
-    """Return a network in evaluation mode with the given weights."""
-    model = VD2T(recipe.architecture)
-    model.load_state_dict(state)
-    return model.eval().to(next(iter(state.values())).device)
-
-
 def _save(run: Run, out: Path) -> None:
     common = {
         "format": FORMAT,
@@ -276,40 +267,6 @@ def _save(run: Run, out: Path) -> None:
     beside = out / "history.json.new"
     beside.write_text(json.dumps(common["history"], indent=1) + "\n")
     os.replace(beside, out / "history.json")
-
-
-def write_file(path: Path, content: dict[str, Any]) -> None:
-    """Write a run's .pt file beside and rename it, so that an interruption leaves the one before whole."""
-    beside = path.with_suffix(".new")
-    with beside.open("wb") as file:
-        torch.save(content, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
-
-
-def read(path: Path) -> dict[str, Any]:
-    """Return what a run's .pt file holds.
-
-    Raises:
-        MismatchError: It was made for another protocol, grid or version.
-        SkinError: It is no file of a run.
-    """
-    try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
-    except FileNotFoundError as error:
-        raise SkinError(
-            f"{path.parent} holds no finished epoch ({path.name} is missing); run 'eitskin train'"
-        ) from error
-    except Exception as error:
-        raise SkinError(f"{path} is no file of a training run: {type(error).__name__}; train again") from error
-    for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
-        found = content.get(name) if isinstance(content, dict) else None
-        if found != expected:
-            raise MismatchError(
-                f"{path}: {name}", found=found, expected=expected, hint="train again with 'eitskin train'"
-            )
-    return dict(content)
 
 
 def _restore(run: Run, path: Path) -> None:

@@ -15,7 +15,7 @@ The digest of a configuration is that last word: it names the configuration in H
 """
 
 import struct
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Final, Self
 
 from eitskin_proto.errors import ProtocolError
@@ -46,6 +46,11 @@ LINE_SHARE: Final = 0.95
 """Part of a line that frames may fill; the rest is for answers and events."""
 
 
+def published_name(field: str) -> str:
+    """Return what the JSON of 'eitskin flash' calls a field: rates are in millihertz there in full."""
+    return field.replace("rate_mHz", "rate_millihertz")
+
+
 @dataclass(frozen=True, slots=True)
 class Configuration:
     """What a device scans. ``check`` says whether electronics and line can do it."""
@@ -70,10 +75,10 @@ class Configuration:
     """104 for the table, 208 for the full table; fewer come out if ``drives`` leaves some out."""
     drives: int
     """Bit k: drive k is scanned."""
-    rate_millihertz: int
+    rate_mHz: int
     idle_drives: int = 0
     """The same for the idle mode; 0 if there is none."""
-    idle_rate_millihertz: int = 0
+    idle_rate_mHz: int = 0
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= 16 or not self.name.isascii() or not self.name.isprintable():
@@ -85,15 +90,15 @@ class Configuration:
         for field, low, high in (
             ("revision", 0, 0xFFFFFFFF), ("hardware_id", 0, 0xFFFFFFFF), ("frequency_hz", 1, 0xFFFFFFFF),
             ("current_ua", 1, 0xFFFFFFFF), ("settle_us", 0, 0xFFFF), ("averages", 1, 0xFFFF), ("gain", 1, 0xFFFF),
-            ("drives", 1, ALL_DRIVES), ("rate_millihertz", 1, 0xFFFFFFFF), ("idle_drives", 0, ALL_DRIVES),
-            ("idle_rate_millihertz", 0, 0xFFFFFFFF),
+            ("drives", 1, ALL_DRIVES), ("rate_mHz", 1, 0xFFFFFFFF), ("idle_drives", 0, ALL_DRIVES),
+            ("idle_rate_mHz", 0, 0xFFFFFFFF),
         ):  # fmt: skip
             value = getattr(self, field)
             if not low <= value <= high:
                 raise ValueError(f"{field} is {value}, expected {low} to {high}")
         if row_count(self.full, self.drives) == 0:
             raise ValueError(f"drives 0x{self.drives:04x} have no row in the table of {self.rows}")
-        if bool(self.idle_drives) != bool(self.idle_rate_millihertz):
+        if bool(self.idle_drives) != bool(self.idle_rate_mHz):
             raise ValueError("the idle mode needs drives and a rate, or neither")
         if self.idle_drives and row_count(self.full, self.idle_drives) == 0:
             raise ValueError(f"idle drives 0x{self.idle_drives:04x} have no row in the table of {self.rows}")
@@ -106,7 +111,7 @@ class Configuration:
     @property
     def rate_hz(self) -> float:
         """Frames a second in the active mode."""
-        return self.rate_millihertz / 1000
+        return self.rate_mHz / 1000
 
     @property
     def frame_rows(self) -> int:
@@ -122,7 +127,7 @@ class Configuration:
         """Return the 64 bytes that the device stores."""
         body = BLOB.pack(
             BLOB_MAGIC, FORMAT, self.rows, BLOB_BYTES, self.hardware_id, self.revision, self.name.encode("ascii"),
-            self.frequency_hz, self.rate_millihertz, self.idle_rate_millihertz, self.current_ua, self.settle_us,
+            self.frequency_hz, self.rate_mHz, self.idle_rate_mHz, self.current_ua, self.settle_us,
             self.averages, self.gain, self.drives, self.idle_drives, self.sample_bytes, 0,
         )  # fmt: skip
         return body + crc32c(body).to_bytes(4, "little")
@@ -152,11 +157,15 @@ class Configuration:
             return cls(
                 name=name.decode("ascii"), revision=revision, hardware_id=hardware_id, frequency_hz=frequency,
                 current_ua=current, settle_us=settle, averages=averages, gain=gain, sample_bytes=sample_bytes,
-                rows=rows, drives=drives, rate_millihertz=rate, idle_drives=idle_drives,
-                idle_rate_millihertz=idle_rate,
+                rows=rows, drives=drives, rate_mHz=rate, idle_drives=idle_drives,
+                idle_rate_mHz=idle_rate,
             )  # fmt: skip
         except ValueError as error:  # UnicodeDecodeError is one
             raise ProtocolError(f"configuration is intact but impossible: {error}") from error
+
+    def published(self) -> dict[str, object]:
+        """Return every field as 'eitskin flash --json' prints it: by the names that were published."""
+        return {published_name(field.name): getattr(self, field.name) for field in fields(self)}
 
     def check(self, line_bytes_per_s: float = 0.0) -> None:
         """Say whether electronics and line can do this.
@@ -180,18 +189,18 @@ class Configuration:
             raise ValueError(f"gain is {self.gain}, {can.name} has {', '.join(map(str, can.gains))}")
         if self.settle_us < can.min_settle_us:
             raise ValueError(f"settle_us is {self.settle_us}, {can.name} needs at least {can.min_settle_us}")
-        self._check_rate("rate_Hz", self.drives, self.rate_millihertz, line_bytes_per_s)
+        self._check_rate("rate_Hz", self.drives, self.rate_mHz, line_bytes_per_s)
         if self.idle_drives:
-            self._check_rate("idle rate_Hz", self.idle_drives, self.idle_rate_millihertz, line_bytes_per_s)
+            self._check_rate("idle rate_Hz", self.idle_drives, self.idle_rate_mHz, line_bytes_per_s)
 
-    def _check_rate(self, what: str, drives: int, rate_millihertz: int, line_bytes_per_s: float) -> None:
+    def _check_rate(self, what: str, drives: int, rate_mHz: int, line_bytes_per_s: float) -> None:
         front_end = 1e9 / self.scan_us(drives)
         line = largest_line_rate_hz(row_count(self.full, drives), self.sample_bytes, line_bytes_per_s) * 1000
         largest = min(front_end, line)
-        if rate_millihertz > largest:
+        if rate_mHz > largest:
             part = "the front end" if front_end <= line else f"a line of {line_bytes_per_s:.0f} bytes/s"
             raise ValueError(
-                f"{what} is {rate_millihertz / 1000!r}, but {part} reaches at most {int(largest) / 1000!r} "
+                f"{what} is {rate_mHz / 1000!r}, but {part} reaches at most {int(largest) / 1000!r} "
                 f"with {row_count(self.full, drives)} rows of {8 * self.sample_bytes} bits"
             )
 

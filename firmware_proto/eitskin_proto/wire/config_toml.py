@@ -63,7 +63,7 @@ def _value(content: dict[str, Any], table: str, key: str) -> Any:
     return value
 
 
-def _millihertz(rate_hz: float, table: str) -> int:
+def _rate_mHz(rate_hz: float, table: str) -> int:
     if not 0.001 <= rate_hz <= 4e6:
         raise ValueError(f"rate_Hz in [{table}] is {rate_hz!r}, expected 0.001 to 4e6")
     return round(rate_hz * 1000)
@@ -116,9 +116,9 @@ def parse(text: str) -> Configuration:
         sample_bytes=bits // 8,
         rows=get("scan", "rows"),
         drives=drives_from_list(get("scan", "drives")),
-        rate_millihertz=_millihertz(get("scan", "rate_Hz"), "scan"),
+        rate_mHz=_rate_mHz(get("scan", "rate_Hz"), "scan"),
         idle_drives=drives_from_list(get("idle", "drives")) if idle else 0,
-        idle_rate_millihertz=_millihertz(get("idle", "rate_Hz"), "idle") if idle else 0,
+        idle_rate_mHz=_rate_mHz(get("idle", "rate_Hz"), "idle") if idle else 0,
     )
 
 
@@ -144,14 +144,14 @@ def to_toml(configuration: Configuration) -> str:
         "[scan]",
         f"rows = {configuration.rows}",
         f"drives = {drives_to_list(configuration.drives)}",
-        f"rate_Hz = {configuration.rate_millihertz / 1000!r}",
+        f"rate_Hz = {configuration.rate_mHz / 1000!r}",
     ]
     if configuration.idle_drives:
         lines += [
             "",
             "[idle]",
             f"drives = {drives_to_list(configuration.idle_drives)}",
-            f"rate_Hz = {configuration.idle_rate_millihertz / 1000!r}",
+            f"rate_Hz = {configuration.idle_rate_mHz / 1000!r}",
         ]
     return "\n".join(lines) + "\n"
 

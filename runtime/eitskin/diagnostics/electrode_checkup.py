@@ -22,7 +22,7 @@ from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import BadReference
 from eitskin.health.electrodes import NOT_RECIPROCAL, WELL, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Array, Consistency
-from eitskin.health.reciprocity import electrode_gaps, row_gaps
+from eitskin.health.reciprocity import LARGEST_RECORDED_GAP, electrode_gaps, row_gaps
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.sensor.normalise import relative_change
@@ -30,9 +30,6 @@ from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 
 MODEL_SPREAD: Final = 0.02
 """How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
-
-LARGEST_GAP: Final = 0.02
-"""Relative difference of a row and its reciprocal, median over a pair's rows; noise of 50 dB makes 0.3 %."""
 
 ADVICE: Final[dict[str, str]] = {
     WELL: "nothing to do",
@@ -139,7 +136,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
     found = []
     for electrode, watched in enumerate(watch.states()):
         gap = None if gaps is None else float(gaps[electrode])
-        apart = watched == WELL and gap is not None and gap > LARGEST_GAP
+        apart = watched == WELL and gap is not None and gap > LARGEST_RECORDED_GAP
         state = NOT_RECIPROCAL if apart else watched
         partner = next((f.partner for f in watch.findings if f.electrode == electrode), None)
         found.append(

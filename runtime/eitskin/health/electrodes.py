@@ -16,9 +16,10 @@ import numpy.typing as npt
 
 from eitskin.health.evidence import JUMPING, N_VOTES, PAIR_WRONG, SHORTED_RATIO, WHOLE, Evidence, Votes, Weigher
 from eitskin.health.explanation import Explanation, Finding
-from eitskin.health.imputation import UNPREDICTED, Array, Consistency, Imputation, rows_of
+from eitskin.health.imputation import UNPREDICTED, Array, Consistency, Imputation
 from eitskin.health.swapped_wires import Rewiring, rewiring
 from eitskin.reference.row_noise import lost_rows, relative_spread, weighed_rows
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES
 
 WINDOW: Final = 14

@@ -17,7 +17,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.health.imputation import Array, rows_of
+from eitskin.health.imputation import Array
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
 
 FREEDOM: Final = 2.0

@@ -1,7 +1,7 @@
 """Goes on without an electrode: its rows filled in from the others, or taken out of the projection, both exactly.
 
 A healthy sheet's l = log(V / V0) is close to a Gaussian with mean and precision P (made at export, from the data that
-the network learned from). Let rows m be missing and y = P (l - mean), with anything at all in l_m; then ::
+the network learned from). With rows m missing and y = P (l - mean), :mod:`eitskin_proto.sensor.row_gaussian` gives ::
 
     E[l_m | the others] = l_m - P_mm^-1 y_m                               what the network gets
     M' = M - M_:m K_mm^-1 K_m: with K = (J J^T + tau I)^-1, column m = 0     the projection without these rows
@@ -25,7 +25,8 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.health.correction import Correction, Layers
-from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
+from eitskin_proto.sensor.row_gaussian import change_of_log, log_of_change, missing_weights, precision_of, rows_of
+from eitskin_proto.sensor.table import N_ROWS
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
@@ -44,8 +45,6 @@ SHAPES: Final[Mapping[str, tuple[int, ...]]] = {
     "thresholds": (2,),
 }
 """Arrays of consistency.npz."""
-
-HIGHEST_LOG: Final = 50.0
 
 UNPREDICTED: Final = np.zeros(N_ROWS, dtype=np.float32)
 """log(V_pred / V0) where nothing was predicted."""
@@ -103,14 +102,7 @@ class Consistency:
     def precision(self, extra: Array | None = None) -> Array:
         """Return (104, 104) P, with (104,) more variance of the rows where a device is noisier than the samples."""
         whole = self.covariance if extra is None else self.covariance + np.diag(extra)
-        found = np.linalg.inv(whole)
-        return np.asarray((found + found.T) / 2.0)
-
-
-def rows_of(electrodes: tuple[int, ...]) -> Rows:
-    """Return (104,) which rows drive or measure at any of these electrodes."""
-    ends = np.concatenate([TABLE, (TABLE + 1) % N_ELECTRODES], axis=1)
-    return np.asarray(np.isin(ends, electrodes).any(axis=1))
+        return precision_of(whole)
 
 
 class Imputation:
@@ -130,10 +122,10 @@ class Imputation:
         "_filled",
         "_layers",
         "_logs",
-        "_low_high",
         "_mean",
         "_part",
         "_present",
+        "_ratio_range",
         "_seen",
         "_weights",
         "missing",
@@ -144,7 +136,7 @@ class Imputation:
         self._layers = layers
         self._correction: Correction | None = None
         self._corrected = np.zeros(0, dtype=np.intp)
-        self._low_high = (float(ratio_range[0]) - 1.0, float(ratio_range[1]) - 1.0)
+        self._ratio_range = (float(ratio_range[0]), float(ratio_range[1]))
         self._logs = np.zeros(N_ROWS)
         self._filled = self._present = np.zeros(0, dtype=np.intp)
         self._seen = self._part = self._expected = np.zeros(0)
@@ -169,8 +161,7 @@ class Imputation:
         gone, noisy = np.flatnonzero(rows), np.flatnonzero(weighed)
         self._filled, self._present = np.flatnonzero(rows | weighed), np.flatnonzero(~rows)
         weights = np.zeros((N_ROWS, len(self._present)))
-        inner = precision[np.ix_(gone, gone)]
-        weights[gone] = np.linalg.solve(inner, precision[np.ix_(gone, self._present)])
+        weights[gone] = missing_weights(precision, rows)
         if noise is not None and len(noisy):
             # What P says of the present rows once the missing ones are filled in by the line above.
             left = precision[np.ix_(noisy, self._present)] - precision[np.ix_(noisy, gone)] @ weights[gone]
@@ -199,8 +190,7 @@ class Imputation:
         """
         if not len(self._filled):
             return
-        np.clip(change, *self._low_high, out=self._logs)
-        np.log1p(self._logs, out=self._logs)
+        log_of_change(change, self._ratio_range, out=self._logs)
         np.subtract(self._logs, self._mean, out=self._logs)
         np.take(self._logs, self._present, out=self._seen, mode="clip")
         np.matmul(self._weights, self._seen, out=self._part)
@@ -209,19 +199,16 @@ class Imputation:
             self._logs[self._filled] = self._part
             self._part[self._corrected] += self._correction.of(self._logs, predicted)
         np.add(self._expected, self._part, out=self._part)
-        np.minimum(self._part, HIGHEST_LOG, out=self._part)  # beyond it, expm1 would overflow before the clip
-        np.expm1(self._part, out=self._part)
-        np.clip(self._part, *self._low_high, out=self._part)
-        change[self._filled] = self._part
+        change[self._filled] = change_of_log(self._part, self._ratio_range, out=self._part)
 
     def filled(self, changes: Array) -> Array:
         """Return (n, 104) dV with the rows filled in as :meth:`fill` does, without the small network's correction."""
         if self.idle:
             return changes
-        logs = np.log1p(np.clip(changes, *self._low_high)) - self._mean
-        part = np.minimum(self._expected - logs[:, self._present] @ self._weights.T, HIGHEST_LOG)
+        logs = log_of_change(changes, self._ratio_range) - self._mean
         found = np.array(changes, dtype=np.float64)
-        found[:, self._filled] = np.clip(np.expm1(part), *self._low_high)
+        part = self._expected - logs[:, self._present] @ self._weights.T
+        found[:, self._filled] = change_of_log(part, self._ratio_range)
         return found
 
 

@@ -21,7 +21,13 @@ AVERAGED: Final = 8
 """Frames of the running means."""
 
 LARGEST_GAP: Final = 0.03
-"""Above it an electrode is suspicious: noise of 50 dB, of the rms over the rows, makes 0.003."""
+"""Above it an electrode is suspicious in a stream: noise of 50 dB, of the rms over the rows, makes 0.003. An electrode
+that is wrongly given up costs accuracy, and a quick touch that falls between the two readings of a few frames is left
+in a mean of eight."""
+
+LARGEST_RECORDED_GAP: Final = 0.02
+"""The same in a recording of some seconds, of which each row's gap is the median: a touch leaves no trace in that, and
+what comes of it is no more than advice. So it may be stricter."""
 
 NEEDED: Final = 12
 """Frames in a row with the same suspect; what 104 rows can tell by themselves is told after ten."""

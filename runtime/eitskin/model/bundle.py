@@ -16,7 +16,6 @@ SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are r
 each time: a session keeps its own copy of the weights, so that another one in Python would only cost memory.
 """
 
-import hashlib
 import io
 import json
 from collections.abc import Iterator, Mapping
@@ -30,7 +29,7 @@ import numpy.typing as npt
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.archive import BadArchiveError, Member, members
 from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_proto.sensor.table import N_ROWS
 
 FORMAT: Final = "eitskin-bundle"
@@ -65,7 +64,7 @@ class Files(Mapping[str, bytes]):
         expected = self._digests[name]
         with _Opened(self._path) as archive:
             data = _member(archive.members, name, LARGEST_FILE, self._path)
-        found = hashlib.sha256(data).hexdigest()
+        found = sha256_of(data)
         if found != expected:
             raise BundleError(
                 f"{self._path}: {name} is damaged: sha256 found {found[:16]}, expected {expected[:16]}; "
@@ -178,7 +177,7 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
     if not lazily:
         for name in files:
             files[name]
-    return Bundle(where, manifest, files, hashlib.sha256(raw).hexdigest()[:16])
+    return Bundle(where, manifest, files, id_of(raw))
 
 
 class _Opened:

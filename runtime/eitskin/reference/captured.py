@@ -12,7 +12,6 @@ carries nothing, is filled in from the others (:mod:`eitskin.reference.row_noise
 reported.
 """
 
-import hashlib
 import json
 import os
 from contextlib import suppress
@@ -26,7 +25,7 @@ import numpy.typing as npt
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of_values
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.wire.answers import Hello
 
@@ -135,7 +134,7 @@ def save(reference: Reference, path: str | Path) -> None:
         "voltages_V": reference.voltages_V.tolist(),
         "spread_V": reference.spread_V.tolist(),
     }
-    content["sha256"] = _digest(content)
+    content["sha256"] = sha256_of_values(content)
     import tempfile  # noqa: PLC0415 -- 10 ms that a stream does not need
 
     where = Path(path)
@@ -184,7 +183,7 @@ def load(path: str | Path) -> Reference:
         if content.get(name) != expected:
             raise MismatchError(f"reference {where}: {name}", found=content.get(name), expected=expected, hint=hint)
     claimed = content.pop("sha256", None)
-    found = _digest(content)
+    found = sha256_of_values(content)
     if claimed != found:
         raise BadReference(
             f"reference {where} is damaged: sha256 found {found[:16]}, expected {str(claimed)[:16]}; {hint}"
@@ -204,10 +203,6 @@ def load(path: str | Path) -> Reference:
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
         raise BadReference(f"reference {where}: no row reaches {SMALLEST_V:g} V; {hint}")
     return reference
-
-
-def _digest(content: dict[str, Any]) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def _rows(values: Any) -> npt.NDArray[np.float64]:

@@ -5,15 +5,11 @@ against the flat sheet and subtracts it from that of the measurement, which leav
 is made where the cloud is made; the runtime has no forward model.
 """
 
-from typing import Final
-
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.log_prediction import RATIO_FLOOR, log_prediction, prediction_ratio
 from eitskin_proto.sensor.table import N_ROWS
-
-RATIO_FLOOR: Final = 1e-3
-"""|V_pred| / |V_flat| is cut off here before the logarithm, as in training."""
 
 
 def check_voltages(name: str, voltages: npt.ArrayLike) -> npt.NDArray[np.float64]:
@@ -46,13 +42,11 @@ def log_ratio(predicted: npt.ArrayLike, reference: npt.ArrayLike) -> npt.NDArray
         ValueError: A shape is wrong, or a predicted voltage is not finite.
     """
     numerator, denominator = check_voltages("predicted", predicted), check_voltages("reference", reference)
-    usable = denominator != 0.0
-    with np.errstate(over="ignore", under="ignore"):  # an infinite ratio is refused below, by its size
-        ratio = np.abs(numerator) / np.abs(np.where(usable, denominator, 1.0))
-    if float(ratio.max(initial=0.0, where=usable)) > 1 / RATIO_FLOOR:
-        worst = int(np.argmax(np.where(usable, ratio, 0.0)))
+    ratio = prediction_ratio(numerator, denominator)
+    if float(ratio.max(initial=0.0)) > 1 / RATIO_FLOOR:
+        worst = int(np.argmax(ratio))
         raise ValueError(
             f"predicted[{worst}] is {ratio[worst]:.3g} times the reference, expected at most {1 / RATIO_FLOOR:.0f}; "
             "give both for the same current"
         )
-    return np.asarray(np.where(usable, np.log(np.maximum(ratio, RATIO_FLOOR)), 0.0), dtype=np.float32)
+    return log_prediction(numerator, denominator)

@@ -1,4 +1,4 @@
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import pytest
 from hypothesis import given, settings
@@ -27,8 +27,8 @@ def any_configuration(draw):
         name=draw(st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), min_size=1, max_size=16)),
         revision=draw(u32), hardware_id=hardware.EITSKIN_16.id, frequency_hz=draw(u32), current_ua=draw(u32),
         settle_us=draw(u16), averages=draw(u16), gain=draw(u16), sample_bytes=draw(st.sampled_from([2, 3, 4])),
-        rows=rows, drives=draw(drives), rate_millihertz=draw(rate), idle_drives=idle or 0,
-        idle_rate_millihertz=draw(rate) if idle else 0,
+        rows=rows, drives=draw(drives), rate_mHz=draw(rate), idle_drives=idle or 0,
+        idle_rate_mHz=draw(rate) if idle else 0,
     )  # fmt: skip
 
 
@@ -44,8 +44,8 @@ def test_value_blob_and_toml_say_the_same(configuration):
 
 def test_every_field_changes_the_digest():
     for field, value in {"name": "other", "revision": 9, "frequency_hz": 1, "current_ua": 1, "settle_us": 1, "gain": 1,
-                         "averages": 1, "sample_bytes": 2, "rows": 208, "drives": 1, "rate_millihertz": 1,
-                         "idle_drives": 1, "idle_rate_millihertz": 1, "hardware_id": 1}.items():  # fmt: skip
+                         "averages": 1, "sample_bytes": 2, "rows": 208, "drives": 1, "rate_mHz": 1,
+                         "idle_drives": 1, "idle_rate_mHz": 1, "hardware_id": 1}.items():  # fmt: skip
         assert replace(PAPER, **{field: value}).digest != PAPER.digest
 
 
@@ -68,11 +68,11 @@ def test_the_paper_configuration_is_the_papers():
 def test_the_largest_rate_that_is_named_is_accepted_and_a_thousandth_more_is_not(sample_bytes, baud):
     quick = replace(PAPER, sample_bytes=sample_bytes, settle_us=20, averages=1, frequency_hz=100_000)
     with pytest.raises(ValueError, match="reaches at most") as caught:
-        replace(quick, rate_millihertz=4_000_000_000).check(baud / 10)
+        replace(quick, rate_mHz=4_000_000_000).check(baud / 10)
     largest = round(1000 * float(str(caught.value).split("at most ")[1].split()[0]))
-    replace(quick, rate_millihertz=largest).check(baud / 10)
+    replace(quick, rate_mHz=largest).check(baud / 10)
     with pytest.raises(ValueError, match="reaches at most"):
-        replace(quick, rate_millihertz=largest + 1).check(baud / 10)
+        replace(quick, rate_mHz=largest + 1).check(baud / 10)
 
 
 def test_the_line_or_the_front_end_is_named_as_what_limits():
@@ -81,9 +81,9 @@ def test_the_line_or_the_front_end_is_named_as_what_limits():
     ):
         PAPER.check(11_520)
     with pytest.raises(ValueError, match=r"rate_Hz is 210\.0, but the front end reaches at most 203"):
-        replace(PAPER, rate_millihertz=210_000).check()
+        replace(PAPER, rate_mHz=210_000).check()
     with pytest.raises(ValueError, match=r"idle rate_Hz is 5000\.0"):
-        replace(PAPER, idle_rate_millihertz=5_000_000).check(BAUD_921600)
+        replace(PAPER, idle_rate_mHz=5_000_000).check(BAUD_921600)
 
 
 def test_a_line_carries_what_arithmetic_says():
@@ -119,7 +119,7 @@ def test_what_the_electronics_cannot_do_is_refused_with_what_they_can(change, te
         ({"sample_bytes": 1}, "expected 16, 24 or 32"),
         ({"drives": 0}, "drives is 0, expected 1"),
         ({"drives": 0xC000}, "have no row in the table of 104"),
-        ({"rate_millihertz": 0}, "rate_millihertz is 0"),
+        ({"rate_mHz": 0}, "rate_mHz is 0"),
         ({"averages": 0}, "averages is 0, expected 1 to 65535"),
         ({"idle_drives": 0}, "needs drives and a rate, or neither"),
         ({"idle_drives": 0x8000}, "idle drives 0x8000 have no row"),
@@ -211,3 +211,10 @@ def test_the_blob_struct_and_the_field_list_agree():
 def test_drives_go_to_a_list_and_back():
     for mask in (1, 0x8000, 0xFFFF, 0x0111):
         assert drives_from_list(drives_to_list(mask)) == mask
+
+
+def test_json_keeps_the_names_of_fields_that_were_published() -> None:
+    found = PAPER.published()
+    assert (found["rate_millihertz"], found["idle_rate_millihertz"]) == (PAPER.rate_mHz, PAPER.idle_rate_mHz)
+    assert not {"rate_mHz", "idle_rate_mHz"} & set(found)
+    assert len(found) == len(fields(PAPER))

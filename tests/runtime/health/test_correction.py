@@ -5,7 +5,8 @@ import pytest
 
 from eitskin.errors import BundleError
 from eitskin.health.correction import INPUTS, NAMES, Correction, Layers
-from eitskin.health.imputation import Imputation, rows_of
+from eitskin.health.imputation import Imputation
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
 RANGE = np.array([0.01, 8.0])

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from eitskin.health.electrodes import HEALTHY, NEEDED, ElectrodeWatch
-from eitskin.health.imputation import Consistency, rows_of
+from eitskin.health.imputation import Consistency
 from eitskin.health.swapped_wires import rewiring
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 
 CAUSES = 0.1 * np.random.default_rng(11).standard_normal((6, N_ROWS))

@@ -7,8 +7,8 @@ from tests.runtime.health.test_electrodes import NOISE, REFERENCE, consistency, 
 from eitskin.health.drift import HOLD, Drift
 from eitskin.health.electrodes import WINDOW
 from eitskin.health.evidence import N_VOTES, PAIR_WRONG, Weigher
-from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import DRIFT_TOGETHER, MOST_TOGETHER, TOGETHER, Health
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 
 ALL = np.ones(16, dtype=np.bool_)

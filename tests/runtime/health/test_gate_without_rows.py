@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 
 from eitskin.health.gate_without_rows import BLOCKS, FALSE_ALARMS, GateWithoutRows
-from eitskin.health.imputation import Consistency, rows_of
+from eitskin.health.imputation import Consistency
 from eitskin.health.monitor import Health
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.gate import Gate
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
 QUIET = np.full(N_ROWS, 0.003)

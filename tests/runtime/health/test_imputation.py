@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from eitskin.errors import BundleError
-from eitskin.health.imputation import SHAPES, Consistency, Imputation, rows_of, without_rows
+from eitskin.health.imputation import SHAPES, Consistency, Imputation, without_rows
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
 RANGE = np.array([0.01, 8.0])

@@ -7,13 +7,13 @@ import pytest
 
 from eitskin.errors import BundleError
 from eitskin.health.electrodes import HEALTHY
-from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import health_of
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.engine import ProjectionEngine
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.wire.frames import Frame
 
 

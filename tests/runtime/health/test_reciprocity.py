@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 
 from eitskin.health.electrodes import HEALTHY, MOST_OUT
-from eitskin.health.imputation import rows_of
 from eitskin.health.monitor import MOST_TOGETHER, health_of
 from eitskin.health.reciprocity import NEEDED, Reciprocity, electrode_gaps, row_gaps
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_proto.wire.frames import Frame, FrameFlag
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from eitskin_sim.dataset.plan import Plan, make_plan
-from eitskin_sim.dataset.shards import free_sets, unit_sets
+from eitskin_sim.dataset.shards import freeform_sets, unit_sets
 from eitskin_sim.scene.family import BOUNDS, draw, paper_bend, paper_bends
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Sheet
@@ -62,7 +62,7 @@ def test_deformations_that_are_made_together_are_of_one_group_and_one_split() ->
 
 def test_a_touch_that_is_held_out_is_in_no_set_that_is_learned_from() -> None:
     plan = make_plan("free", 3, deformations=3, per_deformation=80, kept=1)
-    table, held = free_sets(plan), plan.validation()
+    table, held = freeform_sets(plan), plan.validation()
     assert len(table) == plan.touch_sets == len(held)
 
     def pieces(numbers: np.ndarray) -> set[bytes]:
@@ -103,7 +103,7 @@ def test_plans_of_one_seed_agree_and_of_two_differ(plan: Plan) -> None:
     assert again == plan
     assert again.digest == plan.digest != other.digest
     assert len(unit_sets(plan)) == 400
-    assert len(free_sets(make_plan("free", 5, deformations=1, per_deformation=12, kept=0))) == 12
+    assert len(freeform_sets(make_plan("free", 5, deformations=1, per_deformation=12, kept=0))) == 12
 
 
 def test_paper_family_is_the_published_phantoms_bends() -> None:

@@ -175,66 +175,6 @@ def test_lines_hold_every_fixed_position_and_halve_with_the_density() -> None:
     assert len(fine) == pytest.approx(2 * len(coarse), rel=0.1)
 
 
-def test_independent_triangles_give_the_same_voltages_with_edge_electrodes() -> None:
-    skfem = pytest.importorskip("skfem", reason="the independent solver comes with the extra 'dev'")
-    from skfem.models import poisson
-
-    scene = Scene(electrodes=Electrodes("edge"))
-    ends = np.array([12.5 + 31.25 * k for k in range(16)])[:, None] + [-2.0, 2.0]
-    corner = np.array([0.0, 150.0, 250.0, 400.0, 500.0])
-    side = np.searchsorted(corner, ends[:, 0], side="right") - 1
-    local = ends - corner[side][:, None]
-    start = [(0, 0), (150, 0), (150, 100), (0, 100)]
-    step = [(1, 0), (0, 1), (-1, 0), (0, -1)]
-    tips = np.array([np.add(start[s], np.outer(a, step[s])) for s, a in zip(side, local, strict=True)])  # (16, 2, 2)
-    flat = tips.reshape(-1, 2)
-    lines = [
-        np.unique(np.round(np.concatenate([np.linspace(0, n, n // 3 + 1), flat[:, i]]), 9))
-        for i, n in ((0, 150), (1, 100))
-    ]
-    mesh = skfem.MeshTri.init_tensor(*lines)
-    for _ in range(14):  # refine where elements are large for their distance from an electrode and from its ends
-        middle = mesh.p[:, mesh.t].mean(axis=1)
-        size = np.ptp(mesh.p[:, mesh.t], axis=1).max(axis=0)
-        low, high = tips.min(axis=1).T[:, :, None], tips.max(axis=1).T[:, :, None]
-        beside = np.maximum(np.maximum(low - middle[:, None], middle[:, None] - high), 0)
-        off = np.linalg.norm(beside, axis=0).min(axis=0)
-        tip = np.linalg.norm(middle[:, None] - flat.T[:, :, None], axis=0).min(axis=0)
-        coarse = (size > np.maximum(0.5 * tip, 0.02)) & (size > np.maximum(0.5 * off, 0.08))
-        if not coarse.any():
-            break
-        mesh = mesh.refined(np.flatnonzero(coarse))
-    basis = skfem.Basis(mesh, skfem.ElementTriP2())
-    stiffness = 2e-3 * poisson.laplace.assemble(basis)
-    loads = []
-    where = mesh.p[:, mesh.facets].mean(axis=1)
-    border = mesh.boundary_facets()
-    for one in tips:
-        low, high = one.min(axis=0)[:, None] - 1e-9, one.max(axis=0)[:, None] + 1e-9
-        on = border[np.all((where[:, border] >= low) & (where[:, border] <= high), axis=0)]
-        contact = skfem.FacetBasis(mesh, skfem.ElementTriP2(), facets=on)
-        density = 2e-3 / 1e-4 * 1e-3  # t / z per mm of border
-        stiffness = stiffness + density * poisson.mass.assemble(contact)
-        loads.append(density * poisson.unit_load.assemble(contact))
-    found = _solved(stiffness, np.array(loads))
-    # 8e-6 was measured; with lines 5 mm apart the triangles themselves are off by 4e-5.
-    np.testing.assert_allclose(solve_scene(scene).voltages, found, rtol=3e-5)
-
-
-def _solved(stiffness, loads: np.ndarray) -> np.ndarray:
-    from scipy.sparse import bmat
-    from scipy.sparse.linalg import splu
-
-    matrix = bmat([[stiffness, -loads[:-1].T], [-loads[:-1], np.diag(loads[:-1].sum(axis=1))]], format="csc")
-    n = stiffness.shape[0]
-    currents = np.zeros((n + 15, 15))
-    currents[n:] = np.eye(15)
-    impedance = np.zeros((16, 16))
-    impedance[:15, :15] = splu(matrix, permc_spec="MMD_AT_PLUS_A").solve(currents)[n:]
-    drives = impedance - np.roll(impedance, -1, axis=1)
-    return (drives - np.roll(drives, -1, axis=0)).T[TABLE[:, 0], TABLE[:, 1]]
-
-
 def test_factor_takes_any_blocks() -> None:
     system = factorise_scene(Scene(element_size_mm=6.0)).system
     ones = np.ones(len(system.contacts.element))

@@ -54,7 +54,7 @@ def touches(draw, discs: bool = True):
     for _ in range(draw(st.integers(0, 3))):
         x, y = draw(st.floats(0.0, 138.0)), draw(st.floats(0.0, 88.0))
         shape = Disc(x + 6.0, y + 6.0, 6.0) if discs and draw(st.booleans()) else Rect(x, y, x + 12.0, y + 12.0)
-        # Beyond 100 the kinks of an element that a disc cuts are dropped or kept by rounding (FLOOR): 1e-4 of V.
+        # Beyond 100 rounding decides whether FLOOR holds the enrichment of an element that a disc cuts: 1e-4 of V.
         found.append(Touch((shape,), draw(st.floats(1e-2, 1e2) if isinstance(shape, Disc) else conductivities)))
     return tuple(found)
 

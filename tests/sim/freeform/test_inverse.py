@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from eitskin_sim.freeform.inverse import make_lines
-from eitskin_sim.freeform.mesh import FreeMesh, free_mesh
-from eitskin_sim.freeform.sheet import free_sheet
+from eitskin_sim.freeform.mesh import SharedMesh, shared_mesh
+from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend
 
 SIZE_MM = 8.0
 BEND = Bend(angle_deg=60.0, axis_deg=15.0, stretch_along=1.05)
 
 
-def stiffness(grid: FreeMesh, blocks: np.ndarray) -> np.ndarray:
+def stiffness(grid: SharedMesh, blocks: np.ndarray) -> np.ndarray:
     total = np.zeros((len(grid.sharing) + 1,) * 2)  # the last row and column take what belongs to no unknown
     np.add.at(total, (grid.dofs[:, :, None], grid.dofs[:, None, :]), blocks)
     return total[:-1, :-1]
@@ -20,7 +20,7 @@ def stiffness(grid: FreeMesh, blocks: np.ndarray) -> np.ndarray:
 
 # Currents that add up to zero: what ties the potential to the ground then passes none, and differences are defined.
 def test_potentials_of_the_inverse_drive_the_currents_that_made_them() -> None:
-    grid, sheet = free_mesh(SIZE_MM), free_sheet(BEND, SIZE_MM)
+    grid, sheet = shared_mesh(SIZE_MM), inverted_sheet(BEND, SIZE_MM)
     currents = np.random.default_rng(0).normal(size=(len(grid.sharing), 5))
     currents -= currents.mean(axis=0)
     back = stiffness(grid, sheet.before) @ (sheet.inverse @ currents)
@@ -29,16 +29,16 @@ def test_potentials_of_the_inverse_drive_the_currents_that_made_them() -> None:
 
 
 def test_memory_that_was_used_before_changes_nothing() -> None:
-    used = free_sheet(Bend(), SIZE_MM).inverse
-    fresh = free_sheet(BEND, SIZE_MM)
-    again = free_sheet(BEND, SIZE_MM, into=used)
+    used = inverted_sheet(Bend(), SIZE_MM).inverse
+    fresh = inverted_sheet(BEND, SIZE_MM)
+    again = inverted_sheet(BEND, SIZE_MM, into=used)
     assert again.inverse is used
     assert np.array_equal(again.inverse, fresh.inverse)
 
 
 @pytest.mark.parametrize("size_mm", [1.9, 3.5, 8.0])
 def test_an_element_joins_neighbouring_lines_however_many_lie_under_a_contact(size_mm: float) -> None:
-    grid = free_mesh(size_mm)
+    grid = shared_mesh(size_mm)
     line = np.searchsorted(grid.lines.first, grid.dofs, side="right")
     low = np.where(grid.dofs >= 0, line, line.max()).min(axis=1)
     high = np.where(grid.dofs >= 0, line, 0).max(axis=1)

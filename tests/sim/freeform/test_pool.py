@@ -16,15 +16,15 @@ from eitskin_sim.freeform.draws import (
     phantom_maps,
 )
 from eitskin_sim.freeform.patterns import CLASSES, CONTRAST, LONGEST_MM, touch_pool
-from eitskin_sim.freeform.pool import FreePool, free_pool
-from eitskin_sim.freeform.sets import PartSets, families
+from eitskin_sim.freeform.pool import SetPool, set_pool
+from eitskin_sim.freeform.sets import PartSets, chains
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
-from eitskin_sim.scene.touch_table import FreeTouches, bounds, gather, shape_of
+from eitskin_sim.scene.touch_table import TouchTable, bounds, gather, shape_of
 
 
 @pytest.fixture(scope="module")
-def pool() -> FreePool:
-    return free_pool({4: (900, 90), 5: (900, 90)}, 1)
+def pool() -> SetPool:
+    return set_pool({4: (900, 90), 5: (900, 90)}, 1)
 
 
 def rectangle(x: float, y: float, length: float, width: float, angle: float = 0.0) -> list[float]:
@@ -78,7 +78,7 @@ def _outline(piece: np.ndarray) -> np.ndarray:
     return np.asarray(getattr(shape, "corners_mm", [(x0, y0), (x1, y0), (x1, y1), (x0, y1)]))
 
 
-def test_touches_of_a_pool_are_on_the_sheet_and_varied(pool: FreePool) -> None:
+def test_touches_of_a_pool_are_on_the_sheet_and_varied(pool: SetPool) -> None:
     pieces = pool.parts.pieces
     assert 0.15 < pieces[:, 0].mean() < 0.4
     assert np.all((pieces[:, 6] >= CONTRAST[0]) & (pieces[:, 6] <= CONTRAST[1]))
@@ -92,7 +92,7 @@ def test_touches_of_a_pool_are_on_the_sheet_and_varied(pool: FreePool) -> None:
     assert boxes[:, 2:] - boxes[:, :2] == pytest.approx(2 * half)
 
 
-def test_touches_of_a_set_keep_apart_and_fill_no_pixel_twice(pool: FreePool) -> None:
+def test_touches_of_a_set_keep_apart_and_fill_no_pixel_twice(pool: SetPool) -> None:
     sets = pool.sets[4]
     for number in range(0, 900, 11):
         own = [pool.parts.of(part) for part in sets.of(number)]
@@ -103,7 +103,7 @@ def test_touches_of_a_set_keep_apart_and_fill_no_pixel_twice(pool: FreePool) -> 
     assert pool.touches(sets).area_table().max() < 1.0 + 1e-6
 
 
-def test_counts_of_touches_are_those_asked_for_but_for_full_sheets(pool: FreePool) -> None:
+def test_counts_of_touches_are_those_asked_for_but_for_full_sheets(pool: SetPool) -> None:
     count = np.diff(pool.sets[4].first)
     share = np.bincount(count, minlength=9) / len(count)
     assert share[0] == pytest.approx(COUNTS[0], abs=0.02)
@@ -111,19 +111,19 @@ def test_counts_of_touches_are_those_asked_for_but_for_full_sheets(pool: FreePoo
     assert share[5:].sum() > 0.1
 
 
-# Each set of a family is the one before and a touch more: what makes a factor serve several sets.
-def test_sets_come_in_families_that_begin_with_touches_in_turn(pool: FreePool) -> None:
+# Each set of a chain is the one before and a touch more: what makes a factor serve several sets.
+def test_sets_come_in_families_that_begin_with_touches_in_turn(pool: SetPool) -> None:
     sets = pool.sets[4]
     own = [sets.of(number).tolist() for number in range(900)]
-    lengths = [[len(own[number]) for number in family] for family in families(sets)]
-    assert sum(len(family) for family in lengths) == 900
+    lengths = [[len(own[number]) for number in chain] for chain in chains(sets)]
+    assert sum(len(chain) for chain in lengths) == 900
     assert all(row == sorted(row) for row in lengths)
     assert 900 / len(lengths) > 2.0
     singles = [touches[0] for touches in own[:810] if len(touches) == 1]
-    assert max(np.bincount(singles)) <= 4  # 235 families begin with 162 touches in turn, a few are drawn again
+    assert max(np.bincount(singles)) <= 4  # 235 chains begin with 162 touches in turn, a few are drawn again
 
 
-def test_in_half_of_the_sets_all_touches_have_one_conductivity(pool: FreePool) -> None:
+def test_in_half_of_the_sets_all_touches_have_one_conductivity(pool: SetPool) -> None:
     sigma = pool.parts.pieces[pool.parts.first[:-1], 6]
     sets = [sigma[pool.sets[5].of(number)] for number in range(900)]
     one = [len(set(own.tolist())) == 1 for own in sets if len(own) >= 3]
@@ -133,7 +133,7 @@ def test_in_half_of_the_sets_all_touches_have_one_conductivity(pool: FreePool) -
 @pytest.mark.parametrize("near", [0.0, CLUSTERED, 0.8])
 def test_as_many_pairs_as_asked_for_lie_near_to_each_other(near: float) -> None:
     """Near: nearer than all but a fifth of the pairs of touches that may stand together at all."""
-    pool = free_pool({4: (900, 90), 5: (900, 90)}, 1, near)
+    pool = set_pool({4: (900, 90), 5: (900, 90)}, 1, near)
     middle = middles_mm(pool.parts)
     barred = near_table(pool.parts)[:-1, :-1]
     one, other = np.triu_indices(len(middle), 1)
@@ -151,7 +151,7 @@ def test_as_many_pairs_as_asked_for_lie_near_to_each_other(near: float) -> None:
     assert abs(share - expected) < 4 * np.sqrt(expected * (1 - expected) / len(first)) + 0.06
 
 
-def test_no_touch_of_a_set_held_out_is_ever_learned_from(pool: FreePool) -> None:
+def test_no_touch_of_a_set_held_out_is_ever_learned_from(pool: SetPool) -> None:
     learned = {int(part) for sets in pool.sets.values() for n in range(810) for part in sets.of(n)}
     held = {int(part) for sets in pool.sets.values() for n in range(810, 900) for part in sets.of(n)}
     assert learned
@@ -159,7 +159,7 @@ def test_no_touch_of_a_set_held_out_is_ever_learned_from(pool: FreePool) -> None
     assert not learned & held
 
 
-def test_every_deformation_has_sets_of_its_own(pool: FreePool) -> None:
+def test_every_deformation_has_sets_of_its_own(pool: SetPool) -> None:
     seen = [{tuple(sorted(sets.of(n).tolist())) for n in range(900)} for sets in pool.sets.values()]
     several = [{own for own in sets if len(own) > 2} for sets in seen]
     assert len(several[0]) > 300
@@ -167,8 +167,8 @@ def test_every_deformation_has_sets_of_its_own(pool: FreePool) -> None:
     assert len(several[0] & several[1]) < 0.15 * len(several[0])
 
 
-def test_a_pool_depends_on_its_seed_and_deformations_alone(pool: FreePool) -> None:
-    small = [free_pool({4: (30, 3), 5: (30, 3)}, seed) for seed in (1, 1, 2)]
+def test_a_pool_depends_on_its_seed_and_deformations_alone(pool: SetPool) -> None:
+    small = [set_pool({4: (30, 3), 5: (30, 3)}, seed) for seed in (1, 1, 2)]
     assert np.array_equal(small[0].parts.pieces, small[1].parts.pieces)
     assert np.array_equal(small[0].sets[5].member, small[1].sets[5].member)
     assert not np.array_equal(small[0].parts.pieces, small[2].parts.pieces)
@@ -179,7 +179,7 @@ def test_a_pool_depends_on_its_seed_and_deformations_alone(pool: FreePool) -> No
 def test_no_phantom_passes_not_even_slightly_moved(monkeypatch: pytest.MonkeyPatch) -> None:
     moved = touch_pool(64, np.random.default_rng(5))
     pieces = np.concatenate([np.array([rectangle(75.2, 50.1, 60.0, 10.0)]), moved.pieces])
-    with_phantom = FreeTouches(pieces, np.concatenate([[0], moved.first + 1]))
+    with_phantom = TouchTable(pieces, np.concatenate([[0], moved.first + 1]))
     bar = Bar(with_phantom)
     alone = np.full((len(with_phantom), 8), -1)
     alone[:, 0] = np.arange(len(with_phantom))
@@ -191,7 +191,7 @@ def test_no_phantom_passes_not_even_slightly_moved(monkeypatch: pytest.MonkeyPat
     assert 0 not in sets.member
 
 
-def test_no_set_of_a_pool_correlates_with_a_phantom(pool: FreePool) -> None:
+def test_no_set_of_a_pool_correlates_with_a_phantom(pool: SetPool) -> None:
     maps = pool.touches(pool.sets[4]).area_table().toarray()
     maps -= maps.mean(axis=1, keepdims=True)
     length = np.linalg.norm(maps, axis=1)
@@ -202,6 +202,6 @@ def test_no_set_of_a_pool_correlates_with_a_phantom(pool: FreePool) -> None:
 
 def test_a_set_as_a_table_has_the_pieces_of_its_parts() -> None:
     parts = gather([np.array([rectangle(10, 10, 5, 5)]), np.array([disc(40, 40, 6), disc(60, 40, 6)])])
-    table = FreePool(parts, {}).touches(PartSets(np.array([1, 0, 1]), np.array([0, 2, 2, 3])))
+    table = SetPool(parts, {}).touches(PartSets(np.array([1, 0, 1]), np.array([0, 2, 2, 3])))
     assert np.diff(table.first).tolist() == [3, 0, 2]
     assert np.array_equal(table.of(0), np.concatenate([parts.of(1), parts.of(0)]))

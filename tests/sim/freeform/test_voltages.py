@@ -7,24 +7,24 @@ from eitskin_proto.sensor.grid import PITCH_MM
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform import parts
-from eitskin_sim.freeform.pool import free_pool
-from eitskin_sim.freeform.sheet import FreeSheet, free_sheet, sheet_blocks
-from eitskin_sim.freeform.voltages import free_responses, free_voltages
+from eitskin_sim.freeform.pool import set_pool
+from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
+from eitskin_sim.freeform.voltages import set_responses, set_voltages
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
-from eitskin_sim.scene.touch_table import FreeTouches, cover, gather
+from eitskin_sim.scene.touch_table import TouchTable, cover, gather
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 
 
 @pytest.fixture(scope="module")
-def sheet() -> FreeSheet:
-    return free_sheet(BEND)
+def sheet() -> InvertedSheet:
+    return inverted_sheet(BEND)
 
 
 @pytest.fixture(scope="module")
-def touches() -> FreeTouches:
-    pool = free_pool({0: (150, 0)}, 0)
+def touches() -> TouchTable:
+    pool = set_pool({0: (150, 0)}, 0)
     return pool.touches(pool.sets[0])
 
 
@@ -32,16 +32,16 @@ def rectangle(x: float, y: float, length: float, width: float, angle: float = 0.
     return [0.0, x, y, length, width, angle, sigma]
 
 
-def change(sheet: FreeSheet, *pieces: list[float]) -> np.ndarray:
-    voltages = free_voltages([sheet], gather([np.array(pieces).reshape(-1, 7)]))[0, 0]
+def change(sheet: InvertedSheet, *pieces: list[float]) -> np.ndarray:
+    voltages = set_voltages([sheet], gather([np.array(pieces).reshape(-1, 7)]))[0, 0]
     return np.asarray(voltages / sheet.untouched_V - 1.0)
 
 
 # The promise is 1e-8; both ways round at 1e-9 or less on the weakest rows.
-def test_voltages_are_those_of_one_factorisation_a_sample(sheet: FreeSheet, touches: FreeTouches) -> None:
+def test_voltages_are_those_of_one_factorisation_a_sample(sheet: InvertedSheet, touches: TouchTable) -> None:
     pick = [number for number in range(150) if len(touches.of(number)) in (1, 2, 4, 8)][:10]
     some = gather([touches.of(number) for number in pick])
-    fast = free_voltages([sheet], some)[0]
+    fast = set_voltages([sheet], some)[0]
     for row, number in zip(fast, range(len(pick)), strict=True):
         naive = Factor(sheet.system, *sheet_blocks(sheet, some, number)).voltages()
         assert row == pytest.approx(naive, rel=1e-8)
@@ -50,31 +50,31 @@ def test_voltages_are_those_of_one_factorisation_a_sample(sheet: FreeSheet, touc
 
 def test_a_touch_under_a_contact_and_one_over_the_whole_sheet_are_exact_too() -> None:
     some = gather([np.array([rectangle(12.0, 5.0, 20.0, 9.0)]), np.array([rectangle(75.0, 50.0, 150.0, 100.0)])])
-    sheet = free_sheet(BEND, 8.0)
-    for number, row in enumerate(free_voltages([sheet], some, 8.0)[0]):
+    sheet = inverted_sheet(BEND, 8.0)
+    for number, row in enumerate(set_voltages([sheet], some, 8.0)[0]):
         naive = Factor(sheet.system, *sheet_blocks(sheet, some, number)).voltages()
         assert row == pytest.approx(naive, rel=1e-8)
 
 
 def test_deformations_share_batches_without_mixing(
-    sheet: FreeSheet, touches: FreeTouches, monkeypatch: pytest.MonkeyPatch
+    sheet: InvertedSheet, touches: TouchTable, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(parts, "BATCH", 4)
-    flat = free_sheet(Bend())
+    flat = inverted_sheet(Bend())
     some = gather([touches.of(number) for number in range(10)])
-    both = free_voltages([sheet, flat], some)
-    assert both[0] == pytest.approx(free_voltages([sheet], some)[0], rel=1e-12)
-    assert both[1] == pytest.approx(free_voltages([flat], some)[0], rel=1e-12)
+    both = set_voltages([sheet, flat], some)
+    assert both[0] == pytest.approx(set_voltages([sheet], some)[0], rel=1e-12)
+    assert both[1] == pytest.approx(set_voltages([flat], some)[0], rel=1e-12)
     assert np.abs(both[0] / both[1] - 1.0).max() > 0.01
 
 
-def test_no_touch_leaves_the_sheet_untouched(sheet: FreeSheet) -> None:
+def test_no_touch_leaves_the_sheet_untouched(sheet: InvertedSheet) -> None:
     assert np.abs(change(sheet)).max() == 0.0
     assert sheet.untouched_V == pytest.approx(sheet.system.factorise().voltages(), rel=1e-9)
 
 
 @pytest.mark.parametrize(("x", "y"), [(71.3, 52.1), (33.9, 27.4), (104.6, 71.7)])
-def test_a_touch_keeps_its_size_within_a_quarter_of_a_millimetre(sheet: FreeSheet, x: float, y: float) -> None:
+def test_a_touch_keeps_its_size_within_a_quarter_of_a_millimetre(sheet: InvertedSheet, x: float, y: float) -> None:
     touch = Touch((Rect(x - 5.0, y - 5.0, x + 5.0, y + 5.0),))
     touched, untouched = (
         solve_scene(Scene(bend=BEND, touches=touches, element_size_mm=2.0)).voltages for touches in ((touch,), ())
@@ -89,7 +89,7 @@ def test_a_touch_keeps_its_size_within_a_quarter_of_a_millimetre(sheet: FreeShee
 
 
 # The seam lies inside elements, where halves are integrated apart: their points differ by a thousandth of the touch.
-def test_a_seam_between_two_pieces_does_not_show(sheet: FreeSheet) -> None:
+def test_a_seam_between_two_pieces_does_not_show(sheet: InvertedSheet) -> None:
     whole = change(sheet, rectangle(60.7, 41.3, 18.0, 12.0))
     halves = change(sheet, rectangle(56.2, 41.3, 9.0, 12.0), rectangle(65.2, 41.3, 9.0, 12.0))
     assert np.linalg.norm(halves - whole) < 0.01 * np.linalg.norm(whole)
@@ -97,7 +97,7 @@ def test_a_seam_between_two_pieces_does_not_show(sheet: FreeSheet) -> None:
     assert np.linalg.norm(gap - whole) > 0.05 * np.linalg.norm(whole)
 
 
-def test_labels_add_up_to_the_touched_area(touches: FreeTouches) -> None:
+def test_labels_add_up_to_the_touched_area(touches: TouchTable) -> None:
     for number in range(60):
         area = sum(shape.area_mm2 for touch in touches.touches(number) for shape in touch.shapes)
         assert touches.areas(number).sum() * PITCH_MM**2 == pytest.approx(area, rel=2e-3, abs=0.05)
@@ -122,7 +122,7 @@ def test_turning_a_rectangle_by_90_degrees_swaps_its_sides() -> None:
         assert np.abs(found - expected).max() < 0.02  # strips of 0.1 mm against exact
 
 
-def test_a_sparse_table_of_areas_is_what_sets_have_one_by_one(touches: FreeTouches) -> None:
+def test_a_sparse_table_of_areas_is_what_sets_have_one_by_one(touches: TouchTable) -> None:
     table = np.minimum(touches.area_table().toarray(), 1.0)
     for number in range(0, 150, 7):
         assert table[number] == pytest.approx(touches.areas(number).ravel(), abs=1e-12)
@@ -131,13 +131,13 @@ def test_a_sparse_table_of_areas_is_what_sets_have_one_by_one(touches: FreeTouch
 
 
 # Energy can only fall when a part of the sheet conducts better: so must every resistance between electrodes.
-def test_resistances_fall_when_a_touch_conducts_better(sheet: FreeSheet, touches: FreeTouches) -> None:
+def test_resistances_fall_when_a_touch_conducts_better(sheet: InvertedSheet, touches: TouchTable) -> None:
     some = touches.chosen(np.arange(40))
     lines = np.eye(16) - np.roll(np.eye(16), 5, axis=0)
     before = np.full((len(some), 16), np.inf)
     for factor in (1.0 / 20.0, 0.5, 1.0, 3.0):
         pieces = some.pieces * [1.0, 1.0, 1.0, 1.0, 1.0, 1.0, factor]
-        response = free_responses([sheet], FreeTouches(pieces, some.first))[0]
+        response = set_responses([sheet], TouchTable(pieces, some.first))[0]
         resistance = np.einsum("ed,nef,fd->nd", lines, response, lines)
         assert resistance.min() > 0.0
         assert (resistance - before).max() < 1e-12 * resistance.max()
@@ -145,7 +145,7 @@ def test_resistances_fall_when_a_touch_conducts_better(sheet: FreeSheet, touches
     assert (before < 0.999 * np.einsum("ed,ef,fd->d", lines, sheet.at_terminals, lines)).any()
 
 
-def test_every_voltage_keeps_its_sign(sheet: FreeSheet, touches: FreeTouches) -> None:
-    ratio = free_voltages([sheet], touches)[0] / sheet.untouched_V
+def test_every_voltage_keeps_its_sign(sheet: InvertedSheet, touches: TouchTable) -> None:
+    ratio = set_voltages([sheet], touches)[0] / sheet.untouched_V
     assert ratio.min() > 0.0
     assert ratio.max() < 6.0

@@ -5,10 +5,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 from eitskin_sim.fem.forward import Factor, System, assemble
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.measurement.consistency import rows_of
 from eitskin_sim.measurement.faults import CONTACT_OHM, Detached, Noisy, Shorted, Swapped, measure, response_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.measurement.consistency import rows_of
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_sim.solvers.downdate import Precomputed, precompute
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import Operators, build_operators

@@ -5,14 +5,15 @@ import pytest
 
 from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.sensor.log_prediction import RATIO_FLOOR
 from eitskin_sim.dataset import prediction_cache
 from eitskin_sim.dataset.reader import DataSet
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import metric, surface
 from eitskin_sim.scene.scene import Bend, Scene, Sheet
-from eitskin_sim.scene.touch_table import FreeTouches
-from eitskin_sim.surface.measured_cloud import scanned_cloud
-from eitskin_sim.surface.predict import RATIO_FLOOR, fit_cloud, flat_voltages, predict, predicted_log
+from eitskin_sim.scene.touch_table import TouchTable
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud, flat_voltages, predict, predicted_log
 
 EVEN = Bend(angle_deg=120, axis_deg=20, skew=0.4, stretch_along=1.12, stretch_across=0.97)
 UNEVEN = Bend(angle_deg=120, axis_deg=20, skew=0.4, stretch_along=1.12, stretch_across=0.97, nonuniformity=0.1)
@@ -20,7 +21,7 @@ UNEVEN = Bend(angle_deg=120, axis_deg=20, skew=0.4, stretch_along=1.12, stretch_
 
 def error(bend, rng=None):
     truth = solve_scene(Scene(bend=bend, element_size_mm=2.5)).voltages
-    return float(np.sqrt(np.mean((predict(scanned_cloud(bend, rng)) / truth - 1) ** 2)))
+    return float(np.sqrt(np.mean((predict(measured_cloud(bend, rng)) / truth - 1) ** 2)))
 
 
 def test_flat_cloud_predicts_the_flat_voltages():
@@ -41,7 +42,7 @@ def test_uneven_stretch_is_invisible_in_a_scan_and_costs_several_hundredths():
 
 
 def test_any_pose_gives_the_same_prediction():
-    cloud = scanned_cloud(EVEN).astype(np.float64)
+    cloud = measured_cloud(EVEN).astype(np.float64)
     turn = np.linalg.qr(np.random.default_rng(2).standard_normal((3, 3)))[0]
     turn *= np.sign(np.linalg.det(turn))
     moved = np.einsum("ij,jrc->irc", turn, cloud) + 40.0
@@ -64,7 +65,7 @@ def test_malformed_cloud_is_refused(cloud):
 
 
 def test_logarithm_of_the_prediction_is_zero_when_flat_and_follows_the_true_untouched_sheet():
-    found = predicted_log([flat_cloud(), scanned_cloud(EVEN)])
+    found = predicted_log([flat_cloud(), measured_cloud(EVEN)])
     true, flat = (solve_scene(Scene(bend=bend, element_size_mm=2.5)).voltages for bend in (EVEN, Bend()))
     assert found.shape == (2, 104)
     assert found.dtype == np.float32
@@ -76,7 +77,7 @@ def test_logarithm_of_the_prediction_is_zero_when_flat_and_follows_the_true_unto
 
 
 def a_data_set(digest):
-    clouds = np.stack([scanned_cloud(bend) for bend in (Bend(), EVEN)])
+    clouds = np.stack([measured_cloud(bend) for bend in (Bend(), EVEN)])
     none = np.zeros(0)
     return DataSet(
         set_name="free",
@@ -92,7 +93,7 @@ def a_data_set(digest):
         touch_set=none,
         touch_split=none,
         units=none,
-        free=FreeTouches(np.empty((0, 7)), np.zeros(1, dtype=np.int64)),
+        free=TouchTable(np.empty((0, 7)), np.zeros(1, dtype=np.int64)),
     )
 
 

@@ -9,10 +9,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.health.imputation import Consistency, Imputation, rows_of
+from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
 from eitskin_export.projection import flat_projection
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.solvers.operators import build_operators

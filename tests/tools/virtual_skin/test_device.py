@@ -96,7 +96,7 @@ def test_idle_mode_scans_the_subset_at_its_own_rate(host: Any) -> None:
     idle = host.ask(m.HelloRequest(3))
     assert idle.flags & HelloFlag.IDLE
     assert (idle.rate_mHz, idle.rows) == (before.rate_mHz, 104), "they are the active mode's"
-    assert host.device.rate_mHz == host.device.store.configuration.idle_rate_millihertz < before.rate_mHz
+    assert host.device.rate_mHz == host.device.store.configuration.idle_rate_mHz < before.rate_mHz
     host.ask(m.Start(4))
     frame = host.sweep()
     assert frame.flags & FrameFlag.IDLE

@@ -10,9 +10,10 @@ from torch import nn
 from eitskin_proto.sensor.grid import QUARTER_SHAPE
 from eitskin_training.ablations import VARIANTS, variant_recipe
 from eitskin_training.network import images
+from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import IMAGES, ImageLinear, ImageNorm, Quarters
 from eitskin_training.network.mirror import MIRRORS
-from eitskin_training.network.model import VD2T, Architecture
+from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
 
 SMALL = Architecture(

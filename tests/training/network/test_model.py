@@ -4,7 +4,8 @@ import torch
 
 from eitskin_proto.sensor.grid import N_UNITS, map_from_units
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_training.network.model import RATIO_FLOOR, VD2T, Architecture, features
+from eitskin_training.network.architecture import Architecture
+from eitskin_training.network.model import MEASURED_FLOOR, VD2T, features
 from eitskin_training.recipes import RECIPES, Recipe, recipe
 
 
@@ -63,8 +64,8 @@ def test_logarithms_are_clamped_where_a_row_has_fallen_to_nothing() -> None:
     out = features(dv, Architecture(log_predicted=True), torch.ones(1, N_ROWS))
     assert out.shape == (1, 3 * N_ROWS)
     assert torch.isfinite(out).all()
-    torch.testing.assert_close(out[0, N_ROWS], torch.tensor(float(np.log(RATIO_FLOOR))))
-    torch.testing.assert_close(out[0, -1], torch.tensor(float(np.log(RATIO_FLOOR)) - 1.0))
+    torch.testing.assert_close(out[0, N_ROWS], torch.tensor(float(np.log(MEASURED_FLOOR))))
+    torch.testing.assert_close(out[0, -1], torch.tensor(float(np.log(MEASURED_FLOOR)) - 1.0))
 
 
 def test_no_prediction_is_the_prediction_of_the_flat_sheet() -> None:

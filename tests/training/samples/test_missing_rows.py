@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_sim.measurement.consistency import Filler, fit, rows_of
+from eitskin_proto.sensor.row_gaussian import rows_of
+from eitskin_sim.measurement.consistency import Filler, fit
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import batches, consistency_of
 from eitskin_training.samples.missing_rows import lose_electrodes

@@ -12,7 +12,7 @@ import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import Final
 
 from eitskin.acquisition.transport import Transport
@@ -78,8 +78,8 @@ def show(exchange: Exchange) -> Shown:
 
 def differences(old: Configuration, new: Configuration) -> list[tuple[str, object, object]]:
     """Return (field, old, new) of every field that differs."""
-    pairs = [(field.name, getattr(old, field.name), getattr(new, field.name)) for field in fields(Configuration)]
-    return [(name, a, b) for name, a, b in pairs if a != b]
+    before, after = old.published(), new.published()
+    return [(name, before[name], after[name]) for name in before if before[name] != after[name]]
 
 
 def check(hello: messages.Hello, configuration: Configuration, host_bytes_per_s: int = 0) -> None:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.scene import Scene, load_scene
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_tools.scripted_scene import choreography, keyframes
 from eitskin_tools.scripted_scene.keyframes import Keyframes, Moment
 
@@ -58,7 +58,7 @@ class Script:
             time_s: Since the start.
             rng: Source of the scanner's noise; None for a perfect scanner.
         """
-        return np.asarray(scanned_cloud(self.scene_at(time_s).bend, rng), dtype=np.float64)
+        return np.asarray(measured_cloud(self.scene_at(time_s).bend, rng), dtype=np.float64)
 
     def moments(self, until_s: float, step_s: float = keyframes.STEP_S) -> list[Moment]:
         """Return the keyframes to solve so that times up to ``until_s`` can be interpolated."""

@@ -82,7 +82,7 @@ class VirtualDevice:
         configuration = self.store.configuration
         self._drives = configuration.idle_drives if self._idle else configuration.drives
         self.scan_ns = configuration.scan_us(self._drives) * 1000
-        self.rate_mHz = configuration.idle_rate_millihertz if self._idle else configuration.rate_millihertz
+        self.rate_mHz = configuration.idle_rate_mHz if self._idle else configuration.rate_mHz
         self._rows = table_rows(configuration.full, self._drives)
         self.volts_per_count = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)
 
@@ -181,7 +181,7 @@ class VirtualDevice:
             configuration_digest=configuration.digest,
             generation=store.generation,
             configuration_name=configuration.name,
-            rate_mHz=configuration.rate_millihertz,
+            rate_mHz=configuration.rate_mHz,
             rows=row_count(configuration.full, configuration.drives),
             sample_bytes=configuration.sample_bytes,
             volts_per_count=self.volts_per_count,

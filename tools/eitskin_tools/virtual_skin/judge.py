@@ -26,7 +26,7 @@ def judge(blob: bytes) -> Code:
     try:
         found.check()
     except ValueError:
-        modes = [(found.drives, found.rate_millihertz), (found.idle_drives, found.idle_rate_millihertz)]
+        modes = [(found.drives, found.rate_mHz), (found.idle_drives, found.idle_rate_mHz)]
         slow = any(drives and rate * found.scan_us(drives) > 10**9 for drives, rate in modes)
         return Code.RATE_TOO_HIGH if slow and _values_fit(found) else Code.INVALID_CONFIGURATION
     return Code.OK

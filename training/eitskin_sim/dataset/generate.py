@@ -5,7 +5,6 @@ keeps the shards that are there and makes the rest; with another plan it refuses
 place and renamed.
 """
 
-import hashlib
 import io
 import json
 import multiprocessing
@@ -19,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_sim.dataset.cluster import Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import FORMAT, HINT, VERSION
@@ -160,7 +159,7 @@ def _write(path: Path, content: bytes) -> None:
 
 def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[str, Any]:
     def entry(name: str) -> dict[str, Any]:
-        return {"file": name, "sha256": hashlib.sha256((out / name).read_bytes()).hexdigest()}
+        return {"file": name, "sha256": sha256_of((out / name).read_bytes())}
 
     touches = entry("touches.npz")
     content = plan.to_json()
@@ -181,7 +180,7 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
         "samples": sum(counts),
         "touch_sets": plan.touch_sets,
         "made_again_by": HINT,
-        "digest": hashlib.sha256(whole.encode()).hexdigest()[:16],
+        "digest": id_of(whole.encode()),
         "touches": touches,
         "deformations": deformations,
     }

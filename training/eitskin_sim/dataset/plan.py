@@ -13,14 +13,13 @@ kept apart is never trained on. (A random split of samples leaks: a third of its
     other (B)                           -          tests
 """
 
-import hashlib
-import json
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.ids import id_of_values
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.scene.parts import Bend
@@ -103,7 +102,7 @@ class Plan:
     @property
     def digest(self) -> str:
         """Return 16 hex digits that stand for the plan."""
-        return hashlib.sha256(json.dumps(self.to_json(), sort_keys=True).encode()).hexdigest()[:16]
+        return id_of_values(self.to_json())
 
     def held_out(self, deformation: int) -> int:
         """Return how many free touch sets of a deformation are held out: its last ones, or all."""

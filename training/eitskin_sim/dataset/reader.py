@@ -9,14 +9,13 @@ A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.np
                         anywhere          pieces (P, 7) float64 and first (T + 1,) int64   (scene.touch_table)
                         and               validation (T,) bool, reference (104,) float64 V, flat and untouched
     deformation-0000.npz  touch_set (n,) int32, voltages (n, 104) float32 V at 1 A, free of noise;
-                        untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as scanned, in the agreed pose
+                        untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as measured, in the agreed pose
 
 A sample takes 420 bytes; 1350 labels as float32 would take 5,400. Labels are made from the touch set, noise is added
 when a batch is made. ``index.json`` is written last: a folder without it is unfinished, and 'eitskin dataset' goes on
 with it.
 """
 
-import hashlib
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,10 +26,10 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, ProtocolError
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
 from eitskin_sim.dataset.plan import SetName
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import FreeTouches
+from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import unpack
 
 FORMAT: Final = "eitskin-dataset"
@@ -51,7 +50,7 @@ class DataSet:
     untouched_V: npt.NDArray[np.float64]
     """(D, 104)"""
     clouds: npt.NDArray[np.float32]
-    """(D, 3, 30, 45) mm, as scanned, in the agreed pose."""
+    """(D, 3, 30, 45) mm, as measured, in the agreed pose."""
     bends: tuple[Bend, ...]
     deformation_split: tuple[str, ...]
     """(D,) "train", "kept" (family A) or "other" (family B)."""
@@ -65,7 +64,7 @@ class DataSet:
     """(T,) True for a touch set that is held out."""
     units: npt.NDArray[np.bool_]
     """(T, 126) touched units; (0, 126) for touches anywhere."""
-    free: FreeTouches
+    free: TouchTable
     """Touches anywhere; empty on the unit grid."""
 
     @property
@@ -132,7 +131,7 @@ def load(path: str | Path) -> DataSet:
         touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
         touch_split=touches["validation"],
         units=np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(unit_bits),
-        free=FreeTouches(pieces, touches.get("first", np.zeros(1, dtype=np.int64))),
+        free=TouchTable(pieces, touches.get("first", np.zeros(1, dtype=np.int64))),
     )
 
 
@@ -156,7 +155,7 @@ def read_index(folder: Path) -> dict[str, Any]:
 def _read(folder: Path, entry: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
     path = folder / entry["file"]
     content = path.read_bytes()
-    found = hashlib.sha256(content).hexdigest()
+    found = sha256_of(content)
     if found != entry["sha256"]:
         raise MismatchError(f"{path}: sha256", found=found[:16], expected=entry["sha256"][:16], hint=HINT)
     with np.load(path, allow_pickle=False) as arrays:

@@ -1,6 +1,6 @@
 """Makes the shards of a data set: one deformation each or a few, the same bits whoever makes them.
 
-Everything follows from the plan: the touch sets, the bend, the noise of the scan. A worker process computes with one
+Everything follows from the plan: the touch sets, the bend, the noise of the cloud. A worker process computes with one
 BLAS thread, because the order of a threaded sum changes the last bits.
 """
 
@@ -15,14 +15,14 @@ import numpy.typing as npt
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.freeform.mesh import free_mesh
+from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
-from eitskin_sim.freeform.pool import FreePool, free_pool
-from eitskin_sim.freeform.sheet import free_sheet
+from eitskin_sim.freeform.pool import SetPool, set_pool
+from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import pool_voltages
 from eitskin_sim.scene.parts import Bend, Scene
-from eitskin_sim.scene.touch_table import FreeTouches
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.scene.touch_table import TouchTable
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.unit_grid.patterns import Bits, pack, paper_touch_sets, rich_touch_sets
 from eitskin_sim.unit_grid.units import UnitGenerator
 
@@ -40,23 +40,23 @@ def _unit_sets(set_name: str, count: int, seed: int) -> Bits:
     return paper_touch_sets(seed)[:count] if set_name == "paper" else rich_touch_sets(count, seed)
 
 
-def free_sets(plan: Plan) -> FreeTouches:
+def freeform_sets(plan: Plan) -> TouchTable:
     """Return the touch sets of a plan whose touches are anywhere, deformation after deformation."""
-    found: dict[int, FreeTouches] = {}
+    found: dict[int, TouchTable] = {}
     for shard in plan.shards():
         pool = _pool(shard_job(plan, shard))
         found.update((number, pool.touches(sets)) for number, sets in pool.sets.items())
     tables = [found[number] for number in range(len(plan.bends))]
     counts = np.concatenate([np.diff(table.first) for table in tables])
     first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
-    return FreeTouches(np.concatenate([table.pieces for table in tables]), first)
+    return TouchTable(np.concatenate([table.pieces for table in tables]), first)
 
 
 def touches_file(plan: Plan) -> Arrays:
     """Return what ``touches.npz`` holds."""
     common: Arrays = {"validation": plan.validation(), "reference": reference()}
     if plan.set_name == "free":
-        sets = free_sets(plan)
+        sets = freeform_sets(plan)
         return {**common, "pieces": sets.pieces, "first": sets.first}
     return {**common, "units": pack(unit_sets(plan))}
 
@@ -104,7 +104,7 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
                 "touch_set": shown,
                 "voltages": (voltages * (fine / coarse)).astype(np.float32),
                 "untouched": fine,
-                "cloud": scanned_cloud(bend, noise),
+                "cloud": measured_cloud(bend, noise),
             }
         )
     return found
@@ -121,16 +121,16 @@ def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
         yield generator.voltages(sets[shown]), generator.untouched_V
 
 
-def _pool(job: dict[str, Any]) -> FreePool:
+def _pool(job: dict[str, Any]) -> SetPool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return free_pool(job["pool"], job["seed"], job["near"])
+    return set_pool(job["pool"], job["seed"], job["near"])
 
 
 def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
-    pool, grid = _pool(job), free_mesh()
+    pool, grid = _pool(job), shared_mesh()
     batches = geometry(pool.parts, grid)
     used = None
     for number, bend in zip(job["deformations"], bends, strict=True):
-        sheet = free_sheet(bend, into=used)
+        sheet = inverted_sheet(bend, into=used)
         yield pool_voltages(sheet, grid, pool, batches, number), sheet.untouched_V
         used = sheet.inverse

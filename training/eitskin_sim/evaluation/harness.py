@@ -1,4 +1,4 @@
-"""The harness: phantom file -> data on an independent finer mesh -> noise -> scan -> solver -> metrics.
+"""The harness: phantom file -> data on an independent finer mesh -> noise -> cloud -> solver -> metrics.
 
 Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
 scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
@@ -37,7 +37,7 @@ from eitskin_sim.solvers.operators import (
 )
 from eitskin_sim.solvers.sbl import sbl_image
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages, predict
 
 Array = npt.NDArray[np.float64]
@@ -52,13 +52,13 @@ DATA_MM: Final = 1.2
 """Element size of the data: finer than the 1.5 mm of training and the 4.5 mm of the solvers' operators."""
 
 SCAN_SEED: Final = 20_000
-"""The scan's noise has its own seeds, apart from those of the voltages."""
+"""The cloud's noise has its own seeds, apart from those of the voltages."""
 
 SHIFT_SEED: Final = 21_000
 """Shifts of touches too: the same draw whatever the noise."""
 
 CloudKind = Literal["scan", "flat", "other"]
-"""Which cloud the solvers are given: the scan of the sheet, the flat sheet's, or that of another deformation."""
+"""Which cloud the solvers are given: the one measured, the flat sheet's, or that of another deformation."""
 
 CLOUDS: Final[tuple[str, ...]] = get_args(CloudKind)
 """The kinds of cloud."""
@@ -73,7 +73,7 @@ class Conditions:
     snr_db: float = 50.0
     """Its level."""
     seeds: int = 1
-    """Draws of noise, scan and shift for each phantom: 0 to seeds - 1."""
+    """Draws of noise, cloud and shift for each phantom: 0 to seeds - 1."""
     shift_px: float = 0.0
     """Every touch is moved by up to this part of a pixel along x and y."""
     cloud: CloudKind = "scan"
@@ -85,7 +85,7 @@ class Sheet:
     """One bent sheet: what is known of it before a touch, computed once and kept while the process runs."""
 
     cloud_mm: Array
-    """(3, 30, 45) as scanned."""
+    """(3, 30, 45) as measured."""
     untouched: Array
     """(104,) V of the true bent sheet."""
     _operators: dict[Cells, Operators] = field(default_factory=dict)
@@ -93,19 +93,19 @@ class Sheet:
     _predicted: Array | None = None
 
     def operators(self, cells: Cells) -> Operators:
-        """Return the scanned sheet's operators."""
+        """Return the measured cloud's operators."""
         if cells not in self._operators:
             self._operators[cells] = operators_of_cloud(self.cloud_mm, cells)
         return self._operators[cells]
 
     def tikhonov(self, cells: Cells) -> Array:
-        """Return the scanned sheet's Tikhonov matrix (n, 104)."""
+        """Return the measured cloud's Tikhonov matrix (n, 104)."""
         if cells not in self._matrices:
             self._matrices[cells] = tikhonov_matrix(self.operators(cells).relative_jacobian)
         return self._matrices[cells]
 
     def predicted(self) -> Array:
-        """Return the scanned sheet's V_pred (104,), V."""
+        """Return the measured cloud's V_pred (104,), V."""
         if self._predicted is None:
             self._predicted = predict(self.cloud_mm)
         return self._predicted
@@ -204,9 +204,9 @@ def evaluate_all(
     conditions: Conditions,
     progress: Callable[[int, int], None] | None = None,
 ) -> list[Results]:
-    """Return the results of several runs, which all see the same voltages and scans.
+    """Return the results of several runs, which all see the same voltages and clouds.
 
-    A phantom's voltages are solved once and kept while the process runs; a scanned sheet's operators and V_pred are
+    A phantom's voltages are solved once and kept while the process runs; a cloud's operators and V_pred are
     computed once for all runs, and let go before the next phantom.
 
     Args:
@@ -266,4 +266,4 @@ def _cloud(bend: Bend, kind: CloudKind, seed: int) -> Array:
         bend = Bend()
     elif kind == "other":
         bend = next(other for other in draw("A", 2 + seed, SCAN_SEED)[seed:] if other != bend)
-    return np.asarray(scanned_cloud(bend, np.random.default_rng([SCAN_SEED, seed])), dtype=np.float64)
+    return np.asarray(measured_cloud(bend, np.random.default_rng([SCAN_SEED, seed])), dtype=np.float64)

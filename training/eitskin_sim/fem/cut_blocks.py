@@ -1,18 +1,19 @@
 """Elements that a touch's border cuts: their blocks, from integrals that do not depend on the deformation.
 
-Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.cut_elements`, a cut element gets two functions of
+Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.cut_elements` (what the two share and where they
+differ is in :mod:`eitskin_sim.fem.cut_rule`), a cut element gets two functions of
 its own, d+ and d+ t less their biquadratic interpolants (d+ the distance outside, t along the border), whose strengths
 minimise the element's energy E. They differ a little between neighbours, so what counts is only what the touch changes:
 
     S = S_1 + E_sigma - E_1,      E_sigma = A_sigma - C_sigma K_sigma^-1 C_sigma^T
 
-with A the biquadratic functions among themselves, K the kinks and C between them. E grows with the conductivity and
-E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what no conductor
-does. The conductance tensor is taken at the middle of the touched part; its three components c multiply integrals that
-know only the touch, so a touch is integrated once for all deformations:
+with A the biquadratic functions among themselves, K the enrichment functions and C between them. E grows with the
+conductivity and E_sigma is at most sigma_max E_1, so S_1 <= S <= sigma_max S_1 as quadratic forms: no touch can do what
+no conductor does. The conductance tensor is taken at the middle of the touched part; its three components c multiply
+integrals that know only the touch, so a touch is integrated once for all deformations:
 
     D_c = integral (sigma - 1) grad phi_i grad phi_j = A_sigma - A_1
-    C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the kinks' values at the nodes
+    C_sigma = C_1 - D held,   K_sigma = K_1 + held^T D held      held: the enrichment's values at the nodes
 """
 
 from dataclasses import dataclass
@@ -20,6 +21,7 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.touch_table import Array
@@ -27,23 +29,17 @@ from eitskin_sim.scene.touch_table import Array
 POINTS: Final = 6
 """Points a side in a cut element, each with the cell around it."""
 
-FLOOR: Final = 1e-8
-"""A kink whose energy is below this share of the element's is held back: dividing by it would divide by rounding."""
 
-
-def _rule() -> tuple[Array, Array, Array]:
+def _rule() -> tuple[Array, Array]:
     line = (np.arange(POINTS) + 0.5) / POINTS
     points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    nodes = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(-1, 2)
     slopes = np.stack(gradients(points), axis=1)  # (q, 2, 9)
-    return points, nodes, slopes
+    return points, slopes
 
 
 UNIT_POINTS: Final = _rule()[0]
 """(q, 2) middles of the cells of a unit element."""
-UNIT_NODES: Final = _rule()[1]
-"""(9, 2)"""
-SLOPES: Final = _rule()[2]
+SLOPES: Final = _rule()[1]
 """(q, 2, 9) gradients of the shape functions there."""
 
 
@@ -64,7 +60,7 @@ class Integrals:
 
     Args:
         added: (c, 3, 9, 9) D.
-        held: (c, 9, 2) the kinks at the nodes.
+        held: (c, 9, 2) the enrichment functions at the nodes.
         coupling: (c, 3, 9, 2) C_1.
         corner: (c, 3, 2, 2) K_1.
         centroid: (c, 2) middle of the touched part, from the element's middle, in its sides.
@@ -100,7 +96,7 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
     straight = normal[:, :q] * stretch
     sloped = straight * t[:, :q, None] + plus[:, :q, None] * (along[:, None, :] * stretch)
     interpolant = (SLOPES.reshape(-1, 9) @ held).reshape(count, q, 2, 2)
-    beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 kinks)
+    beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 functions)
     outer = (1.0 - share)[:, :, None, None] / q
     mean = beyond * outer - interpolant / q  # a cell's mean slope of a kink, with its weight
     coupling = np.stack([_x(mean), _y(mean)], axis=1)
@@ -117,7 +113,7 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
 
 
 def _x(slopes: Array) -> Array:
-    """Return (c, 9, 2): the x slopes of the shape functions times those of kinks, added up."""
+    """Return (c, 9, 2): the x slopes of the shape functions times those of enrichment functions, added up."""
     return np.asarray(SLOPES[:, 0].T @ slopes[:, :, 0])
 
 

@@ -15,6 +15,8 @@ neighbours may differ a little, as in any immersed finite element, so what count
 Without contrast a touch changes nothing, and S lies between the blocks of the least and the greatest conductivity. A
 10 mm square keeps its size within 0.3 mm with elements of 3 mm, 0.1 mm with 2 mm (``eitskin bench physics``).
 
+What this has in common with the generators, and the difference, is in :mod:`eitskin_sim.fem.cut_rule`.
+
 Rules. An element that no border cuts has the conductivity of the last touch that covers it. In a cut one, the touches
 that cut it make one inside: where they abut with one conductivity there is no seam. Its outside is the last touch that
 covers the element, or the sheet. Contacts on it pass the mean of what they would on either side.
@@ -27,9 +29,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.forward import MM, Factor, System
-from eitskin_sim.fem.mesh import MERGE_MM
-from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
+from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.forward import Factor, System
+from eitskin_sim.fem.mesh import MERGE_MM, MM
+from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Shape
 
@@ -38,12 +41,6 @@ Index = npt.NDArray[np.intp]
 
 CELLS: Final = 4
 """Cells a side in which a cut element is integrated, with 2 x 2 points each."""
-
-WHOLE: Final = 1e-9
-"""A share of an element below this is none, and one above 1 - WHOLE is all: a border on a line of the mesh."""
-
-FLOOR: Final = 1e-8
-"""A kink whose energy is below this share of the element's is held back: dividing by it would divide by rounding."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,25 +78,6 @@ def touch(system: System, touches: Sequence[Touch]) -> Touched:
         _mix_contacts(system, cut, phases, density)
         sigma[cut] = np.mean(phases.share * phases.inside + (1.0 - phases.share) * phases.outside[:, None], axis=1)
     return Touched(system, sigma, blocks, density, cut)
-
-
-def half_plane_share(distance: Array, normal: Array, sizes: Array) -> Array:
-    """Return the share (...,) of rectangles on the inner side of a straight border.
-
-    Args:
-        distance: (...,) signed distance of the middle from the border, negative inside.
-        normal: (..., 2) outward unit normal.
-        sizes: (..., 2) width and height of each rectangle.
-    """
-    across, up = np.abs(normal[..., 0]) * sizes[..., 0], np.abs(normal[..., 1]) * sizes[..., 1]
-    wide, narrow = np.maximum(across, up), np.minimum(across, up)
-    # Along the normal the rectangle's section is a trapezium: a plateau of wide - narrow between two ramps of narrow.
-    inside = np.clip((wide + narrow) / 2 - distance, 0.0, wide + narrow)
-    ramp = np.where(narrow > 1e-12 * wide, narrow, 1.0)
-    first = np.minimum(inside, narrow) ** 2 / (2.0 * ramp)
-    plateau = np.clip(inside - narrow, 0.0, wide - narrow)
-    last = np.clip(inside - wide, 0.0, narrow)
-    return np.asarray((first + plateau + last * (1.0 - last / (2.0 * ramp))) / wide)
 
 
 _Pieces = list[tuple[Shape, float]]
@@ -174,7 +152,7 @@ def _phases(system: System, pieces: _Pieces, cutting: list[Index], cut: Index, o
         own = half_plane_share(d[:, :count], nu[:, :count], sizes[rows][:, None, :] / (2 * CELLS))
         nearer = d < distance[rows]
         inside[rows] = np.where((own >= 0.5) | nearer[:, :count] & (share[rows] < 0.5), conductivity, inside[rows])
-        share[rows] = _union(share[rows], own, np.einsum("kqa,kqa->kq", nu[:, :count], normal[rows][:, :count]))
+        share[rows] = union(share[rows], own, np.einsum("kqa,kqa->kq", nu[:, :count], normal[rows][:, :count]))
         distance[rows] = np.where(nearer, d, distance[rows])
         normal[rows] = np.where(nearer[..., None], nu, normal[rows])
     middle = normal[:, -1]
@@ -190,22 +168,14 @@ def _phases(system: System, pieces: _Pieces, cutting: list[Index], cut: Index, o
     )
 
 
-def _union(one: Array, other: Array, facing: Array) -> Array:
-    """Return the share that two shapes cover: borders that face each other abut, those that face one way overlap."""
-    apart = np.minimum(one + other, 1.0)
-    across = one + other - one * other
-    return np.where(facing < -0.5, apart, np.where(facing > 0.5, np.maximum(one, other), across))
-
-
 def _node_positions(system: System, elements: Index) -> Array:
     """Return the (k, 9, 2) positions of the nodes of some elements."""
-    unit = np.stack(np.meshgrid([0.0, 0.5, 1.0], [0.0, 0.5, 1.0]), axis=-1).reshape(-1, 2)
     mesh = system.mesh
-    return mesh.corners_mm[elements][:, None, :] + unit * mesh.sizes_mm[elements][:, None, :]
+    return mesh.corners_mm[elements][:, None, :] + UNIT_NODES * mesh.sizes_mm[elements][:, None, :]
 
 
 def _condensed(system: System, cut: Index, phases: _Phases) -> Array:
-    """Return the (k, 9, 9) blocks of cut elements, their kinks eliminated."""
+    """Return the (k, 9, 9) blocks of cut elements, their enrichment functions eliminated."""
     sizes, area = system.mesh.sizes_mm[cut], np.prod(system.mesh.sizes_mm[cut], axis=1)
     conductance = _conductance(system, cut)
     unit_x, unit_y = gradients(_unit_points())
@@ -246,17 +216,6 @@ def _conductance(system: System, cut: Index) -> Array:
     E, F, G = system.metric[cut].T
     inverse = np.stack([np.stack([G, -F], axis=-1), np.stack([-F, E], axis=-1)], axis=-2)
     return np.asarray(inverse * (system.thickness_mm * MM / (E * G - F**2))[:, None, None])
-
-
-def _at_middle(conductance: Array, sizes: Array) -> Array:
-    """Return the (k, 9, 9) blocks of a constant tensor: what the metric's variation in an element is measured from."""
-    along_x, along_y = gradients(GAUSS)
-    weighted = WEIGHTS[:, None]
-    xx, xy = along_x.T @ (weighted * along_x), along_x.T @ (weighted * along_y)
-    yy = along_y.T @ (weighted * along_y)
-    ratio = (sizes[:, 1] / sizes[:, 0])[:, None, None]
-    first, mixed, last = (conductance[:, a, b][:, None, None] for a, b in ((0, 0), (0, 1), (1, 1)))
-    return np.asarray(first * ratio * xx + mixed * (xy + xy.T) + last / ratio * yy)
 
 
 def _mix_contacts(system: System, cut: Index, phases: _Phases, density: Array) -> None:

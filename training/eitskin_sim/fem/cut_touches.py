@@ -6,18 +6,14 @@ seam. What a cut element's block becomes is in :mod:`eitskin_sim.fem.cut_blocks`
 """
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.cut_blocks import POINTS, UNIT_NODES, UNIT_POINTS, Integrals, integrate
-from eitskin_sim.fem.cut_elements import half_plane_share
+from eitskin_sim.fem.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
+from eitskin_sim.fem.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.touch_table import DISC, Array, FreeTouches
-
-WHOLE: Final = 1e-9
-"""A share of an element below this is none, and one above 1 - WHOLE is all."""
+from eitskin_sim.scene.touch_table import DISC, Array, TouchTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +40,7 @@ class Cuts:
         return len(self.integrals.added)
 
 
-def find_cuts(touches: FreeTouches, sets: Index, mesh: TensorMesh) -> Cuts:
+def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     """Return what some touch sets do to a mesh's elements.
 
     Args:
@@ -158,7 +154,7 @@ def _unite(pair: _Pairs, cut: Index, owner: Index, mesh: TensorMesh) -> Cuts:
         nearer = pair.distance[own] < distance[row]
         facing = np.einsum("kqa,kqa->kq", pair.normal[own][:, :q], normal[row][:, :q])
         inside[row] = np.where(nearer[:, :q], pair.sigma[own][:, None], inside[row])
-        share[row] = _union(share[row], pair.share[own], facing)
+        share[row] = union(share[row], pair.share[own], facing)
         distance[row] = np.where(nearer, pair.distance[own], distance[row])
         normal[row] = np.where(nearer[..., None], pair.normal[own], normal[row])
     element, total = pair.element[first], np.maximum(share.sum(axis=1), 1e-30)
@@ -169,9 +165,3 @@ def _unite(pair: _Pairs, cut: Index, owner: Index, mesh: TensorMesh) -> Cuts:
         share=share.mean(axis=1),
         integrals=integrate(mesh.sizes_mm[element], distance, normal, share, inside),
     )
-
-
-def _union(one: Array, other: Array, facing: Array) -> Array:
-    """Return the share of both: borders that face each other abut, those that face one way overlap."""
-    apart = np.minimum(one + other, 1.0)
-    return np.where(facing < -0.5, apart, np.where(facing > 0.5, np.maximum(one, other), one + other - one * other))

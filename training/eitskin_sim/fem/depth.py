@@ -30,8 +30,8 @@ from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin_sim.fem.cut_elements import touch
-from eitskin_sim.fem.forward import MM, Metric, Plate, System, assemble_pieces, metric_at_points
-from eitskin_sim.fem.mesh import TensorMesh, graded_lines
+from eitskin_sim.fem.forward import Plate, System, assemble_pieces, metric_at_points
+from eitskin_sim.fem.mesh import MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, touch_lines
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, values
 from eitskin_sim.scene.electrodes import Piece, place

@@ -9,7 +9,7 @@ Nodes are numbered along x first; an element's nine nodes in the same order::
     0---1---2
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -18,6 +18,11 @@ import numpy.typing as npt
 
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
+Metric = Callable[[Array], Array]
+"""(n, 2) flat points in mm -> (n, 3) first fundamental form E, F, G per mm^2 of the flat sheet."""
+
+MM: Final = 1e-3
+"""Metres in a millimetre."""
 
 GROWTH: Final = 0.8
 """Growth of the element's size per mm of distance from a fixed line; neighbours differ by about exp(0.8) at most."""

@@ -1,16 +1,16 @@
 """Touch sets drawn from a pool of touches: one to eight of them apart from each other, or none.
 
 Touches are drawn one after the other, so the first k of a set are themselves a set as k touches would be drawn. Sets
-come in families, each the one before and a touch more: fewer factors to make (:mod:`eitskin_sim.freeform.voltages`),
+come in chains, each the one before and a touch more: fewer factors to make (:mod:`eitskin_sim.freeform.voltages`),
 and as many sets of every size as if each were drawn for itself, since every size is rarer than the one below. ::
 
-    a   a b   a b c   a b c d           families begin with touches in turn, so sets of one touch hardly recur
+    a   a b   a b c   a b c d           chains begin with touches in turn, so sets of one touch hardly recur
     e   e f   e f g
     h
 
 Neighbours keep a gap of 1 mm or more, so a pair 10 mm apart, which must be told apart, is well inside what is drawn.
 Touches that lie near to each other are the hardest to tell from one, and are rare where touches fall anywhere: in a
-share of the families each touch is the nearest of several to the one before. In half of the sets all touches have one
+share of the chains each touch is the nearest of several to the one before. In half of the sets all touches have one
 conductivity. A set whose map may resemble a published phantom's is left out and
 another drawn: its correlation is bounded from above by sums over its touches, whose maps are made once a pool.
 """
@@ -28,7 +28,7 @@ from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.sets import PartSets
 from eitskin_sim.scene.gap import gap_mm, half_extents_mm
 from eitskin_sim.scene.published_phantoms import PHANTOM_RECTS_MM
-from eitskin_sim.scene.touch_table import RECTANGLE, Array, FreeTouches, gather
+from eitskin_sim.scene.touch_table import RECTANGLE, Array, TouchTable, gather
 
 COUNTS: Final = (0.02, 0.29, 0.21, 0.16, 0.11, 0.09, 0.07, 0.03, 0.02)
 """Chances of 0, 1 .. 8 touches."""
@@ -37,7 +37,7 @@ GAP_MM: Final = 1.0
 """The least distance between two touches."""
 
 CLUSTERED: Final = 1 / 3
-"""Share of the families whose touches lie near to each other, unless another is asked for."""
+"""Share of the chains whose touches lie near to each other, unless another is asked for."""
 
 NEAREST_OF: Final = 8
 """Touches of which the nearest to the one before is tried there: then half of the pairs are about 25 mm apart or less,
@@ -47,10 +47,10 @@ RESEMBLES: Final = 0.97
 """A map with at least this correlation to a phantom's is that phantom, slightly moved."""
 
 ATTEMPTS: Final = 40
-"""Touches tried for a place in a family before the family ends there."""
+"""Touches tried for a place in a chain before the chain ends there."""
 
 REDRAWN: Final = 4
-"""Times that families which ended early are drawn again; then their largest sets have fewer touches."""
+"""Times that chains which ended early are drawn again; then their largest sets have fewer touches."""
 
 
 class SetDrawer:
@@ -58,10 +58,10 @@ class SetDrawer:
 
     Args:
         pool: The touches.
-        near: Share of the families whose touches lie near to each other.
+        near: Share of the chains whose touches lie near to each other.
     """
 
-    def __init__(self, pool: FreeTouches, near: float = CLUSTERED) -> None:
+    def __init__(self, pool: TouchTable, near: float = CLUSTERED) -> None:
         self._clustered = near
         self._near = near_table(pool)
         self._middle_mm = middles_mm(pool)
@@ -73,20 +73,20 @@ class SetDrawer:
             return PartSets(np.zeros(0, dtype=np.intp), np.zeros(1, dtype=np.intp))
         total = len(self._near) - 1
         wanted = np.bincount(generator.choice(len(COUNTS), count, p=COUNTS), minlength=len(COUNTS))
-        family = np.concatenate([np.arange(number) for number in wanted])
+        chain = np.concatenate([np.arange(number) for number in wanted])
         size = np.repeat(np.arange(len(COUNTS)), wanted)
         length = np.zeros(max(wanted[1:].max(), 1), dtype=np.intp)
-        np.maximum.at(length, family[size > 0], size[size > 0])
+        np.maximum.at(length, chain[size > 0], size[size > 0])
         turns = -(-len(length) // total)
         begin = np.concatenate([generator.permutation(total) for _ in range(turns)])[: len(length)]
         found = self._families(begin, length, generator)
         order = generator.permutation(count)
-        own = found[np.where(size > 0, family, 0)[order]]
+        own = found[np.where(size > 0, chain, 0)[order]]
         taken = (own >= 0) & (np.arange(own.shape[1]) < size[order, None])
         return PartSets(own[taken], np.concatenate([[0], np.cumsum(taken.sum(axis=1))]))
 
     def _families(self, begin: Index, length: Index, generator: np.random.Generator) -> Index:
-        """Return (f, 8) touches of families, -1 after the last, from their first ones and lengths."""
+        """Return (f, 8) touches of chains, -1 after the last, from their first ones and lengths."""
         shared = generator.random(len(length)) < 0.5
         tries = np.where(generator.random(len(length)) < self._clustered, NEAREST_OF, 1)
         found = _draw(self._near, self._middle_mm, begin, length, shared, tries, generator)
@@ -111,7 +111,7 @@ def _draw(
     tries: Index,
     generator: np.random.Generator,
 ) -> Index:
-    """Return (f, 8) numbers of touches of families, -1 after the last.
+    """Return (f, 8) numbers of touches of chains, -1 after the last.
 
     Args:
         near: (p + 1, p + 1) which touches exclude each other; the last is none.
@@ -148,7 +148,7 @@ def _draw(
     return found
 
 
-def near_table(pool: FreeTouches) -> npt.NDArray[np.bool_]:
+def near_table(pool: TouchTable) -> npt.NDArray[np.bool_]:
     """Return (p + 1, p + 1) which touches of a pool come closer to each other than the least gap; the last is none."""
     pieces = pool.pieces
     reach = np.hypot(*half_extents_mm(pieces).T)
@@ -164,7 +164,7 @@ def near_table(pool: FreeTouches) -> npt.NDArray[np.bool_]:
     return found
 
 
-def middles_mm(pool: FreeTouches) -> Array:
+def middles_mm(pool: TouchTable) -> Array:
     """Return (p, 2) the middles of a pool's touches: the mean of their pieces' middles."""
     sums = np.add.reduceat(pool.pieces[:, 1:3], pool.first[:-1], axis=0) if len(pool) else np.empty((0, 2))
     return np.asarray(sums / np.diff(pool.first)[:, None])
@@ -176,14 +176,14 @@ class Bar:
     Touches of a set overlap no other, so the square of a set's map is at least the sum of its touches' squares.
     """
 
-    def __init__(self, pool: FreeTouches) -> None:
+    def __init__(self, pool: TouchTable) -> None:
         maps = pool.area_table()
         self._product: Array = np.append(maps @ phantom_maps().T, np.zeros((1, len(phantom_maps()))), axis=0)
         self._square: Array = np.append(np.asarray(maps.multiply(maps).sum(axis=1)).ravel(), 0.0)
         self._sum: Array = np.append(np.asarray(maps.sum(axis=1)).ravel(), 0.0)
 
     def may_resemble(self, found: Index) -> npt.NDArray[np.bool_]:
-        """Return which of (f, 8) families have a set that may correlate with a phantom by ``RESEMBLES`` or more."""
+        """Return which of (f, 8) chains have a set that may correlate with a phantom by ``RESEMBLES`` or more."""
         product, square, total = (table[found].cumsum(axis=1) for table in (self._product, self._square, self._sum))
         length = np.sqrt(np.maximum(square - total**2 / N_PIXELS, 1e-12))
         return np.asarray((product >= RESEMBLES * length[..., None]).any(axis=(1, 2)))

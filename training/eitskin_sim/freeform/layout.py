@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.fem.mesh import Index
-from eitskin_sim.freeform.mesh import FreeMesh
+from eitskin_sim.freeform.mesh import SharedMesh
 
 SIDE: Final = 5
 """The most elements along a cell's side."""
@@ -60,7 +60,7 @@ class Layout:
     dofs: Index
 
 
-def make_layout(part: Index, element: Index, count: int, grid: FreeMesh) -> Layout:
+def make_layout(part: Index, element: Index, count: int, grid: SharedMesh) -> Layout:
     """Return where the numbers of touched elements go.
 
     Args:
@@ -106,7 +106,7 @@ def width_of(fronts: Fronts) -> Index:
     return np.asarray(fronts.width - fronts.inside)
 
 
-def _cells(part: Index, element: Index, count: int, grid: FreeMesh) -> tuple[Index, Index]:
+def _cells(part: Index, element: Index, count: int, grid: SharedMesh) -> tuple[Index, Index]:
     """Return (e,) which cell each touched element is in, and the part of every cell."""
     row, column = np.divmod(element, grid.mesh.shape[1])
     number = part

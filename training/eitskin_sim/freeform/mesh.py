@@ -19,7 +19,8 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.forward import Contacts, System, assemble
+from eitskin_sim.fem.contacts import Contacts
+from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.freeform.inverse import Lines, make_lines
@@ -37,7 +38,7 @@ KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 
 
 @dataclass(frozen=True, slots=True)
-class FreeMesh:
+class SharedMesh:
     """A mesh, and how its remaining unknowns are numbered: by lines, electrodes in the middle one of theirs."""
 
     mesh: TensorMesh
@@ -51,7 +52,7 @@ class FreeMesh:
     """Upright lines of nodes, with the middles of sides to their right and the electrodes over them."""
 
 
-def free_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array:
+def even_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array:
     """Return even lines between the contacts' edges, no further apart than a size, mm."""
     fixed = np.unique(np.round([0.0, extent_mm, *edges_mm], 9))
     parts = [np.linspace(a, b, int(np.ceil((b - a) / size_mm - 1e-9)), endpoint=False) for a, b in pairwise(fixed)]
@@ -59,13 +60,13 @@ def free_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array
 
 
 @lru_cache(maxsize=4)
-def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
+def shared_mesh(size_mm: float = ELEMENT_MM) -> SharedMesh:
     """Return the default sheet's mesh for touches anywhere."""
     sheet, electrodes = Sheet(), Electrodes()
     x, y = electrode_lines(sheet, electrodes)
     mesh = TensorMesh(
-        free_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
-        free_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
+        even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
+        even_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
     )
     contacts = assemble(mesh, sheet, electrodes).contacts
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
@@ -85,7 +86,7 @@ def free_mesh(size_mm: float = ELEMENT_MM) -> FreeMesh:
     sharing = np.bincount(dofs[dofs >= 0], minlength=len(order))
     sharing[terminals] += 1
     first = np.searchsorted(line[order], np.arange(line.max() + 2))
-    return FreeMesh(mesh, dofs, sharing, terminals, make_lines(first, dofs))
+    return SharedMesh(mesh, dofs, sharing, terminals, make_lines(first, dofs))
 
 
 def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
@@ -96,10 +97,10 @@ def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
     return low, high
 
 
-def free_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:
+def shared_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:
     """Return the default sheet's system at one bend."""
     sheet = Sheet()
-    return assemble(free_mesh(size_mm).mesh, sheet, Electrodes(), lambda xy: metric(bend, sheet, xy))
+    return assemble(shared_mesh(size_mm).mesh, sheet, Electrodes(), lambda xy: metric(bend, sheet, xy))
 
 
 def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Contacts) -> Array:

@@ -23,16 +23,16 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
-from eitskin_sim.freeform.mesh import FreeMesh, with_contacts, without_middle
-from eitskin_sim.freeform.sheet import FreeSheet, touched_blocks
-from eitskin_sim.scene.touch_table import Array, FreeTouches
+from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
+from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
+from eitskin_sim.scene.touch_table import Array, TouchTable
 
 BATCH: Final = 32
 """Parts whose geometry is held together: 1 MB."""
 
 
 @dataclass(frozen=True, slots=True)
-class Geometry:
+class PartGeometry:
     """A batch of parts on the mesh, before any deformation."""
 
     cuts: Cuts
@@ -44,7 +44,7 @@ class Geometry:
 
 
 @dataclass(frozen=True, slots=True)
-class Part:
+class CondensedPart:
     """What a part does at one deformation: m unknowns on its outline, rank r."""
 
     dofs: Index
@@ -55,17 +55,17 @@ class Part:
     """(r, 16) W"""
 
 
-def geometry(parts: FreeTouches, grid: FreeMesh) -> list[Geometry]:
+def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
     """Return what parts do to a mesh's elements, in batches."""
     found = []
     for start in range(0, len(parts), BATCH):
         which = np.arange(start, min(start + BATCH, len(parts)))
         cuts = find_cuts(parts, which, grid.mesh)
-        found.append(Geometry(cuts, make_layout(cuts.of_set, cuts.element, len(which), grid)))
+        found.append(PartGeometry(cuts, make_layout(cuts.of_set, cuts.element, len(which), grid)))
     return found
 
 
-def reached(batches: Sequence[Geometry], n_elements: int) -> npt.NDArray[np.uint64]:
+def reached(batches: Sequence[PartGeometry], n_elements: int) -> npt.NDArray[np.uint64]:
     """Return (p, w) which elements each part touches, as bits."""
     rows = []
     for batch in batches:
@@ -75,12 +75,12 @@ def reached(batches: Sequence[Geometry], n_elements: int) -> npt.NDArray[np.uint
     return np.concatenate(rows) if rows else np.zeros((0, 1), dtype=np.uint64)
 
 
-def condense(sheet: FreeSheet, batches: Sequence[Geometry]) -> list[Part]:
+def condense(sheet: InvertedSheet, batches: Sequence[PartGeometry]) -> list[CondensedPart]:
     """Return parts at one deformation."""
     return [part for batch in batches for part in _condensed(sheet, batch)]
 
 
-def _condensed(sheet: FreeSheet, batch: Geometry) -> list[Part]:
+def _condensed(sheet: InvertedSheet, batch: PartGeometry) -> list[CondensedPart]:
     cuts, layout = batch.cuts, batch.layout
     blocks, density = touched_blocks(sheet, cuts)
     after = without_middle(with_contacts(blocks, cuts.element, density, sheet.system.contacts))
@@ -137,15 +137,15 @@ LIFT: Final = 1e-14
 """What is added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
 
 
-def _part(sheet: FreeSheet, dofs: Index, change: Array) -> Part:
+def _part(sheet: InvertedSheet, dofs: Index, change: Array) -> CondensedPart:
     if len(dofs) < 2:
-        return Part(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
+        return CondensedPart(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
     bare = _root(change)
     own = bare.T @ (between(sheet.inverse, dofs, dofs) @ bare)
     own.reshape(-1)[:: len(own) + 1] += 1.0
     root, _ = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
     factor = blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1)  # from the right: thrice as fast
-    return Part(dofs, np.ascontiguousarray(factor), factor.T @ sheet.to_terminals[dofs])
+    return CondensedPart(dofs, np.ascontiguousarray(factor), factor.T @ sheet.to_terminals[dofs])
 
 
 def _root(change: Array) -> Array:

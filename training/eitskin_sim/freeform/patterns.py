@@ -17,7 +17,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array, FreeTouches
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array, TouchTable
 
 SMALLEST_MM: Final = 5.0
 LARGEST_MM: Final = 25.0
@@ -39,7 +39,7 @@ CLASSES: Final = 32
 """Conductivities in a pool; touch i has the one of class i % CLASSES."""
 
 
-def touch_pool(count: int, generator: np.random.Generator) -> FreeTouches:
+def touch_pool(count: int, generator: np.random.Generator) -> TouchTable:
     """Return ``count`` random touches on the sheet, one a set, of one or two pieces each."""
     low, high = np.log(CONTRAST)
     stratum = (np.arange(CLASSES) + generator.random(CLASSES)) / CLASSES
@@ -57,7 +57,7 @@ def touch_pool(count: int, generator: np.random.Generator) -> FreeTouches:
     pieces[:, :, 6] = sigma[:, None]
     own = np.ones((count, 2), dtype=np.bool_)
     own[:, 1] = kind == 3
-    return FreeTouches(pieces[own], np.concatenate([[0], np.cumsum(own.sum(axis=1))]).astype(np.int64))
+    return TouchTable(pieces[own], np.concatenate([[0], np.cumsum(own.sum(axis=1))]).astype(np.int64))
 
 
 def _draw(kind: npt.NDArray[np.integer], generator: np.random.Generator) -> Array:

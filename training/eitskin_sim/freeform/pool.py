@@ -12,7 +12,7 @@ import numpy as np
 from eitskin_sim.freeform.draws import CLUSTERED, SetDrawer
 from eitskin_sim.freeform.patterns import CLASSES, touch_pool
 from eitskin_sim.freeform.sets import PartSets
-from eitskin_sim.scene.touch_table import FreeTouches
+from eitskin_sim.scene.touch_table import TouchTable
 
 TOUCHES_PER_SET: Final = 0.2
 """Touches of a pool for each set that a deformation shows; more are more varied, and take longer."""
@@ -22,7 +22,7 @@ LEAST: Final = 2 * CLASSES
 
 
 @dataclass(frozen=True, slots=True)
-class FreePool:
+class SetPool:
     """Touches, and the sets of them that deformations show.
 
     Args:
@@ -30,22 +30,22 @@ class FreePool:
         sets: By number of the deformation; those held out come last.
     """
 
-    parts: FreeTouches
+    parts: TouchTable
     sets: dict[int, PartSets]
 
-    def touches(self, sets: PartSets) -> FreeTouches:
+    def touches(self, sets: PartSets) -> TouchTable:
         """Return sets as a table of pieces."""
         drawn = self.parts.chosen(sets.member)
-        return FreeTouches(drawn.pieces, drawn.first[sets.first])
+        return TouchTable(drawn.pieces, drawn.first[sets.first])
 
 
-def free_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED) -> FreePool:
+def set_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED) -> SetPool:
     """Return the pool of some deformations and their touch sets.
 
     Args:
         counts: By number of the deformation, how many sets it shows and how many of them are held out.
         seed: Of the data set.
-        near: Share of the families of sets whose touches lie near to each other.
+        near: Share of the chains of sets whose touches lie near to each other.
     """
     first = min(counts)
     learned = max(total - held for total, held in counts.values())
@@ -65,4 +65,4 @@ def free_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUST
         )
     pieces = np.concatenate([pool.pieces for pool in pools])
     starts = np.concatenate([pools[0].first, pools[0].first[-1] + pools[1].first[1:]])
-    return FreePool(FreeTouches(pieces, starts), sets)
+    return SetPool(TouchTable(pieces, starts), sets)

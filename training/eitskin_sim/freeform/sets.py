@@ -7,9 +7,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.fem.mesh import Index
-from eitskin_sim.freeform.mesh import FreeMesh
-from eitskin_sim.freeform.parts import Geometry, reached
-from eitskin_sim.scene.touch_table import FreeTouches, gather
+from eitskin_sim.freeform.mesh import SharedMesh
+from eitskin_sim.freeform.parts import PartGeometry, reached
+from eitskin_sim.scene.touch_table import TouchTable, gather
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class PartSets:
         return self.member[self.first[number] : self.first[number + 1]]
 
 
-def families(sets: PartSets) -> list[list[int]]:
+def chains(sets: PartSets) -> list[list[int]]:
     """Return the numbers of sets, in lists where each set has the parts of the one before, in their order, and more."""
     keys = [tuple(sets.of(number).tolist()) for number in range(len(sets))]
     found: list[list[int]] = []
@@ -48,8 +48,8 @@ def families(sets: PartSets) -> list[list[int]]:
 
 
 def merged(
-    parts: FreeTouches, batches: Sequence[Geometry], sets: PartSets, grid: FreeMesh
-) -> tuple[FreeTouches, PartSets]:
+    parts: TouchTable, batches: Sequence[PartGeometry], sets: PartSets, grid: SharedMesh
+) -> tuple[TouchTable, PartSets]:
     """Return parts to be added, each several that share elements within a set, and the sets in terms of all parts.
 
     Args:
@@ -91,7 +91,7 @@ def _sharing(bits: npt.NDArray[np.uint64], sets: PartSets) -> Index:
 
 
 def _joined(members: list[int], pairs: list[list[int]]) -> list[tuple[int, ...]]:
-    """Return the groups that pairs join, each ascending, in the order of their last members: a family stays one."""
+    """Return the groups that pairs join, each ascending, in the order of their last members: a chain stays one."""
     group = {member: {member} for member in members}
     for a, b in pairs:
         if group[a] is not group[b]:

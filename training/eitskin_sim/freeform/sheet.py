@@ -7,17 +7,18 @@ import numpy as np
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.cut_blocks import cut_blocks
 from eitskin_sim.fem.cut_touches import Cuts, find_cuts
-from eitskin_sim.fem.forward import MM, System
+from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
-from eitskin_sim.freeform.mesh import ELEMENT_MM, free_mesh, free_system, with_contacts, without_middle
+from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Sheet
-from eitskin_sim.scene.touch_table import Array, FreeTouches
+from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
 
 
 @dataclass(frozen=True, slots=True)
-class FreeSheet:
+class InvertedSheet:
     """One deformation, assembled and inverted."""
 
     system: System
@@ -38,7 +39,7 @@ class FreeSheet:
         return np.asarray(to_voltages(self.at_terminals[None])[0])
 
 
-def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None) -> FreeSheet:
+def inverted_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None) -> InvertedSheet:
     """Return a deformation, ready for touch sets.
 
     Args:
@@ -46,7 +47,7 @@ def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = Non
         size_mm: The largest element.
         into: The inverse of a sheet that is needed no more: it is overwritten, which is faster than new memory.
     """
-    grid, system = free_mesh(size_mm), free_system(bend, size_mm)
+    grid, system = shared_mesh(size_mm), shared_system(bend, size_mm)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
@@ -54,7 +55,7 @@ def free_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = Non
     middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
     inverse = dense_inverse(grid.lines, before, (middle, tie), into)
     to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
-    return FreeSheet(system, _tensors(bend, system), before, inverse, to_terminals, to_terminals[grid.terminals])
+    return InvertedSheet(system, _tensors(bend, system), before, inverse, to_terminals, to_terminals[grid.terminals])
 
 
 def _tensors(bend: Bend, system: System) -> Array:
@@ -69,7 +70,7 @@ def _tensors(bend: Bend, system: System) -> Array:
     return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)
 
 
-def touched_blocks(sheet: FreeSheet, cuts: Cuts) -> tuple[Array, Array]:
+def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
     """Return the (e, 9, 9) stiffness of touched elements and the (e,) density of contacts on them."""
     stiffness, contacts = sheet.system.stiffness, sheet.system.contacts
     blocks = np.empty((len(cuts.element), 9, 9))
@@ -84,7 +85,7 @@ def touched_blocks(sheet: FreeSheet, cuts: Cuts) -> tuple[Array, Array]:
     return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
 
 
-def sheet_blocks(sheet: FreeSheet, touches: FreeTouches, number: int) -> tuple[Array, Array]:
+def sheet_blocks(sheet: InvertedSheet, touches: TouchTable, number: int) -> tuple[Array, Array]:
     """Return the (n_elements, 9, 9) blocks and (m,) densities of one touch set, for a Factor."""
     system = sheet.system
     cuts = find_cuts(touches, np.array([number]), system.mesh)

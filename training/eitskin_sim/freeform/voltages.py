@@ -8,7 +8,7 @@ Parts (:mod:`eitskin_sim.freeform.parts`) are condensed one by one; a touch set 
 
 so a part that several sets have is condensed once, and parts that share an element are one part. The factor of a set
 holds those of the sets that end a part earlier: the rows of electrodes in the columns of the first parts, E, lower the
-electrodes' potentials by E E^T, so a family of sets, each the one before and a part more, costs one factor. Against a
+electrodes' potentials by E E^T, so a chain of sets, each the one before and a part more, costs one factor. Against a
 factorisation a sample on the same mesh the voltages agree to 1e-11. Against finer meshes a set's change of voltage is
 off by 0.9 % (median). Two touches that leave less than an element between them conduct nearly as if they met: dV is a
 tenth off at gaps of 1 and 2 mm, 2 % from 3.5 mm on (``eitskin bench dataset``).
@@ -21,21 +21,21 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.freeform.mesh import ELEMENT_MM, FreeMesh, free_mesh
-from eitskin_sim.freeform.parts import Geometry, Part, between, condense, geometry
-from eitskin_sim.freeform.pool import FreePool
-from eitskin_sim.freeform.sets import PartSets, families, merged
-from eitskin_sim.freeform.sheet import FreeSheet
-from eitskin_sim.scene.touch_table import Array, FreeTouches
+from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
+from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry
+from eitskin_sim.freeform.pool import SetPool
+from eitskin_sim.freeform.sets import PartSets, chains, merged
+from eitskin_sim.freeform.sheet import InvertedSheet
+from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
 
 
-def free_voltages(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
-    """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`free_responses`."""
-    return np.array([to_voltages(response) for response in free_responses(sheets, touches, size_mm)])
+def set_voltages(sheets: Sequence[InvertedSheet], touches: TouchTable, size_mm: float = ELEMENT_MM) -> Array:
+    """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`set_responses`."""
+    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm)])
 
 
-def free_responses(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: float = ELEMENT_MM) -> Array:
+def set_responses(sheets: Sequence[InvertedSheet], touches: TouchTable, size_mm: float = ELEMENT_MM) -> Array:
     """Return (D, s, 16, 16) potentials of electrodes, V for 1 A into each, at deformations that share the geometry.
 
     Args:
@@ -43,8 +43,8 @@ def free_responses(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: f
         touches: s touch sets.
         size_mm: Size of the sheets' elements.
     """
-    grid = free_mesh(size_mm)
-    alone = FreeTouches(touches.pieces, np.arange(len(touches.pieces) + 1))
+    grid = shared_mesh(size_mm)
+    alone = TouchTable(touches.pieces, np.arange(len(touches.pieces) + 1))
     batches = geometry(alone, grid)
     extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
     batches += geometry(extra, grid)
@@ -52,7 +52,7 @@ def free_responses(sheets: Sequence[FreeSheet], touches: FreeTouches, size_mm: f
 
 
 def pool_voltages(
-    sheet: FreeSheet, grid: FreeMesh, pool: FreePool, batches: Sequence[Geometry], deformation: int
+    sheet: InvertedSheet, grid: SharedMesh, pool: SetPool, batches: Sequence[PartGeometry], deformation: int
 ) -> Array:
     """Return (s, 104) V under 1 A of the sets that a pool has for a deformation.
 
@@ -67,16 +67,16 @@ def pool_voltages(
     return to_voltages(put_together(sheet, condense(sheet, [*batches, *geometry(extra, grid)]), sets))
 
 
-def put_together(sheet: FreeSheet, parts: Sequence[Part], sets: PartSets) -> Array:
+def put_together(sheet: InvertedSheet, parts: Sequence[CondensedPart], sets: PartSets) -> Array:
     """Return the (s, 16, 16) potentials of electrodes, V for 1 A into each, under sets of parts at one deformation."""
     response = np.empty((len(sets), N_ELECTRODES, N_ELECTRODES))
-    own = families(sets)
-    members = [[parts[part] for part in sets.of(family[-1])] for family in own]
+    own = chains(sets)
+    members = [[parts[part] for part in sets.of(chain[-1])] for chain in own]
     room = np.empty(max((_room(some) for some in members), default=0))
-    for family, some in zip(own, members, strict=True):
+    for chain, some in zip(own, members, strict=True):
         falls = iter(_falls(sheet, some, room))
         left, count = sheet.at_terminals, 0
-        for number in family:
+        for number in chain:
             while count < sets.first[number + 1] - sets.first[number]:
                 fall = next(falls)
                 left = left - fall.T @ fall
@@ -85,20 +85,20 @@ def put_together(sheet: FreeSheet, parts: Sequence[Part], sets: PartSets) -> Arr
     return response
 
 
-def _room(parts: list[Part]) -> int:
+def _room(parts: list[CondensedPart]) -> int:
     """Return how many numbers :func:`_falls` works on."""
     side = sum(len(part.load) for part in parts[1:]) + N_ELECTRODES
     return side * (side + len(parts[0].load)) if parts else 0
 
 
-def _falls(sheet: FreeSheet, parts: list[Part], room: Array) -> list[Array]:
+def _falls(sheet: InvertedSheet, parts: list[CondensedPart], room: Array) -> list[Array]:
     """Return the (r, 16) E of each part, by whose square it lowers the electrodes' potentials after those before it.
 
     A part alone has 1 in the diagonal, so the first part is eliminated by one product.
 
     Args:
         sheet: The deformation.
-        parts: Of a family.
+        parts: Of a chain.
         room: Numbers to work on, used again and again: new memory takes as long as the work.
     """
     if len(parts) < 2:

@@ -1,1 +1,1 @@
-"""What stands between the sheet and the numbers: noise, failing electrodes, how rows go together."""
+"""What stands between the sheet and the numbers: noise, faults of electrodes, how rows go together."""

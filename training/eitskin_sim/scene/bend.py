@@ -25,7 +25,7 @@ Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
-class Frame:
+class RollFrame:
     """The twisted roll at some points: positions and derivatives in the plane's frame, (n, 3) each."""
 
     position: Array
@@ -90,14 +90,14 @@ def bump_heights(bend: Bend, xy_mm: Array) -> tuple[Array, Array]:
     return height, slope
 
 
-def first_form(frame: Frame, d_s: Array, d_w: Array) -> Array:
+def first_form(frame: RollFrame, d_s: Array, d_w: Array) -> Array:
     """Return the (n, 2, 2) first fundamental form in x, y."""
     tangents = np.stack([d_s, d_w], axis=1)
     inner = tangents @ np.swapaxes(tangents, 1, 2)
     return np.swapaxes(frame.jacobian, 1, 2) @ inner @ frame.jacobian
 
 
-def second_form(frame: Frame) -> Array:
+def second_form(frame: RollFrame) -> Array:
     """Return the (n, 2, 2) second fundamental form in x, y; the plane map's second derivatives are tangent."""
     form = np.zeros((len(frame.second_ss), 2, 2))
     form[:, 0, 0] = frame.second_ss
@@ -105,7 +105,7 @@ def second_form(frame: Frame) -> Array:
     return np.swapaxes(frame.jacobian, 1, 2) @ form @ frame.jacobian
 
 
-def frame_at(bend: Bend, sheet: Sheet, xy_mm: Array, *, placed: bool = True) -> Frame:
+def frame_at(bend: Bend, sheet: Sheet, xy_mm: Array, *, placed: bool = True) -> RollFrame:
     """Return the stretched, rolled and twisted sheet, before its bumps, at flat points (n, 2).
 
     Without ``placed`` the positions are left at zero: a metric needs none, and they cost four fifths of the time.
@@ -147,7 +147,7 @@ def frame_at(bend: Bend, sheet: Sheet, xy_mm: Array, *, placed: bool = True) -> 
     jacobian = np.empty((len(s), 2, 2))
     jacobian[:, 0, 0], jacobian[:, 0, 1] = cos_axis * stretch, sin_axis * bend.stretch_across
     jacobian[:, 1, 0], jacobian[:, 1, 1] = -sin_axis * stretch, cos_axis * bend.stretch_across
-    return Frame(
+    return RollFrame(
         position=(_roll(s, u, angle, bend.skew) + w[:, None] * ruling) @ turn + centre
         if placed
         else np.zeros_like(ruling),

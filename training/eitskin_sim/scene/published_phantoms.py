@@ -43,11 +43,11 @@ PHANTOM_RECTS_MM: Final[dict[str, tuple[Rect, ...]]] = {
 }
 """The touched rectangles of each phantom in true millimetres."""
 
-_BARRED_UNITS: Final = frozenset(
+_PUBLISHED_UNITS: Final = frozenset(
     frozenset(row * UNIT_SHAPE[1] + column for column, row in units) for units in PHANTOM_UNITS.values()
 )
 
 
-def is_barred(units: Iterable[int]) -> bool:
+def is_published(units: Iterable[int]) -> bool:
     """Return whether a set of unit numbers (row * 14 + column) is one of the published phantoms."""
-    return frozenset(units) in _BARRED_UNITS
+    return frozenset(units) in _PUBLISHED_UNITS

@@ -38,7 +38,7 @@ PIXEL_LINES: Final[tuple[Array, Array]] = (
 
 
 @dataclass(frozen=True, slots=True)
-class FreeTouches:
+class TouchTable:
     """Touch sets as one table.
 
     Args:
@@ -57,12 +57,12 @@ class FreeTouches:
         """Return the (p, 7) pieces of one set."""
         return self.pieces[self.first[number] : self.first[number + 1]]
 
-    def chosen(self, numbers: npt.NDArray[np.integer]) -> "FreeTouches":
+    def chosen(self, numbers: npt.NDArray[np.integer]) -> "TouchTable":
         """Return some of the sets."""
         counts = np.diff(self.first)[numbers]
         first = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         rows = np.arange(first[-1]) + np.repeat(self.first[numbers] - first[:-1], counts)
-        return FreeTouches(self.pieces[rows], first)
+        return TouchTable(self.pieces[rows], first)
 
     def areas(self, number: int) -> Array:
         """Return the (30, 45) touched share of every pixel."""
@@ -99,10 +99,10 @@ class FreeTouches:
         return tuple(Touch((shape_of(piece),), float(piece[6])) for piece in self.of(number))
 
 
-def gather(sets: Sequence[Array]) -> FreeTouches:
+def gather(sets: Sequence[Array]) -> TouchTable:
     """Return touch sets from a list of (p, 7) pieces."""
     first = np.concatenate([[0], np.cumsum([len(pieces) for pieces in sets])]).astype(np.int64)
-    return FreeTouches(np.concatenate([*sets, np.empty((0, 7))]), first)
+    return TouchTable(np.concatenate([*sets, np.empty((0, 7))]), first)
 
 
 def corners(piece: Array) -> Array:

@@ -5,8 +5,8 @@ of a block matrix the inverse of what is left of A W^-2 A^T + lambda I is K_oo -
 
     M' = M_:o - M_:m K_mm^-1 K_mo
 
-which is the matrix of the rows that are left, with the weights W and the damping lambda of the whole scan: what a lost
-electrode must not do is change what the image is regularised by. It also equals filling the lost data in by
+which is the matrix of the rows that are left, with the weights W and the damping lambda of all rows: what a missing
+electrode must not do is change what the image is regularised by. It also equals filling the missing data in by
 d_m = -K_mm^-1 K_mo d_o. l1 needs A_o and the largest eigenvalue of A_o A_o^T, a part of a matrix that is kept; SBL
 needs A_o alone, for everything else of it depends on the data.
 """
@@ -38,12 +38,12 @@ class Precomputed:
 
     def tikhonov(self, gone: Rows) -> Array:
         """Return the (n, rows left) Tikhonov matrix without some rows."""
-        left, lost = np.flatnonzero(~gone), np.flatnonzero(gone)
-        if not len(lost):
+        left, missing = np.flatnonzero(~gone), np.flatnonzero(gone)
+        if not len(missing):
             return self.matrix.copy()
-        inner = linalg.cho_factor(self.inverse[np.ix_(lost, lost)])
-        back = linalg.cho_solve(inner, self.inverse[np.ix_(lost, left)])
-        return np.asarray(self.matrix[:, left] - self.matrix[:, lost] @ back)
+        inner = linalg.cho_factor(self.inverse[np.ix_(missing, missing)])
+        back = linalg.cho_solve(inner, self.inverse[np.ix_(missing, left)])
+        return np.asarray(self.matrix[:, left] - self.matrix[:, missing] @ back)
 
     def left(self, gone: Rows) -> tuple[Array, float]:
         """Return the (rows left, n) operator and its largest squared singular value: what l1 and SBL take."""

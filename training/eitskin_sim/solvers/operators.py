@@ -84,7 +84,7 @@ def build_operators(
 
 
 def operators_of_cloud(cloud_mm: npt.ArrayLike, cells: Cells = "pixels") -> Operators:
-    """Return the operators of a scanned sheet.
+    """Return the operators of the sheet that a cloud shows.
 
     Args:
         cloud_mm: (3, 30, 45) mm, in any pose.

@@ -1,8 +1,8 @@
 """The cloud that a scanner gives of a known bend: no marks, evenly redrawn by arc length, noisy, in the agreed pose.
 
-A scan sees the surface and not the material. It knows where the border is, and between borders it can only divide rows
-and columns evenly by arc length; an uneven stretch therefore leaves no trace in the cloud. The same resampling serves a
-real scan (:mod:`eitskin_sim.surface.ordered_cloud`), so training sees what the robot will.
+A cloud shows the surface and not the material. A scanner sees where the border is, and between borders rows and columns
+can only be divided evenly by arc length; an uneven stretch therefore leaves no trace in the cloud. The same resampling
+serves measured points (:mod:`eitskin_sim.surface.ordered_cloud`), so training sees what the robot will.
 """
 
 from typing import Final
@@ -16,10 +16,10 @@ from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.smooth_surface import NODES, by_arc_length
 
 NOISE_MM: Final = 0.1
-"""Resolution of the scan (paper section IV.A), taken as the noise of every coordinate."""
+"""Resolution of the scanner (paper section IV.A), taken as the noise of every coordinate."""
 
 
-def scanned_cloud(
+def measured_cloud(
     bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM
 ) -> npt.NDArray[np.float32]:
     """Return the (3, 30, 45) mm cloud of a bend.

@@ -3,7 +3,7 @@
 The chart of :mod:`eitskin_sim.surface.unroll` is a rectangle up to place, rotation and what twist and bumps do to it.
 Its pose is that of the smallest box around it. Each side is then found strip by strip from the *density* of the points:
 with rho points per millimetre inside, the side lies where the points beyond a line would fill rho up. An extreme point
-would lie too far out by two or three times the noise, and too far in where the scan is thin. A cubic through the strips
+would lie too far out by two or three times the noise, and too far in where points are few. A cubic through the strips
 rides over notches. ::
 
         v |  ____top(u)____            a = (u - left(v)) / (right(v) - left(v))
@@ -27,7 +27,7 @@ STRIP_MM: Final = 5.0
 """Width of the strips in which a side is looked for."""
 
 STRIP_POINTS: Final = 12.0
-"""A thin scan has wider strips, so that this many points give each its density."""
+"""A cloud of few points has wider strips, so that this many points give each its density."""
 
 SEARCH_MM: Final = 4.0
 """How far a side may lie from the box's: cubes and curvature of the chart, not the sheet's shape."""

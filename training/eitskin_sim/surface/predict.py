@@ -25,6 +25,7 @@ from scipy.interpolate import BSpline
 
 from eitskin_proto.sensor.cloud import check_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, SHEET_MM
+from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.mesh import TensorMesh
@@ -41,9 +42,6 @@ COARSE_MM: Final = 4.5
 
 FINE_MM: Final = 1.5
 """Element size of the flat sheet's correction, solved once a process."""
-
-RATIO_FLOOR: Final = 1e-3
-"""|V_pred| / |V_flat| is cut off here before its logarithm, as the runtime does."""
 
 MODEL: Final = f"spline {COEFFICIENTS[0]}x{COEFFICIENTS[1]}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
 """Names everything of this module that a stored prediction depends on, beside the forward model."""
@@ -118,8 +116,8 @@ def predicted_log(clouds_mm: Iterable[npt.ArrayLike]) -> npt.NDArray[np.float32]
     Raises:
         ValueError: A cloud is malformed, or folds in its own plane.
     """
-    ratios = np.array([predict(cloud) / _flat()[0] for cloud in clouds_mm]).reshape(-1, N_ROWS)
-    return np.asarray(np.log(np.maximum(np.abs(ratios), RATIO_FLOOR)), dtype=np.float32)
+    predicted = np.array([predict(cloud) for cloud in clouds_mm]).reshape(-1, N_ROWS)
+    return log_prediction(predicted, _flat()[0])
 
 
 @lru_cache(maxsize=1)

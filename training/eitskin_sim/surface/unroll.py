@@ -1,4 +1,4 @@
-"""A flat chart of a curled sheet: every scanned point gets the place (u, v) that it has when the sheet is rolled out.
+"""A flat chart of a curled sheet: every measured point gets the place (u, v) that it has when the sheet is rolled out.
 
 A sheet bent by 180 degrees or more is no graph z(x, y), so nothing here looks from above. The points are binned into
 cubes of a few millimetres, and the cubes' centroids c form a graph along the surface::
@@ -88,7 +88,7 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     if len(keep) < LEAST_CELLS:
         raise ValueError(
             f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about 1000: "
-            "are they in millimetres, and of the whole sheet?"
+            "are the points in millimetres, and of the whole sheet?"
         )
     nodes = centroid[keep]
     pairs = cKDTree(nodes).query_pairs(REACH_CELLS * cell_mm, output_type="ndarray")
@@ -235,9 +235,9 @@ def _node_of_cube(centroid: Array, keep: npt.NDArray[np.intp]) -> npt.NDArray[np
     """The graph's node that places a cube's points: its own, the nearest within two cells, or none (-1)."""
     node = np.full(len(centroid), -1, dtype=np.intp)
     node[keep] = np.arange(len(keep))
-    lost = np.flatnonzero(node < 0)
-    distance, nearest = cKDTree(centroid[keep]).query(centroid[lost], distance_upper_bound=2.0 * CELL_MM)
-    node[lost] = np.where(np.isfinite(distance), nearest, -1)
+    unplaced = np.flatnonzero(node < 0)
+    distance, nearest = cKDTree(centroid[keep]).query(centroid[unplaced], distance_upper_bound=2.0 * CELL_MM)
+    node[unplaced] = np.where(np.isfinite(distance), nearest, -1)
     return node
 
 

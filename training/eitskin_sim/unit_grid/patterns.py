@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
-from eitskin_sim.scene.published_phantoms import is_barred
+from eitskin_sim.scene.published_phantoms import is_published
 
 N_RANDOM_SETS: Final = 9_749
 """Random sets of two to four units: what remains of 10,259 after 126 units and 384 squares (FACTS: sample count)."""
@@ -98,7 +98,7 @@ def rich_touch_sets(count: int, seed: int) -> Bits:
 
 def _is_new(bits: Bits, seen: set[bytes]) -> bool:
     key = pack(bits).tobytes()
-    if key in seen or not bits.any() or is_barred(np.flatnonzero(bits).tolist()):
+    if key in seen or not bits.any() or is_published(np.flatnonzero(bits).tolist()):
         return False
     seen.add(key)
     return True

@@ -22,8 +22,8 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.freeform.patterns import CONTRAST
-from eitskin_sim.freeform.sheet import free_sheet
-from eitskin_sim.freeform.voltages import free_voltages
+from eitskin_sim.freeform.sheet import inverted_sheet
+from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene import bend as surfaces
 from eitskin_sim.scene.family import BOUNDS, FLAT, SCALED, draw, scaled
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
@@ -168,8 +168,8 @@ def small_touches(bends: int, each: int = 400, seed: int = TOUCH_SEED) -> Array:
 
 def touch_logs(bend: Bend, sets: Sequence[Array]) -> Array:
     """Return (n, 104) log(V touched / V untouched) of touch sets at a bend, each given by its (p, 7) pieces."""
-    sheet = free_sheet(bend)
-    ratio = free_voltages([sheet], gather(sets))[0] / sheet.untouched_V
+    sheet = inverted_sheet(bend)
+    ratio = set_voltages([sheet], gather(sets))[0] / sheet.untouched_V
     return np.asarray(np.log(ratio[(ratio > 0).all(axis=1)]))
 
 
@@ -213,12 +213,12 @@ def probes(bends: int, seed: int) -> tuple[Probe, ...]:
     sets = probe_sets(seed)
     table = gather([pieces for group in sets.values() for pieces in group])
     ends = np.cumsum([len(group) for group in sets.values()])
-    flat_V = free_sheet(Bend()).untouched_V
+    flat_V = inverted_sheet(Bend()).untouched_V
     families = {"flat": (Bend(),), "A": draw("A", bends, seed), "B": draw("B", bends, seed)}
     found = []
     for family, members in families.items():
-        sheets = [free_sheet(bend) for bend in members]
-        voltages = np.array([free_voltages([sheet], table)[0] for sheet in sheets])
+        sheets = [inverted_sheet(bend) for bend in members]
+        voltages = np.array([set_voltages([sheet], table)[0] for sheet in sheets])
         logs = np.log(np.maximum(voltages / flat_V, 1e-6))
         before = np.log(np.array([sheet.untouched_V for sheet in sheets]) / flat_V)
         for name, group in zip(sets, np.split(logs, ends[:-1], axis=1), strict=True):

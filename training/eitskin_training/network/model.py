@@ -1,4 +1,4 @@
-"""VD2T: voltages and a scanned shape in, the touched map out (paper section IV.B, Fig. 3).
+"""VD2T: voltages and a measured cloud in, the touched map out (paper section IV.B, Fig. 3).
 
 Two channels meet in two linear layers. The first of them is linear in both channels, so it is kept as its two column
 blocks: what the cloud adds there is a *bias* that changes only when the sheet's shape does. ::
@@ -14,22 +14,20 @@ all widths: the paper gives none.
 """
 
 import itertools
-from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import torch
 from torch import Tensor, nn
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, N_UNITS, QUARTER_SHAPE, UNIT_OF_PIXEL
+from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import IMAGES, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
 from eitskin_training.network.sharpen import Sharpen
 
-VoltageChannel = Literal["paper", "residual"]
-Activation = Literal["relu", "silu"]
-
-RATIO_FLOOR: Final = 1e-2
-"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero."""
+MEASURED_FLOOR: Final = 1e-2
+"""V / V0 is clamped here before its logarithm: a strongly touched row falls to 5e-4, and noise can cross zero. It is
+part of every exported graph; :mod:`eitskin_proto.sensor.log_prediction` has the floors side by side."""
 
 CHANGE_RANGE: Final = (-1.2, 5.0)
 """V / V0 - 1 is clamped here. Touches and deformations stay inside; noise on a weak row, alone, may not, and one such
@@ -37,64 +35,6 @@ value would move the batch's mean and spread, or the map."""
 
 TOUCHED_PRIOR: Final = 0.05
 """Mean of the labels to start from, so that the first epochs do not go into learning that most pixels are 0."""
-
-
-@dataclass(frozen=True, slots=True)
-class Architecture:
-    """Everything that fixes the shape of a network.
-
-    Args:
-        voltage_channel: The paper's MLP and 1-D CNN, or residual linear layers.
-        log_ratio: Whether log(V / V0) joins dv as an input, computed inside the graph.
-        log_predicted: Whether log(V / V_pred) does; V_pred then comes as a second input of the head.
-        widths: Outputs of each linear layer of the voltage channel; a residual channel needs them equal.
-        convolutions: Channels of each 1-D convolution of the paper's voltage channel.
-        cloud_channels: Channels of each 2-D convolution of the cloud channel.
-        use_cloud: False leaves the cloud out, for the ablation; the bias is then a constant.
-        hidden: Width H between the two fusion layers, and so of the bias.
-        outputs: 1350 pixels, or 126 units that the graph spreads over their pixels.
-        dropout: Fraction of activations dropped in training.
-        activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
-        sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
-        symmetric: Whether every layer but the sharpening keeps the sheet's mirror symmetries; widths are then those of
-            one image of four. Residual voltage channels with pixels out only.
-    """
-
-    voltage_channel: VoltageChannel = "residual"
-    log_ratio: bool = True
-    log_predicted: bool = False
-    widths: tuple[int, ...] = (512, 512, 512)
-    convolutions: tuple[int, ...] = ()
-    cloud_channels: tuple[int, ...] = (8, 8)
-    use_cloud: bool = True
-    hidden: int = 512
-    outputs: int = N_PIXELS
-    dropout: float = 0.0
-    activation: Activation = "relu"
-    sharpening: tuple[int, ...] = ()
-    symmetric: bool = False
-
-    def __post_init__(self) -> None:
-        if self.outputs not in (N_PIXELS, N_UNITS):
-            raise ValueError(f"outputs is {self.outputs}; expected {N_PIXELS} pixels or {N_UNITS} units")
-        if self.voltage_channel == "residual" and len(set(self.widths)) != 1:
-            raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
-        if self.sharpening and self.outputs != N_PIXELS:
-            raise ValueError(f"sharpening needs {N_PIXELS} outputs, found {self.outputs}: units have no pixels around")
-        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != N_PIXELS):
-            raise ValueError(f"a symmetric network needs a residual voltage channel and {N_PIXELS} outputs")
-        if not 0.0 <= self.dropout < 1.0:
-            raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
-
-    @property
-    def bias_width(self) -> int:
-        """Width of what a cloud adds: H, or that of each of four images."""
-        return IMAGES * self.hidden if self.symmetric else self.hidden
-
-    @property
-    def feature_blocks(self) -> int:
-        """How many times 104 values the voltage channel reads."""
-        return 1 + self.log_ratio + self.log_predicted
 
 
 class Standardise(nn.Module):
@@ -231,7 +171,7 @@ def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | Non
     dv = torch.clamp(dv, *CHANGE_RANGE)
     blocks = [dv]
     if architecture.log_ratio or architecture.log_predicted:
-        log_ratio = torch.log(torch.clamp(1.0 + dv, min=RATIO_FLOOR))
+        log_ratio = torch.log(torch.clamp(1.0 + dv, min=MEASURED_FLOOR))
         if architecture.log_ratio:
             blocks.append(log_ratio)
         if architecture.log_predicted:

@@ -1,4 +1,4 @@
-"""Batches: noise, lost rows, mirror images and labels are made when a batch is, so no epoch sees a sample twice alike.
+"""Batches: noise, missing rows, mirror images and labels are made when a batch is; no epoch sees a sample twice alike.
 
 A data set holds each touch set's label once and each bend's cloud once; a sample is an index into both. A batch carries
 the clouds that occur in it, each once, and which of them every sample has. One batch is shown in one mirror image: the
@@ -21,10 +21,11 @@ from eitskin_proto.sensor.cloud import network_input
 from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.row_gaussian import RowGaussian
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
-from eitskin_sim.measurement.consistency import SAMPLES, Consistency, Filler, fit
+from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.mirror import MIRRORS, Mirror
 from eitskin_training.network.model import features
@@ -230,7 +231,7 @@ def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Genera
         dv[sample, rng.choice(N_ROWS, size=int(rng.integers(1, MOST_LOST_ROWS + 1)), replace=False)] = 0.0
 
 
-def consistency_of(data: TrainingData, recipe: Recipe) -> Consistency:
+def consistency_of(data: TrainingData, recipe: Recipe) -> RowGaussian:
     """Return how rows go together in the training samples under the recipe's noise; the same at every call."""
     chosen = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
     return fit(noisy_change(data, chosen, recipe.noises, recipe.snr_db, np.random.default_rng(0)))

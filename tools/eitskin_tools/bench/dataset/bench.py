@@ -5,7 +5,8 @@ ratios use it. Each row says what its seconds hold: set-up of a deformation and 
 shared work count. "naive" factorises the same mesh for every sample, so its voltages are also what ours are checked
 against. pyEIT has point electrodes and no contact model; it solves a mesh of about as many nodes, for its time alone.
 How far the free set's mesh is from finer ones is measured on fewer sets
-(:mod:`eitskin_tools.bench.dataset.freeform_error`).
+(:mod:`eitskin_tools.bench.dataset.freeform_error`), and how far apart the two rules for cut elements are
+(:mod:`eitskin_tools.bench.dataset.cut_rules`).
 """
 
 import argparse
@@ -15,6 +16,7 @@ from collections.abc import Callable
 from time import perf_counter, process_time
 from typing import Any
 
+from eitskin_tools.bench.dataset.cut_rules import rule_rows
 from eitskin_tools.bench.dataset.freeform_error import error_rows, gap_rows
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
@@ -49,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     one_blas_thread()
     rows = [*_paper(arguments), *_free(arguments), _pyeit()]
-    errors = [*error_rows(arguments.scenes), *gap_rows()] if arguments.scenes else []
+    errors = [*error_rows(arguments.scenes), *gap_rows(), *rule_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
     default = next((row for row in errors if row["what"] == "free, default"), {})
@@ -126,23 +128,23 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
     from eitskin_sim.dataset.plan import GROUP, VALIDATION
     from eitskin_sim.fem.forward import Factor
-    from eitskin_sim.freeform.mesh import free_mesh
+    from eitskin_sim.freeform.mesh import shared_mesh
     from eitskin_sim.freeform.parts import geometry
-    from eitskin_sim.freeform.pool import free_pool
-    from eitskin_sim.freeform.sheet import free_sheet, sheet_blocks
+    from eitskin_sim.freeform.pool import set_pool
+    from eitskin_sim.freeform.sheet import inverted_sheet, sheet_blocks
     from eitskin_sim.freeform.voltages import pool_voltages
     from eitskin_sim.scene.family import draw
 
     print(f"eitskin bench dataset: {arguments.free} free touch sets at each of {GROUP} deformations", file=sys.stderr)
-    bends, grid = draw("A", GROUP, 0), free_mesh()
+    bends, grid = draw("A", GROUP, 0), shared_mesh()
 
     def ours() -> Any:
         count = (arguments.free, round(VALIDATION * arguments.free))
-        pool = free_pool(dict.fromkeys(range(GROUP), count), 0)
+        pool = set_pool(dict.fromkeys(range(GROUP), count), 0)
         batches = geometry(pool.parts, grid)
         made, used = [], None
         for number, bend in enumerate(bends):
-            sheet = free_sheet(bend, into=used)
+            sheet = inverted_sheet(bend, into=used)
             made.append(pool_voltages(sheet, grid, pool, batches, number))
             used = sheet.inverse
         return pool.touches(pool.sets[GROUP - 1]), made
@@ -150,7 +152,7 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     (touches, made), seconds = _timed(ours)
     note = "drawing, geometry and set-up included; every sample a set of its own"
     row = _row("free", "ours", GROUP * arguments.free, seconds, note)
-    sheet = free_sheet(bends[-1])
+    sheet = inverted_sheet(bends[-1])
     pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
 
     def naive() -> Any:

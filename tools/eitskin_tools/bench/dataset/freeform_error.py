@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
     from eitskin_sim.scene.parts import Bend
-    from eitskin_sim.scene.touch_table import Array, FreeTouches
+    from eitskin_sim.scene.touch_table import Array, TouchTable
 
 SCENE_MM: Final = 1.5
 FINER_MM: Final = 1.0
@@ -35,16 +35,16 @@ def error_rows(count: int) -> list[dict[str, Any]]:
     import numpy as np
 
     from eitskin_sim.freeform.mesh import ELEMENT_MM
-    from eitskin_sim.freeform.pool import free_pool
-    from eitskin_sim.freeform.sheet import free_sheet
-    from eitskin_sim.freeform.voltages import free_voltages
+    from eitskin_sim.freeform.pool import set_pool
+    from eitskin_sim.freeform.sheet import inverted_sheet
+    from eitskin_sim.freeform.voltages import set_voltages
     from eitskin_sim.scene.family import draw
 
     bends = draw("A", DEFORMATIONS + 1, SEED)[1:]
     each = [len(own) for own in np.array_split(np.arange(count), len(bends))]
     tables = []
     for number, share in enumerate(each):
-        pool = free_pool({number: (4 * share + 40, 0)}, SEED)
+        pool = set_pool({number: (4 * share + 40, 0)}, SEED)
         table = pool.touches(pool.sets[number])
         touched = np.flatnonzero(np.diff(table.first) > 0)[:share]
         tables.append(table.chosen(touched))
@@ -63,10 +63,10 @@ def error_rows(count: int) -> list[dict[str, Any]]:
     rows = [_row("scene", SCENE_MM, scene_change(SCENE_MM, 3), scene_change(FINER_MM, 3), 0.0)]
     for size_mm in sorted({*SIZES_MM, ELEMENT_MM}, reverse=True):
         start = process_time()
-        sheets = [free_sheet(bend, size_mm) for bend in bends]
+        sheets = [inverted_sheet(bend, size_mm) for bend in bends]
         made = process_time() - start
         found = [
-            free_voltages([sheet], table, size_mm)[0] / sheet.untouched_V - 1.0
+            set_voltages([sheet], table, size_mm)[0] / sheet.untouched_V - 1.0
             for sheet, table in zip(sheets, tables, strict=True)
         ]
         name = "free, default" if size_mm == ELEMENT_MM else "free"
@@ -79,23 +79,23 @@ def gap_rows() -> list[dict[str, Any]]:
     import numpy as np
 
     from eitskin_sim.freeform.mesh import ELEMENT_MM
-    from eitskin_sim.freeform.sheet import free_sheet
-    from eitskin_sim.freeform.voltages import free_voltages
+    from eitskin_sim.freeform.sheet import inverted_sheet
+    from eitskin_sim.freeform.voltages import set_voltages
     from eitskin_sim.scene.parts import Bend
     from eitskin_sim.scene.touch_table import gather
 
-    sheet, rows = free_sheet(Bend()), []
+    sheet, rows = inverted_sheet(Bend()), []
     for gap in GAPS_MM:
         half = 5.0 + gap / 2
         pairs = [[[0.0, x + side, y, 10.0, 10.0, 0.0, 50.0] for side in (-half, half)] for x, y in PLACES_MM]
         table = gather([np.array(pair) for pair in pairs])
         exact = np.array([solved / bare - 1.0 for bare, solved in _scenes(Bend(), table, SCENE_MM)])
-        found = free_voltages([sheet], table)[0] / sheet.untouched_V - 1.0
+        found = set_voltages([sheet], table)[0] / sheet.untouched_V - 1.0
         rows.append(_row(f"free, pair {gap:g} mm apart", ELEMENT_MM, found, exact, 0.0))
     return rows
 
 
-def _scenes(bend: "Bend", table: "FreeTouches", size_mm: float) -> "Iterator[tuple[Array, Array]]":
+def _scenes(bend: "Bend", table: "TouchTable", size_mm: float) -> "Iterator[tuple[Array, Array]]":
     """Yield the untouched voltages and the touched ones of every set."""
     from eitskin_sim.fem.solve import solve_scene
     from eitskin_sim.scene.parts import Scene

@@ -16,10 +16,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.electrodes import ElectrodeWatch
-from eitskin.health.imputation import Consistency, Imputation, rows_of
+from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.bundle import Bundle
 from eitskin.reference.predicted import log_ratio
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.evaluation.metrics import scaled

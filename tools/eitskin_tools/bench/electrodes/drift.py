@@ -19,8 +19,8 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import Family, draw
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
-from eitskin_sim.surface.measured_cloud import scanned_cloud
-from eitskin_sim.surface.predict import flat_voltages, predict
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import predicted_log
 
 FACTORS: Final = (-0.2, -0.05, 0.0, 0.1, 0.3)
 """Logarithms of the factor on all voltages that are tried."""
@@ -60,7 +60,7 @@ def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
         for bend in draw(family, bends, 9900):
             volts = assemble(mesh, sheet, Electrodes(), bend_metric(bend, sheet)).factorise().voltages()
             logs = np.log(volts / flat)
-            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            expected = predicted_log([measured_cloud(bend, rng)])[0]
             for with_scan in (False, True):
                 shown = expected if with_scan else np.zeros_like(expected)
                 for factor in FACTORS:
@@ -94,7 +94,7 @@ def told(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
     families: tuple[Family, ...] = ("A", "B")
     for family in families:
         for bend in draw(family, bends, 9901):
-            expected = np.log(np.abs(predict(scanned_cloud(bend, rng)) / flat_voltages())).astype(np.float32)
+            expected = predicted_log([measured_cloud(bend, rng)])[0]
             for touched in (False, True):
                 x, y, radius = rng.uniform((15.0, 15.0, 5.0), (135.0, 85.0, 12.0))
                 touches = (Touch((Disc(float(x), float(y), float(radius)),)),) if touched else ()

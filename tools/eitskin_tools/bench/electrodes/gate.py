@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.gate_without_rows import GateWithoutRows
-from eitskin.health.imputation import Consistency, Imputation, rows_of
+from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.gate import Gate
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_tools.bench.electrodes.accuracy import Lost, lost_sets

@@ -16,7 +16,8 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
-from eitskin_sim.fem.forward import FRINGE, assemble
+from eitskin_sim.fem.contacts import FRINGE
+from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import bend_metric

@@ -2,7 +2,7 @@
 
     area fraction   a cut element has the mean of the two conductivities, by area
     laminate        it conducts as layers do: the mean along the border, the harmonic mean across
-    kinks           what eitskin does: :mod:`eitskin_sim.fem.cut_elements`
+    enriched        what eitskin does: :mod:`eitskin_sim.fem.cut_elements`
 
 The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
 """
@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_elements import half_plane_share, touch
-from eitskin_sim.fem.forward import MM, Factor, System, assemble
-from eitskin_sim.fem.mesh import TensorMesh, graded_lines
+from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.cut_rule import half_plane_share
+from eitskin_sim.fem.forward import Factor, System, assemble
+from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.fem.solve import solve_scene
@@ -27,7 +28,7 @@ Array = npt.NDArray[np.float64]
 SQUARE_MM = 10.0
 PLACES_MM = ((71.4, 33.1), (21.7, 14.3), (103.26, 57.62))
 """Lower left corners, off every line of the meshes."""
-RULES = ("area fraction", "laminate", "kinks")
+RULES = ("area fraction", "laminate", "enriched")
 
 
 def size_errors(largest_mm: float, conductivity: float = 50.0) -> list[dict[str, Any]]:
@@ -90,7 +91,7 @@ def _blind_system(largest_mm: float) -> System:
 
 def _solve(system: System, item: Touch, rule: str) -> Array:
     touched = touch(system, (item,))
-    if rule == "kinks":
+    if rule == "enriched":
         return Factor(system, touched.blocks, touched.density).voltages()
     blocks = touched.sigma[:, None, None] * system.stiffness
     if rule == "laminate":

@@ -13,7 +13,8 @@ from scipy.sparse import bmat, csc_array
 from scipy.sparse.linalg import splu
 
 from eitskin_proto.sensor.table import TABLE
-from eitskin_sim.fem.forward import FRINGE, MM
+from eitskin_sim.fem.contacts import FRINGE
+from eitskin_sim.fem.mesh import MM
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.parts import Scene
 

@@ -90,16 +90,16 @@ class Material:
     @classmethod
     def of(cls, rng: np.random.Generator, bends: int = 20, each: int = 200) -> "Material":
         """Return it solved."""
-        from eitskin_sim.freeform.sheet import free_sheet
-        from eitskin_sim.freeform.voltages import free_voltages
+        from eitskin_sim.freeform.sheet import inverted_sheet
+        from eitskin_sim.freeform.voltages import set_voltages
         from eitskin_sim.scene.touch_table import gather
         from eitskin_training.gate.untouched import squares
 
-        sheet = free_sheet(bends_of("flat", 1)[0])
+        sheet = inverted_sheet(bends_of("flat", 1)[0])
         reference_V = sheet.untouched_V
         one = squares([(60.0, 50.0)], 15.0, 50.0)[0]
         weak = squares([(100.0, 40.0)], 10.0, CONTRAST)[0]
-        one_V, two_V, weak_V = free_voltages([sheet], gather([one, np.concatenate([one, weak]), weak]))[0]
+        one_V, two_V, weak_V = set_voltages([sheet], gather([one, np.concatenate([one, weak]), weak]))[0]
         bent_V = reference_V * np.exp(still("A", bends))
         return cls(
             Frames(reference_V, rng),

@@ -83,7 +83,7 @@ def _times(name: str, drives: int) -> dict[str, Any]:
     """Return what a configuration makes of these drives: times of a scan, the rate's gain, and the soonest map."""
     configuration = config_toml.load(name)
     whole_us, idle_us = configuration.scan_us(), configuration.scan_us(drives)
-    full_ms, idle_ms = (1e6 / rate for rate in (configuration.rate_millihertz, configuration.idle_rate_millihertz))
+    full_ms, idle_ms = (1e6 / rate for rate in (configuration.rate_mHz, configuration.idle_rate_mHz))
     return {
         "name": name,
         "drives_of_a_whole_scan": drive_count(False, configuration.drives),

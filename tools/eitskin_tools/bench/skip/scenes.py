@@ -78,18 +78,18 @@ def moving(family: str, count: int) -> tuple[Motion, ...]:
 @cache
 def growing(family: str, count: int, side_mm: float) -> tuple[Motion, ...]:
     """Return touches in the middle of sheets at rest, from nothing to the weakest contrast."""
-    from eitskin_sim.freeform.sheet import free_sheet
-    from eitskin_sim.freeform.voltages import free_voltages
+    from eitskin_sim.freeform.sheet import inverted_sheet
+    from eitskin_sim.freeform.voltages import set_voltages
     from eitskin_sim.scene.touch_table import gather
     from eitskin_training.gate.untouched import squares
 
     contrasts = contrasts_of_growth()
     sets = gather([squares([(75.0, 50.0)], side_mm, float(contrast))[0] for contrast in contrasts[1:]])
-    flat_V = free_sheet(Bend()).untouched_V
+    flat_V = inverted_sheet(Bend()).untouched_V
     found = []
     for bend in bends_of(family, count):
-        sheet = free_sheet(bend)
-        voltages = np.concatenate([sheet.untouched_V[None], free_voltages([sheet], sets)[0]])
+        sheet = inverted_sheet(bend)
+        voltages = np.concatenate([sheet.untouched_V[None], set_voltages([sheet], sets)[0]])
         found.append(Motion(family, np.log(np.maximum(voltages / flat_V, 1e-6))))
     return tuple(found)
 

@@ -1,8 +1,8 @@
-"""``eitskin bench surface``: a raw scan to a cloud, a cloud to V_pred and operators, and what solvers then take.
+"""``eitskin bench surface``: unordered points to a cloud, a cloud to V_pred and operators, and what solvers then take.
 
 One core: BLAS is held to one thread. ``median_ms`` is wall time, ``cpu_ms`` the process's own, which is the one that
 counts on a machine that does other work too; ``cpu_least_ms``, the least of all, is what others' use of the caches
-disturbed least. The scan has no order, an arbitrary pose, 0.1 mm noise and 1 % outliers;
+disturbed least. The points have no order, an arbitrary pose, 0.1 mm noise and 1 % outliers;
 ``off_mm`` is the cloud's rms distance from the true surface, taken from 2 million points on it.
 """
 
@@ -19,7 +19,7 @@ from eitskin_tools.processes.threads import one_blas_thread
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--points", type=int, default=100_000, metavar="N", help="points in the scan (default 100000)")
+    parser.add_argument("--points", type=int, default=100_000, metavar="N", help="points (default 100000)")
     parser.add_argument("--repeats", type=int, default=7, metavar="N", help="how often each is timed (default 7)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
@@ -29,7 +29,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.points < 1_500 or arguments.repeats < 1:
         raise UsageError("--points must be at least 1500 and --repeats at least 1")
     one_blas_thread()
-    rows = [*_scan_rows(arguments.points, arguments.repeats), *_solver_rows(arguments.repeats)]
+    rows = [*_cloud_rows(arguments.points, arguments.repeats), *_solver_rows(arguments.repeats)]
     summary = {row["what"]: row["cpu_ms"] for row in rows}
     if arguments.json:
         print(json.dumps({"rows": rows, "summary": summary}))
@@ -51,7 +51,7 @@ def _timed(what: str, repeats: int, action: Callable[[], object], **extra: Any) 
     return {"what": what, **{name: round(value, 1) for name, value in times.items()}, **extra}
 
 
-def _scan_rows(count: int, repeats: int) -> list[dict[str, Any]]:
+def _cloud_rows(count: int, repeats: int) -> list[dict[str, Any]]:
     import numpy as np
     from scipy.spatial import cKDTree
 
@@ -71,8 +71,8 @@ def _scan_rows(count: int, repeats: int) -> list[dict[str, Any]]:
         points[stray] = rng.uniform(points.min(axis=0) - 20, points.max(axis=0) + 20, (len(stray), 3))
         turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
         turn *= np.sign(np.linalg.det(turn))
-        scanned = points @ turn.T + 100.0
-        found = organise(scanned)
+        seen = points @ turn.T + 100.0
+        found = organise(seen)
         x, y = np.meshgrid(np.arange(0.0, 150.05, 0.1), np.arange(0.0, 100.05, 0.1))
         dense = surface(bend, Sheet(), np.stack([x.ravel(), y.ravel()], -1)) @ turn.T + 100.0
         there = (found.cloud_mm.reshape(3, -1).T - found.translation_mm) @ found.rotation
@@ -80,7 +80,7 @@ def _scan_rows(count: int, repeats: int) -> list[dict[str, Any]]:
         gap = cKDTree(dense).query(there)[0]
         off = float(max(float(np.mean(gap**2)) - 0.1**2 / 6, 0.0) ** 0.5)
         extra = {"points": count, "bend": name, "off_mm": round(off, 4), "outliers": found.outliers}
-        rows.append(_timed(f"scan, {name}", repeats, lambda scanned=scanned: organise(scanned), **extra))  # type: ignore[misc]
+        rows.append(_timed(f"scan, {name}", repeats, lambda seen=seen: organise(seen), **extra))  # type: ignore[misc]
     return rows
 
 
@@ -92,11 +92,11 @@ def _solver_rows(repeats: int) -> list[dict[str, Any]]:
     from eitskin_sim.solvers.operators import SATURATED, Cells, operators_of_cloud
     from eitskin_sim.solvers.sbl import sbl_image
     from eitskin_sim.solvers.tikhonov import tikhonov_matrix
-    from eitskin_sim.surface.measured_cloud import scanned_cloud
+    from eitskin_sim.surface.measured_cloud import measured_cloud
     from eitskin_sim.surface.predict import predict
 
     rng = np.random.default_rng(0)
-    cloud = scanned_cloud(Bend(angle_deg=120, stretch_along=1.1), rng)
+    cloud = measured_cloud(Bend(angle_deg=120, stretch_along=1.1), rng)
     rows = [_timed("predicted reference", repeats, lambda: predict(cloud))]
     grids: tuple[Cells, ...] = ("pixels", "units")
     for cells in grids:

@@ -3,7 +3,6 @@
 import argparse
 import json
 import sys
-from dataclasses import asdict
 from typing import Any
 
 from eitskin.acquisition.ports import open_line
@@ -93,7 +92,11 @@ def _device(shown: procedure.Shown) -> dict[str, Any]:
     def stored(one: procedure.Stored | None) -> dict[str, Any] | None:
         if one is None:
             return None
-        return {**asdict(one.configuration), "digest": f"{one.configuration.digest:08x}", "generation": one.generation}
+        return {
+            **one.configuration.published(),
+            "digest": f"{one.configuration.digest:08x}",
+            "generation": one.generation,
+        }
 
     hello = shown.hello
     return {

@@ -22,9 +22,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Adapt and report."""
     import torch
 
-    from eitskin_export import package
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
+    from eitskin_training.gate import stored
+    from eitskin_training.run_files import data_of, trained
 
     if arguments.threads < 0:
         raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
@@ -37,11 +38,12 @@ def run(arguments: argparse.Namespace) -> int:
     source, out = Path(arguments.run_folder), Path(arguments.out)
     if (out / "best.pt").exists():
         raise UsageError(f"{out} holds a run already; name another folder with --out, or remove it")
-    found = package.trained(source)
-    data = package.data_of(found, arguments.data)
+    found = trained(source)
+    data = data_of(found, arguments.data)
     adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=_tell)
     content = {**found.content, "data": arguments.data or found.content["data"]}
     path = adapt.write(out, content, adapted)
+    stored.hand_on(source, out)
     if arguments.json:
         print(json.dumps({"run": str(out), **adapted.facts}))
         return 0

@@ -37,7 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reference",
         choices=("pre", "post", "predicted"),
-        help="what the voltages are compared with: the flat sheet, the bent sheet, or V_pred from its scan (default: "
+        help="what the voltages are compared with: the flat sheet, the bent sheet, or V_pred from its cloud (default: "
         "post for the classical solvers; a network takes pre by design, and V_pred besides if its head has that input)",
     )
     parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws for each phantom (default: 1)")
@@ -59,13 +59,13 @@ def _add_ablations(parser: argparse.ArgumentParser) -> None:
         "--prediction",
         default="scan",
         choices=("scan", "none", "true"),
-        help="second input of a network's head: V_pred of the scan, nothing, or the true untouched voltages",
+        help="second input of a network's head: V_pred of the cloud, nothing, or the true untouched voltages",
     )
     group.add_argument(
         "--cloud",
         default="scan",
         choices=("scan", "flat", "other"),
-        help="the shape that solvers are told: as scanned, flat, or that of another deformation (default: scan)",
+        help="the shape that solvers are told: as measured, flat, or that of another deformation (default: scan)",
     )
 
 

@@ -26,6 +26,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_export.bundle import amend
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
+    from eitskin_tools.stages import Stages
+    from eitskin_training.run_files import data_of, trained
 
     out = Path(arguments.out)
     if arguments.seeds < 1:
@@ -33,11 +35,14 @@ def run(arguments: argparse.Namespace) -> int:
     files.writable(out)
     for path in arguments.phantoms:
         files.find(path, files.PHANTOMS)
-    found = package.trained(Path(arguments.run_folder))
-    data = package.data_of(found, arguments.data)
+    found = trained(Path(arguments.run_folder))
+    data = data_of(found, arguments.data)
     if arguments.gate_only:
-        return _report_gate(package.refit_gate(found, data, out), as_json=arguments.json)
-    result = package.export(found, data, out, tell=_tell)
+        with Stages() as tell:
+            refitted = package.refit_gate(found, data, out, tell=tell)
+        return _report_gate(refitted, as_json=arguments.json)
+    with Stages() as tell:
+        result = package.export(found, data, out, tell=tell)
     if arguments.phantoms:
         result["phantoms"] = _phantoms(arguments.phantoms, arguments.seeds, str(result["labels"]), out)
         result["bundle"] = amend(out, {"phantoms": result["phantoms"]})

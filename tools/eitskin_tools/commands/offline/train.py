@@ -1,4 +1,4 @@
-"""``eitskin train``: train VD2T on a data set, with a progress bar on a terminal and a line per epoch elsewhere."""
+"""``eitskin train``: train VD2T and its gate on a data set, with a bar on a terminal and a line per epoch elsewhere."""
 
 import argparse
 import json
@@ -32,7 +32,9 @@ def run(arguments: argparse.Namespace) -> int:
 
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
+    from eitskin_tools.stages import Stages
     from eitskin_training import curves, train
+    from eitskin_training.gate import stored
     from eitskin_training.recipes import recipe
     from eitskin_training.samples.joined import load_all
 
@@ -64,6 +66,8 @@ def run(arguments: argparse.Namespace) -> int:
             sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
             progress=report,
         )
+    with Stages() as tell:
+        own = stored.gate_of_run(out, data, arguments.seed, tell=tell)
     drawn = curves.draw(done.history, out / "curves.png", title=f"recipe {chosen.name}, seed {arguments.seed}")
     best = done.best
     assert best is not None
@@ -77,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         "streamed_weights": done.model.streamed_weights(),
         "device": str(train.device()),
         "curves": str(out / "curves.png") if drawn else None,
+        "gate": own.gate.facts(),
     }
     if arguments.json:
         print(json.dumps(result))

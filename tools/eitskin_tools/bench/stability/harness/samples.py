@@ -25,7 +25,7 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.unit_grid.patterns import rich_touch_sets
 
 Array = npt.NDArray[np.float64]
@@ -113,7 +113,7 @@ def sheet_of(scene: Scene) -> Sheet:
 
 @lru_cache(maxsize=1024)
 def _scanned(untouched: Scene) -> Sheet:
-    cloud = scanned_cloud(untouched.bend, np.random.default_rng(SEED))
+    cloud = measured_cloud(untouched.bend, np.random.default_rng(SEED))
     sheet = Sheet(np.asarray(cloud, dtype=np.float64), voltages_of(untouched))
     sheet.predicted()  # now, since disturbed copies of the sheet would each do it again
     return sheet

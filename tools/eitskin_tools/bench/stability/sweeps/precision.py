@@ -17,8 +17,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy import linalg
 
-from eitskin.health.imputation import Consistency, rows_of
+from eitskin.health.imputation import Consistency
 from eitskin_export.projection import FACTOR as PROJECTION_FACTOR
+from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_sim.measurement.consistency import FLOOR
 from eitskin_sim.solvers.l1 import FACTOR as L1_FACTOR
 from eitskin_sim.solvers.l1 import l1_image

@@ -1,0 +1,121 @@
+"""Trials are drawn once, can be solved, and share nothing with any data set; touches are shifted whole."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_sim.evaluation import harness, trials
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.scene import check_scene, parse_phantoms
+from eitskin_sim.scene.shift import shifted
+
+BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
+FILE = [
+    {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},
+    {"name": "disc", "truth": "area", "scene": {"bend": BENT, "touches": [{"disc_mm": [70, 45, 6]}]}},
+]
+
+
+@pytest.fixture(scope="module")
+def phantoms():
+    return parse_phantoms(FILE)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    # The harness's logic does not depend on the mesh; its accuracy is the business of the forward model's tests.
+    monkeypatch.setattr(harness, "DATA_MM", 3.0)
+
+
+L_OF_TWO_BARS = [
+    {
+        "name": "L",
+        "truth": "area",
+        "scene": {"touches": [{"rect_mm": [40, 30, 50, 70]}, {"rect_mm": [50, 30, 70, 40]}, {"disc_mm": [95, 60, 5]}]},
+    }
+]
+
+
+def test_shift_moves_every_touch_by_its_own_part_of_a_pixel_and_keeps_an_l_whole():
+    (phantom,) = parse_phantoms(L_OF_TWO_BARS)
+    moved = shifted(phantom, 0.5, np.random.default_rng(0))
+    before, after = ([touch.shapes[0].bounds_mm for touch in one.scene.touches] for one in (phantom, moved))
+    moves = np.array(after)[:, :2] - np.array(before)[:, :2]
+    assert np.allclose(moves[0], moves[1])
+    assert np.abs(moves[0] - moves[2]).max() > 0.1
+    assert 0.0 < np.abs(moves).max() <= 0.5 * 10 / 3
+    assert [touch.shapes[0].area_mm2 for touch in moved.scene.touches] == pytest.approx([400.0, 200.0, 25 * math.pi])
+    assert shifted(phantom, 0.0, np.random.default_rng(0)) is phantom
+    assert shifted(phantom, 0.5, np.random.default_rng(0)) == moved
+
+
+def test_shift_stays_on_the_sheet_and_apart():
+    near = [
+        {"name": "n", "scene": {"touches": [{"rect_mm": [0, 0, 10, 10]}, {"rect_mm": [11, 0, 20, 10]}]}},
+    ]
+    (phantom,) = parse_phantoms(near)
+    for seed in range(50):
+        scene = shifted(phantom, 1.0, np.random.default_rng(seed)).scene
+        check_scene(scene)
+        first, second = (touch.shapes[0].bounds_mm for touch in scene.touches)
+        assert second[0] > first[2] or second[1] > first[3] or first[1] > second[3]
+
+
+def test_shift_of_units_or_by_more_than_a_pixel_is_refused(phantoms):
+    with pytest.raises(ValueError, match="units of the grid"):
+        shifted(phantoms[0], 0.5, np.random.default_rng(0))
+    with pytest.raises(ValueError, match="from 0 to 1"):
+        shifted(phantoms[1], 1.5, np.random.default_rng(0))
+
+
+def test_trials_can_be_solved_are_drawn_once_and_share_no_bend_with_any_data_set():
+    drawn = [
+        *trials.single(10.0, 2, 4),
+        *trials.pair(90.0, 2, 4),
+        *trials.pair(10.0, 2, 4),
+        *trials.random((5, 6), 2, 4, "B", "area"),
+        *trials.random((2, 4), 2, 4, "A", "units"),
+        *trials.untouched(2, "B"),
+    ]
+    for phantom in drawn:  # their bends were checked when they were drawn
+        check_scene(replace(phantom.scene, bend=Bend()))
+    assert drawn[:8] == trials.single(10.0, 2, 4)
+    assert trials.single(10.0, 1, 4) == drawn[:4]
+    assert [len(one.scene.touches) for one in drawn[:8]] == [1] * 8
+    mine = {one.scene.bend for one in drawn if one.scene.bend.angle_deg}
+    for seed in (0, 1):
+        assert not mine & {*draw("A", 4, seed), *draw("B", 4, seed)}
+
+
+@pytest.mark.parametrize("gap", [10.0, 90.0])
+def test_pairs_have_the_gap_that_was_asked_for(gap):
+    for phantom in trials.pair(gap, 3, 4):
+        first, second = (touch.shapes[0].bounds_mm for touch in phantom.scene.touches)
+        gaps = sorted((second[0] - first[2], second[1] - first[3]))
+        assert gaps[1] == pytest.approx(gap, abs=1e-9)
+        assert gaps[0] == pytest.approx(-10.0, abs=1e-9)
+
+
+def test_random_sets_have_as_many_touches_as_asked_for_and_hard_labels_on_the_grid():
+    for phantom in trials.random((5, 6), 3, 3, "A", "units"):
+        truth = harness.truth_map(phantom)
+        assert set(np.unique(truth)) == {0.0, 1.0}
+        assert 5 <= len(phantom.scene.touches) <= 6
+
+
+@pytest.mark.parametrize(
+    "draw_trials",
+    [
+        lambda: trials.single(0.0, 1, 1),
+        lambda: trials.pair(131.0, 1, 1),
+        lambda: trials.random((4, 2), 1, 1, "A", "units"),
+        lambda: trials.single(10.0, 0, 1),
+        lambda: trials.single(10.0, 1, 0),
+    ],
+)
+def test_trials_that_make_no_sense_are_refused_with_their_bounds(draw_trials):
+    with pytest.raises(ValueError, match=r"expected|must be"):
+        draw_trials()

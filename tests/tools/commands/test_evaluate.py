@@ -1,0 +1,195 @@
+"""``eitskin evaluate``: one object for every solver, and a line for every mistake."""
+
+import json
+
+import numpy as np
+import pytest
+
+from eitskin_sim.evaluation import harness
+from eitskin_sim.evaluation import report as reports
+from eitskin_sim.scene.scene import parse_phantoms
+from eitskin_sim.surface.predict import flat_voltages, predict
+from eitskin_tools import cli
+from eitskin_tools.evaluation import paper_tables, solvers
+from eitskin_tools.evaluation.paper import TABLE_2
+
+BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
+FILE = [
+    {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},
+    {"name": "disc", "truth": "area", "scene": {"bend": BENT, "touches": [{"disc_mm": [70, 45, 6]}]}},
+]
+
+
+@pytest.fixture(scope="module")
+def phantoms():
+    return parse_phantoms(FILE)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    # The harness's logic does not depend on the mesh; its accuracy is the business of the forward model's tests.
+    monkeypatch.setattr(harness, "DATA_MM", 3.0)
+
+
+def test_command_prints_one_object(tmp_path, capsys):
+    (tmp_path / "phantoms.json").write_text(json.dumps(FILE))
+    words = [
+        "evaluate",
+        "--phantoms",
+        str(tmp_path / "phantoms.json"),
+        "--solver",
+        "tikhonov",
+        "--noise",
+        "N3",
+        "--json",
+    ]
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["solver"], found["noise"], found["reference"]) == ("tikhonov", "N3", "post")
+    assert set(found["phantoms"][0]) == {"name", *reports.MEASURES}
+    assert found["mean"]["cc"] == pytest.approx(np.mean([row["cc"] for row in found["phantoms"]]))
+
+
+@pytest.fixture
+def tiny(request):
+    """A bundle whose head has the V_pred input."""
+    return request.config.rootpath / "tests" / "golden" / "tiny.eitskin"
+
+
+@pytest.fixture
+def file(tmp_path):
+    (tmp_path / "phantoms.json").write_text(json.dumps(FILE[:1]))
+    return str(tmp_path / "phantoms.json")
+
+
+def test_network_from_a_bundle_is_one_more_solver(tiny, file, capsys):
+    words = ["evaluate", "--phantoms", file, "--bundle", str(tiny), "--json"]
+    assert cli.main(words) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["solver"], found["reference"], len(found["bundles"])) == ("vd2t", "pre", 1)
+    assert found["prediction"] == "scan"
+
+
+def test_network_explains_which_references_it_takes(tiny, file, capsys):
+    words = ["evaluate", "--phantoms", file, "--bundle", str(tiny), "--json"]
+    assert cli.main([*words, "--reference", "post"]) == 1
+    assert "before the deformation" in capsys.readouterr().err
+    assert cli.main([*words, "--reference", "predicted"]) == 0
+    assert json.loads(capsys.readouterr().out)["prediction"] == "scan"
+    assert cli.main([*words, "--reference", "predicted", "--prediction", "none"]) == 1
+    assert "--prediction is none" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("prediction", ["scan", "none", "true"])
+def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_sheet(
+    tiny, phantoms, monkeypatch, prediction
+):
+    from eitskin.model.geometry import GeometryGraph
+
+    fed, clouds = [], []
+    geometry = GeometryGraph.geometry
+
+    def watched(graph, cloud, log_predicted, revision):
+        fed.append(log_predicted)
+        clouds.append(cloud)
+        return geometry(graph, cloud, log_predicted, revision)
+
+    monkeypatch.setattr(GeometryGraph, "geometry", watched)
+    request = solvers.Request("vd2t", bundle=tiny, prediction=prediction)
+    solvers.evaluate_requests(phantoms[:1], [request], harness.Conditions(seeds=2))
+    assert len(fed) == 2
+    assert not np.array_equal(clouds[0], clouds[1])  # each scan has its own noise
+    flat, bent = (harness.voltages_of(scene) for scene in (harness.Scene(), phantoms[0].scene.untouched()))
+    for cloud, ratio in zip(clouds, fed, strict=True):
+        if prediction == "scan":
+            assert np.allclose(ratio, np.log(predict(cloud) / flat_voltages()), atol=1e-6)
+            assert np.sqrt(np.mean((ratio - np.log(bent / flat)) ** 2)) < 0.02  # scan noise: 0.8 % a row
+        elif prediction == "true":
+            assert np.allclose(ratio, np.log(bent / flat), atol=1e-6)
+        else:
+            assert ratio is None
+
+
+@pytest.mark.parametrize(
+    ("words", "kind"),
+    [
+        (["--single", "10"], "single"),
+        (["--pair", "10"], "pair"),
+        (["--random", "2-4", "--family", "B", "--labels", "units"], "random"),
+        (["--untouched"], "untouched"),
+    ],
+)
+def test_trials_print_one_object(tiny, capsys, words, kind):
+    few = ["--deformations", "1", "--each", "1", "--bundle", str(tiny), "--json"]
+    assert cli.main(["evaluate", *words, *few]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["trial"]["kind"] == kind
+    assert found["maps"] == 1
+    assert "peak" in found if kind == "untouched" else "localisation_rms_mm" in found
+
+
+def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
+    pytest.importorskip("matplotlib", reason="the picture needs the extra 'plot'")
+    words = [
+        "evaluate",
+        "--phantoms",
+        file,
+        "--bundle",
+        str(tiny),
+        "--picture",
+        str(tmp_path / "gallery.png"),
+        "--json",
+    ]
+    assert cli.main(words) == 0
+    assert json.loads(capsys.readouterr().out)["phantoms"] == 1
+    assert (tmp_path / "gallery.png").read_bytes().startswith(b"\x89PNG")
+    assert cli.main(["evaluate", "--phantoms", file, "--picture", "x.png", "--all"]) == 2
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--random", "few"], "2-4"),
+        (["--single", "10", "--all"], "--phantoms"),
+        (["--single", "10", "--labels", "units"], "--labels"),
+        (["--single", "10", "--shift-px", "3"], "from 0 to 1"),
+    ],
+)
+def test_trials_that_cannot_be_are_bad_usage(capsys, words, text):
+    assert cli.main(["evaluate", *words]) == 2
+    assert text in capsys.readouterr().err
+
+
+def quick(phantoms, requests, conditions, progress):
+    """Reports of eight times the same phantom, for the price of one."""
+    found = solvers.evaluate_requests(phantoms[:1], requests, conditions, progress)
+    return [{**one, "phantoms": one["phantoms"] * len(phantoms)} for one in found]
+
+
+def test_table_holds_every_solver_and_reference_beside_the_papers(phantoms, monkeypatch):
+    monkeypatch.setattr(paper_tables, "CLASSICAL", ("tikhonov-pixels", "tikhonov-units"))
+    monkeypatch.setattr(paper_tables, "_has_bundle", lambda phantoms: False)
+    eight = [phantoms[0]] * 8
+    monkeypatch.setattr(paper_tables, "evaluate_requests", quick)
+    table, found = paper_tables.comparison(eight, harness.Conditions())
+    assert [(one["solver"], one["reference"]) for one in found] == [
+        (f"tikhonov-{cells}", kind) for cells in ("pixels", "units") for kind in ("post", "pre", "predicted")
+    ]
+    assert "paper: vd2t" in table
+    assert f"{found[0]['mean']['cc']:.3f}" in table
+    means = next(line for line in table.splitlines() if line.startswith("| paper: sbl"))
+    assert means.split(" | ")[2:5] == ["0.742", "19.1", "0.697"]  # FACTS: 0.7417
+    assert "paper" not in paper_tables.comparison(eight[:1], harness.Conditions())[0]
+
+
+def test_the_papers_table_has_the_means_that_its_text_gives():
+    means = {name: np.mean(values) for name, values in TABLE_2["cc"].items()}
+    assert means == pytest.approx({"tikhonov": 0.6625, "l1": 0.6651, "sbl": 0.7417, "vd2t": 0.9912}, abs=1e-4)
+    assert np.mean(TABLE_2["psnr_db"]["vd2t"]) == pytest.approx(38.38, abs=0.01)
+    assert np.mean(TABLE_2["rie"]["vd2t"]) == pytest.approx(0.1086, abs=1e-4)
+
+
+def test_unknown_solver_is_bad_usage_and_a_missing_file_a_failure(tmp_path, capsys):
+    assert cli.main(["evaluate", "--phantoms", "x.json", "--solver", "magic"]) == 2
+    assert cli.main(["evaluate", "--phantoms", str(tmp_path / "none.json"), "--solver", "l1"]) == 1
+    assert capsys.readouterr().out == ""

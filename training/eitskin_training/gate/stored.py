@@ -1,0 +1,132 @@
+"""The gate of a run: fitted once, kept in the run's folder, and fitted again when it is not of this run.
+
+``gate.npz`` holds the gate's arrays, what was measured of it, the untouched sheets that it was fitted and measured on,
+and what it was made of: data set, seed and version. A gate asks nothing of the network, so a run that goes on, or one
+that was adapted, keeps it.
+"""
+
+import io
+import json
+import os
+import shutil
+import zipfile
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.gate import fit, untouched
+from eitskin_training.gate.fit import Arrays, Gate
+from eitskin_training.gate.untouched import Bends
+from eitskin_training.samples.batches import TrainingData
+
+NAME: Final = "gate.npz"
+
+VERSION: Final = 1
+"""Raised whenever a gate that is fitted anew would be another one."""
+
+_GATE, _SHEETS = "gate_", "untouched_"
+_KEPT: Final = ("train", "choose", "measure")
+"""Of the untouched sheets; touches and probes have done their work."""
+
+GiveBends = Callable[[TrainingData], Bends]
+
+
+@dataclass(frozen=True, slots=True)
+class RunGate:
+    """A run's gate.
+
+    Args:
+        gate: The fitted gate.
+        bends: Untouched sheets that it learned from, that chose its threshold and that measured it.
+    """
+
+    gate: Gate
+    bends: Bends
+
+
+def made_of(data: TrainingData, seed: int) -> dict[str, Any]:
+    """Return what names the gate of a run: one with other values is stale."""
+    return {
+        "version": VERSION,
+        "protocol_id": PROTOCOL_ID,
+        "grid_id": GRID_ID,
+        "data_digest": data.digest,
+        "seed": seed,
+    }
+
+
+def gate_of_run(
+    folder: Path,
+    data: TrainingData,
+    seed: int,
+    *,
+    tell: Callable[[str], None] = lambda _: None,
+    anew: bool = False,
+    bends: GiveBends | None = None,
+    steps: int | None = None,
+) -> RunGate:
+    """Return a run's gate: the stored one, or one that is fitted now and stored.
+
+    Args:
+        folder: The run's.
+        data: Its data set.
+        seed: Its seed.
+        tell: Told what is being done, where there is something to do.
+        anew: Fit it even if there is one.
+        bends: Gives the untouched sheets; None solves hundreds (:func:`eitskin_training.gate.untouched.solved_bends`).
+        steps: Steps that it is fitted for; None takes ``fit.STEPS``.
+
+    Raises:
+        SkinError: No bends are held out.
+    """
+    expected = made_of(data, seed)
+    stored = None if anew else _read(folder / NAME, expected)
+    if stored is not None:
+        return stored
+    tell("gate: solving untouched sheets")
+    sheets = (bends or untouched.solved_bends)(data)
+    tell("gate: fitting")
+    gate = fit.fit(data, sheets, seed=seed, steps=fit.STEPS if steps is None else steps)
+    found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
+    try:
+        _write(folder / NAME, found, expected)
+    except OSError as error:
+        tell(f"gate: not kept for the next time, {error}")
+    return found
+
+
+def hand_on(source: Path, folder: Path) -> None:
+    """Give a run that was made from another one that one's gate, if it has any; it is checked when it is read."""
+    if (source / NAME).exists():
+        folder.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(source / NAME, folder / NAME)
+
+
+def _write(path: Path, found: RunGate, origin: dict[str, Any]) -> None:
+    arrays: dict[str, npt.NDArray[np.generic]] = {_GATE + name: value for name, value in found.gate.arrays.items()}
+    arrays |= {_SHEETS + name: getattr(found.bends, name) for name in _KEPT}
+    texts = {"made_of": json.dumps(origin), "measures": json.dumps(found.gate.measures)}
+    buffer = io.BytesIO()
+    np.savez(buffer, **arrays, **{name: np.array(text) for name, text in texts.items()})  # type: ignore[arg-type]
+    path.parent.mkdir(parents=True, exist_ok=True)
+    beside = path.with_suffix(".new")
+    beside.write_bytes(buffer.getvalue())
+    os.replace(beside, path)
+
+
+def _read(path: Path, expected: dict[str, Any]) -> RunGate | None:
+    """Return a stored gate, or None where there is none, it cannot be read, or it is of another run."""
+    try:
+        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
+            if json.loads(str(file["made_of"])) != expected:
+                return None
+            arrays: Arrays = {name.removeprefix(_GATE): file[name] for name in file.files if name.startswith(_GATE)}
+            sheets = Bends(*(file[_SHEETS + name] for name in _KEPT))
+            return RunGate(Gate(arrays, json.loads(str(file["measures"]))), sheets)
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        return None

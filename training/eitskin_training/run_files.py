@@ -1,0 +1,119 @@
+"""The files of a training run, as training writes them and every later stage reads them.
+
+A run's folder holds ``checkpoint.pt`` and ``best.pt`` (:mod:`eitskin_training.train`) and ``gate.npz``
+(:mod:`eitskin_training.gate.stored`). The .pt files hold tensors and plain values only, and are read with
+``weights_only``.
+"""
+
+import os
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_training.network.model import VD2T
+from eitskin_training.recipes import Recipe
+from eitskin_training.samples.batches import TrainingData
+from eitskin_training.samples.joined import load_all
+
+FORMAT: Final = 1
+"""Version of both .pt files."""
+
+
+@dataclass(frozen=True, slots=True)
+class Trained:
+    """What a run's best epoch gives.
+
+    Args:
+        model: The network, in evaluation mode.
+        recipe: How it was trained.
+        content: Everything else in ``best.pt``: seed, data digest, history, ids.
+        folder: The run's.
+    """
+
+    model: VD2T
+    recipe: Recipe
+    content: dict[str, Any]
+    folder: Path
+
+    @property
+    def seed(self) -> int:
+        """What its first weights and all its draws came from."""
+        return int(self.content["seed"])
+
+
+def trained(run: Path) -> Trained:
+    """Return the best epoch of a run.
+
+    Raises:
+        SkinError: There is none, or it was made for another protocol or grid.
+    """
+    content = read(run / "best.pt")
+    recipe = Recipe.from_dict(content["recipe"])
+    return Trained(network(recipe, content["weights"]), recipe, content, run)
+
+
+def data_of(found: Trained, directories: Sequence[str] | None = None) -> TrainingData:
+    """Return the data set of a run, from where it was or from ``directories``.
+
+    Raises:
+        MismatchError: It is another data set.
+        OSError: It is gone.
+    """
+    known: str | list[str] = found.content["data"]  # a run of one data set used to keep its folder alone
+    data = load_all(directories or ([known] if isinstance(known, str) else known))
+    if data.digest != found.content["data_digest"]:
+        raise MismatchError(
+            "data set of the run: digest",
+            found=data.digest,
+            expected=found.content["data_digest"],
+            hint="name the one it was trained on with --data",
+        )
+    data.require(found.recipe)
+    return data
+
+
+def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
+    """Return a network in evaluation mode with the given weights."""
+    model = VD2T(recipe.architecture)
+    model.load_state_dict(state)
+    return model.eval().to(next(iter(state.values())).device)
+
+
+def write_file(path: Path, content: dict[str, Any]) -> None:
+    """Write a run's .pt file beside and rename it, so that an interruption leaves the one before whole."""
+    beside = path.with_suffix(".new")
+    with beside.open("wb") as file:
+        torch.save(content, file)
+        file.flush()
+        os.fsync(file.fileno())
+    os.replace(beside, path)
+
+
+def read(path: Path) -> dict[str, Any]:
+    """Return what a run's .pt file holds.
+
+    Raises:
+        MismatchError: It was made for another protocol, grid or version.
+        SkinError: It is no file of a run.
+    """
+    try:
+        content = torch.load(path, map_location="cpu", weights_only=True)
+    except FileNotFoundError as error:
+        raise SkinError(
+            f"{path.parent} holds no finished epoch ({path.name} is missing); run 'eitskin train'"
+        ) from error
+    except Exception as error:
+        raise SkinError(f"{path} is no file of a training run: {type(error).__name__}; train again") from error
+    for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        found = content.get(name) if isinstance(content, dict) else None
+        if found != expected:
+            raise MismatchError(
+                f"{path}: {name}", found=found, expected=expected, hint="train again with 'eitskin train'"
+            )
+    return dict(content)
