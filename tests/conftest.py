@@ -1,10 +1,40 @@
-"""Fixtures of more than one package. Imports stay inside: tests/runtime also runs where torch is absent."""
+"""Checks that hold for every test, and fixtures of more than one package.
 
-from collections.abc import Callable
+Imports of packages stay inside: tests/runtime also runs where torch is absent.
+"""
+
+from collections.abc import Callable, Iterator
 from typing import Any
 
 import numpy as np
 import pytest
+
+from .checks.cpu_limit import LIMIT_S, CpuLimit, slowness
+from .checks.leftovers import Leftovers, temporary_directory
+from .checks.started_processes import StartedProcesses
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have every test checked for its CPU time and its processes."""
+    config.pluginmanager.register(CpuLimit(LIMIT_S * slowness()), "cpu-limit")
+    config.pluginmanager.register(StartedProcesses(), "started-processes")
+
+
+@pytest.fixture(scope="session")
+def _leftovers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Leftovers]:
+    """Give the run a temporary directory of its own, and fail at the end if anything is left there."""
+    found = Leftovers(tmp_path_factory.mktemp("t"))
+    with temporary_directory(found.folder):
+        yield found
+    left = found.left()
+    if left:
+        pytest.fail("left in the temporary directory: " + "; ".join(left), pytrace=False)
+
+
+@pytest.fixture(autouse=True)
+def _leaves_nothing(_leftovers: Leftovers, request: pytest.FixtureRequest) -> Iterator[None]:
+    yield
+    _leftovers.look(request.node.nodeid)
 
 
 @pytest.fixture(scope="session")

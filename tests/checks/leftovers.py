@@ -1,0 +1,55 @@
+"""A run of tests leaves nothing in the temporary directory.
+
+Each worker's temporary directory is a folder of its own below pytest's, for its children, too. Whoever leaves something
+there is named at the end: the test after which it was first seen.
+"""
+
+import os
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Final
+
+KEPT: Final = frozenset({".ses"})
+"""What is not ours: a file of onnxruntime."""
+
+
+class Leftovers:
+    """What lies in a folder, and since when.
+
+    Args:
+        folder: Where nothing should stay.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+        self._first_seen: dict[str, str] = {}
+
+    def look(self, test: str) -> None:
+        """Note what is there now; what is new is the test's."""
+        for name in self._names():
+            self._first_seen.setdefault(name, test)
+
+    def left(self) -> list[str]:
+        """Return one line for each thing that is still there."""
+        return [f"{name}, first seen after {self._first_seen.get(name, 'the last test')}" for name in self._names()]
+
+    def _names(self) -> list[str]:
+        return sorted(set(os.listdir(self.folder)) - KEPT)
+
+
+@contextmanager
+def temporary_directory(folder: Path) -> Iterator[None]:
+    """Make a folder the temporary directory of this process and of those that it starts."""
+    before = {name: os.environ.get(name) for name in ("TMPDIR",)}
+    os.environ["TMPDIR"] = str(folder)
+    tempfile.tempdir = None
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            os.environ.pop(name, None)
+            if value is not None:
+                os.environ[name] = value
+        tempfile.tempdir = None
