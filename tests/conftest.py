@@ -3,15 +3,20 @@
 Imports of packages stay inside: tests/runtime also runs where torch is absent.
 """
 
+import os
 from collections.abc import Callable, Iterator
 from typing import Any
 
-import numpy as np
 import pytest
 
 from .checks.cpu_limit import LIMIT_S, CpuLimit, slowness
 from .checks.leftovers import Leftovers, temporary_directory
 from .checks.started_processes import StartedProcesses
+
+# One thread a product, as BLAS and torch read it when they are first imported: tests share the cores already, and
+# threads that wait for each other cost more than they bring.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -40,6 +45,8 @@ def _leaves_nothing(_leftovers: Leftovers, request: pytest.FixtureRequest) -> It
 @pytest.fixture(scope="session")
 def toy_data() -> Callable[..., Any]:
     """Return a maker of linear toy data that trains in seconds: V = V0 (1 - A x), and bends that scale it."""
+    import numpy as np
+
     from eitskin_proto.sensor.grid import N_UNITS, map_from_units
     from eitskin_proto.sensor.table import N_ROWS
     from eitskin_training.samples.batches import TrainingData

@@ -1,8 +1,9 @@
 """A test without the marker ``slow`` may use three seconds of CPU time in its call, and no more.
 
 CPU time, of this process and of the children that it waited for, and not time by the clock: beside other work a test
-waits for its turn, which says nothing about the test. A machine may also be slow. So the limit is in seconds of a machine
-that does a small known piece of work in ``NOMINAL_S``, and grows where that piece takes longer; it never shrinks.
+waits for its turn, which says nothing about the test. A machine may also be slow. So the limit is in seconds of a
+machine that does a small known piece of work in ``NOMINAL_S``, and grows where that piece takes longer; it never
+shrinks.
 """
 
 import resource

@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-KEPT: Final = frozenset({".ses"})
-"""What is not ours: a file of onnxruntime."""
+NOT_OURS: Final = (".ses", "torchinductor_")
+"""How names begin of what is not ours: a file of onnxruntime, a cache of torch."""
 
 
 class Leftovers:
@@ -36,7 +36,7 @@ class Leftovers:
         return [f"{name}, first seen after {self._first_seen.get(name, 'the last test')}" for name in self._names()]
 
     def _names(self) -> list[str]:
-        return sorted(set(os.listdir(self.folder)) - KEPT)
+        return sorted(name for name in os.listdir(self.folder) if not name.startswith(NOT_OURS))
 
 
 @contextmanager

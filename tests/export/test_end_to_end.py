@@ -18,6 +18,8 @@ from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
 from eitskin_training.gate.untouched import bends_of
 
+pytestmark = pytest.mark.network
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:

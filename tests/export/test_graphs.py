@@ -15,6 +15,8 @@ from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_training.network.model import VD2T, Architecture
 from eitskin_training.recipes import recipe
 
+pytestmark = pytest.mark.network
+
 
 def trained_looking(architecture: Architecture) -> VD2T:
     """Return a network whose batch norms have statistics and scales unlike their first ones."""
@@ -76,6 +78,14 @@ def test_folding_batch_norm_changes_nothing(name: str) -> None:
         expected = exact.maps(exact(dv.double(), clouds.double(), None, predicted.double()))
     # float32 sums of some 200 products against float64: 1e-6; a forgotten epsilon of batch norm is 1e-5 and more.
     np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=1e-6)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _first_export() -> None:
+    """The first export of a process imports for seconds and solves the stored inputs, which is no test's own time."""
+    model = trained_looking(ARCHITECTURES["no cloud"])
+    geometry, head = split(model)
+    parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
 
 
 @pytest.mark.parametrize("name", ARCHITECTURES)
@@ -175,7 +185,12 @@ def both(whole: bytes, part: bytes, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "bounds", [(0, 10, 5, 20), (29, 30, 44, 45), (12, 13, 12, 13), (12, 13, 22, 23), (3, 11, 5, 30)]
+    "bounds",
+    [
+        (0, 10, 5, 20),
+        (12, 13, 12, 13),
+        *(pytest.param(b, marks=pytest.mark.slow) for b in ((29, 30, 44, 45), (12, 13, 22, 23), (3, 11, 5, 30))),
+    ],
 )
 @pytest.mark.parametrize("int8", [False, True])
 @pytest.mark.parametrize(("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32)])

@@ -13,6 +13,8 @@ import pytest
 import eitskin
 from eitskin.reference.captured import load
 
+pytestmark = pytest.mark.process
+
 
 def command(*words, **options):
     return subprocess.Popen(

@@ -1,6 +1,10 @@
 import subprocess
 import sys
 
+import pytest
+
+pytestmark = pytest.mark.process
+
 
 def modules_after(statement):
     code = f"{statement}\nimport sys\nprint(' '.join(sorted(sys.modules)))"

@@ -10,7 +10,7 @@ import pytest
 from eitskin_tools.fault_injection.usb_skin import WRAPPER, MockedUsb, missing
 
 LACKING = missing()
-pytestmark = pytest.mark.skipif(bool(LACKING), reason=LACKING)
+pytestmark = [pytest.mark.process, pytest.mark.skipif(bool(LACKING), reason=LACKING)]
 
 
 def test_find_stream_timeout_stall_overflow_busy_unplug_and_return():

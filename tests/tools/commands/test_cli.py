@@ -7,6 +7,8 @@ import pytest
 
 from eitskin_tools import cli
 
+pytestmark = pytest.mark.process
+
 
 def eitskin(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(

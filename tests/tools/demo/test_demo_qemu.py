@@ -32,6 +32,7 @@ def test_a_recording_repeats_the_scripts_period_with_equal_reciprocal_rows():
     assert np.ptp(volts, axis=0).max() > 0, "touches come and go"
 
 
+@pytest.mark.process
 @pytest.mark.skipif(bool(MISSING), reason=f"{', '.join(MISSING)} not found: apt-get install qemu-system-arm ...")
 def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_path):
     log, wire = tmp_path / "skin.log", tmp_path / "wire.npy"

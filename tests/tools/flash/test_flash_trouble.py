@@ -94,6 +94,7 @@ def skin(*faults):
             assert not thread.is_alive()
 
 
+@pytest.mark.process
 def test_a_port_that_another_program_streams_from_is_left_alone(capsys):
     with skin() as (made, port):
         first = SerialPort(port)

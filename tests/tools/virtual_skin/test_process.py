@@ -19,6 +19,8 @@ from eitskin_tools.processes.skin_log import read_log, script_start
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
 
+pytestmark = pytest.mark.process
+
 COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin"]
 
 

@@ -42,7 +42,7 @@ PATIENCE_S: Final = 60.0
 """A stream that has not resumed by then is broken."""
 
 SETTLES_S: Final = 20.0
-"""What is still there after this long is a leak; threads and descriptors that go are gone at once on a quiet machine."""
+"""What is still there after this long is a leak; on a quiet machine what goes is gone at once."""
 
 
 @dataclass(frozen=True, slots=True)
