@@ -4,7 +4,9 @@ Imports of packages stay inside: tests/runtime also runs where torch is absent.
 """
 
 import os
+import tempfile
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -26,12 +28,15 @@ def pytest_configure(config: pytest.Config) -> None:
 
 
 @pytest.fixture(scope="session")
-def _leftovers(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Leftovers]:
-    """Give the run a temporary directory of its own, and fail at the end if anything is left there."""
-    found = Leftovers(tmp_path_factory.mktemp("t"))
-    with temporary_directory(found.folder):
+def _leftovers() -> Iterator[Leftovers]:
+    """Give the run a temporary directory of its own, and fail at the end if anything is left there.
+
+    Its name is short: sockets lie in it, and a socket's path has at most 107 bytes.
+    """
+    with tempfile.TemporaryDirectory(prefix="t", ignore_cleanup_errors=True) as name, temporary_directory(name):
+        found = Leftovers(Path(name))
         yield found
-    left = found.left()
+        left = found.left()
     if left:
         pytest.fail("left in the temporary directory: " + "; ".join(left), pytrace=False)
 

@@ -1,7 +1,7 @@
 """A run of tests leaves nothing in the temporary directory.
 
-Each worker's temporary directory is a folder of its own below pytest's, for its children, too. Whoever leaves something
-there is named at the end: the test after which it was first seen.
+Each worker's temporary directory is a folder of its own, for its children, too. Whoever leaves something there is named
+at the end: the test after which it was first seen.
 """
 
 import os
@@ -11,8 +11,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Final
 
-NOT_OURS: Final = (".ses", "torchinductor_")
-"""How names begin of what is not ours: a file of onnxruntime, a cache of torch."""
+NOT_OURS: Final = (".ses", "torchinductor_", "pytest-of-")
+"""How names begin of what is not ours: a file of onnxruntime, a cache of torch, the folder of a pytest in a test."""
 
 
 class Leftovers:
@@ -40,16 +40,16 @@ class Leftovers:
 
 
 @contextmanager
-def temporary_directory(folder: Path) -> Iterator[None]:
+def temporary_directory(folder: str) -> Iterator[None]:
     """Make a folder the temporary directory of this process and of those that it starts."""
-    before = {name: os.environ.get(name) for name in ("TMPDIR",)}
-    os.environ["TMPDIR"] = str(folder)
+    before = os.environ.get("TMPDIR")
+    os.environ["TMPDIR"] = folder
     tempfile.tempdir = None
     try:
         yield
     finally:
-        for name, value in before.items():
-            os.environ.pop(name, None)
-            if value is not None:
-                os.environ[name] = value
+        if before is None:
+            del os.environ["TMPDIR"]
+        else:
+            os.environ["TMPDIR"] = before
         tempfile.tempdir = None

@@ -212,6 +212,7 @@ def test_the_free_set_survives_the_loss_of_a_worker_too(cluster: Any, free_folde
 
 
 # A pool is shared: what one deformation shows must not depend on which of the others were made already, nor by whom.
+@pytest.mark.slow
 @pytest.mark.process
 def test_a_free_set_that_was_interrupted_goes_on_with_two_workers_and_ends_the_same(
     free_folder: Path, tmp_path: Path

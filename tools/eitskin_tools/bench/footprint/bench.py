@@ -35,7 +35,7 @@ print(json.dumps({{"load_ms": loaded * 1e3, "cpu_ms": cpu * 1e3, "rss_mb": kb("V
 _RUNTIME: Final = """
 import gc
 gc.disable()
-from eitskin import realtime
+from eitskin.diagnostics import realtime
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
