@@ -101,7 +101,7 @@ class Running:
 
     def stop(self):
         self.skin.stop()
-        self.thread.join(10)
+        self.thread.join(60)
         assert not self.thread.is_alive()
 
 

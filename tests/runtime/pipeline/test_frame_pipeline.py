@@ -255,7 +255,7 @@ def test_under_pressure_the_ladder_goes_down_and_comes_back(virtual_skin, tiny_p
         engines = skin.pipeline.engines
         fast, engines[0] = engines[0], Slow(engines[0], 0.3)
         frames = []
-        for frame in skin.frames(timeout_s=10.0):
+        for frame in skin.frames(timeout_s=120.0):
             frames.append(frame)
             if "overrun" in frame.events:
                 engines[0] = fast  # the load is over

@@ -63,11 +63,19 @@ def environment(place: Path, cache: Path) -> dict[str, str]:
     return {**os.environ, "TMPDIR": str(place), "XDG_CACHE_HOME": str(cache)}
 
 
-def test_json_is_one_object_and_nothing_is_left_behind(place: Path, cache: Path) -> None:
+@pytest.fixture(scope="module")
+def shown(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Return a demonstration that ran for a while and the temporary folder that it had."""
+    place = tmp_path_factory.mktemp("d")
     done = subprocess.run(
         [*COMMAND, "--seconds=3", "--json", f"--bundle={BUNDLE}"],
         capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False, env=environment(place, cache),
     )  # fmt: skip
+    return done, place
+
+
+def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    done, _ = shown
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1
@@ -83,6 +91,10 @@ def test_json_is_one_object_and_nothing_is_left_behind(place: Path, cache: Path)
     assert found["scored"] > 10
     assert 0 < found["inferred"] < found["frames"]
     assert -1.0 <= found["cc_median"] <= 1.0
+
+
+def test_nothing_is_left_behind(shown: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    _, place = shown
     assert ours(place) == []
     assert left_in(place) == set()
 
@@ -107,6 +119,7 @@ def _hears_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it_early_with_its_summary(place: Path, cache: Path) -> None:
     process = subprocess.Popen(
         [*COMMAND, "--seconds=900", "--json", f"--bundle={BUNDLE}"],
