@@ -17,7 +17,7 @@ from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swap
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
-from eitskin_tools.bench.electrodes import detection, drift
+from eitskin_tools.bench.electrodes import detection, drift, streams
 from eitskin_tools.bench.electrodes import gate as gate_bench
 from eitskin_tools.bench.electrodes.accuracy import lost_sets
 from eitskin_tools.bench.skip import scenes
@@ -34,12 +34,12 @@ def consistency() -> Consistency:
 
 @cache
 def flat() -> np.ndarray:
-    return detection.flat_response()
+    return streams.flat_response()
 
 
 @cache
-def moving() -> detection.Stream:
-    return detection.stream("A", 3, 3, covering=True)
+def moving() -> streams.Stream:
+    return streams.stream("A", 3, 3, covering=True)
 
 
 def frames(fault: Fault | None, count: int = 40, current_A: float = 1e-3) -> np.ndarray:
@@ -136,7 +136,7 @@ def squares(bend: Bend) -> np.ndarray:
     found = []
     for x in (60.0, 75.0, 90.0):
         touch = Touch((Rect(x - 5.0, 45.0, x + 5.0, 55.0),), conductivity_S_per_m=20.0)
-        scene = Scene(bend=bend, touches=(touch,), element_size_mm=detection.ELEMENT_MM)
+        scene = Scene(bend=bend, touches=(touch,), element_size_mm=streams.ELEMENT_MM)
         found.append(factorise_scene(scene).voltages())
     return np.log(np.array(found) / measure(flat(), table=TABLE))
 

@@ -111,11 +111,12 @@ def _line(row: dict[str, Any]) -> str:
 
 def _detection(arguments: argparse.Namespace, consistency: "Consistency", noises: tuple[Any, ...]) -> Rows:
     from eitskin_tools.bench.electrodes import detection
+    from eitskin_tools.bench.electrodes.streams import flat_response, stream
 
-    flat = detection.flat_response()
+    flat = flat_response()
     count, moments = (1, 3) if arguments.quick else (arguments.streams, arguments.moments)
     streams = [
-        detection.stream(family, number, moments, covering=covering)
+        stream(family, number, moments, covering=covering)
         for family in ("A", "B")
         for covering in (False, True)
         for number in range(count)
