@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from .checks.cpu_limit import LIMIT_S, CpuLimit, slowness
+from .checks.cpu_limit import LIMIT_S, CpuLimit
 from .checks.leftovers import Leftovers, temporary_directory
 from .checks.started_processes import StartedProcesses
 
@@ -23,7 +23,7 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 def pytest_configure(config: pytest.Config) -> None:
     """Have every test checked for its CPU time and its processes."""
-    config.pluginmanager.register(CpuLimit(LIMIT_S * slowness()), "cpu-limit")
+    config.pluginmanager.register(CpuLimit(LIMIT_S), "cpu-limit")
     config.pluginmanager.register(StartedProcesses(), "started-processes")
 
 

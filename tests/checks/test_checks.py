@@ -27,7 +27,7 @@ import os, subprocess, sys, time
 import pytest
 
 def busy():
-    end = time.process_time() + 0.5
+    end = time.process_time() + 3.0
     while time.process_time() < end:
         pass
 
@@ -44,7 +44,7 @@ def test_that_waits():
 CHILD = [sys.executable, "-c", "pass"]
 
 @pytest.mark.process
-@pytest.mark.parametrize("seconds", [0.0, 0.6])
+@pytest.mark.parametrize("seconds", [0.0, 3.0])
 def test_of_a_child(seconds):
     code = f"import time\\nwhile time.process_time() < {seconds}: pass"
     subprocess.run([sys.executable, "-c", code], check=True)
@@ -81,12 +81,12 @@ def test_what_computes_for_long_or_starts_processes_without_saying_so_fails(tmp_
         "test_that_may_compute": "PASSED",
         "test_that_waits": "PASSED",
         "test_of_a_child[0.0]": "PASSED",
-        "test_of_a_child[0.6]": "FAILED",
+        "test_of_a_child[3.0]": "FAILED",
         "test_that_starts_a_child": "FAILED",
         "test_whose_fixture_forks": "ERROR",
         "test_that_asks_a_compiler": "PASSED",
     }, done.stdout
-    assert "of CPU time, expected at most 0.3 s" in done.stdout
+    assert "s of CPU time, expected at most " in done.stdout
     assert "mark it process, or do without" in done.stdout
 
 
