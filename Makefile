@@ -1,5 +1,6 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
-# make test    everything that CI runs: lint, types, Python and C tests, the runtime from its wheel
+# make test    lint, types, Python and C tests, the runtime from its wheel; minutes
+# make test-quick | test-all    without processes and whole networks, under a minute; with all that is slow
 # make check   lint, types and tests, without the wheel
 # make docs    the documentation as HTML in .build/docs; a warning is an error
 # make bench   the benchmarks, each as one JSON object
@@ -11,12 +12,15 @@
 PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
-PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet
+PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet --retries 10 --timeout 60
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --durations 10
 
 SECONDS_DEMO ?= 20
+OTHER_PYTHONS ?= 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
-.PHONY: help demo docs test check lint types unit wheel-test firmware-test system-packages bench clean \
+.PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test \
+        wheel-test-others firmware-test system-packages bench clean \
         firmware qemu powercut fuzz hotplug soak
 
 help:
@@ -52,6 +56,14 @@ docs: $(VENV)/.docs
 
 test: check wheel-test
 
+# The rest: what `make test` leaves out, so that both together are everything.
+test-rest: slow wheel-test-others
+
+test-all: test test-rest
+
+test-quick: $(VENV)/.dev
+	$(PYTEST) -m "not slow and not process and not network"
+
 check: lint types unit firmware-test
 
 lint: $(VENV)/.dev
@@ -62,7 +74,10 @@ types: $(VENV)/.dev
 	$(BIN)/mypy
 
 unit: $(VENV)/.dev system-packages
-	$(BIN)/python -m pytest
+	$(PYTEST) -m "not slow"
+
+slow: $(VENV)/.dev system-packages
+	$(PYTEST) -m slow
 
 firmware-test: $(VENV)/.dev system-packages
 	@if [ -f firmware_proto/Makefile ]; then $(MAKE) -C firmware_proto check PYTHON=$(abspath $(BIN)/python); fi
@@ -71,13 +86,19 @@ system-packages:
 	@tools/system-packages.sh
 
 # The wheel, installed without extras where neither torch nor scipy exists, must run the runtime's tests by itself.
-wheel-test: $(VENV)/.dev
-	@rm -rf .build/wheel .build/clean && mkdir -p .build
+wheel: $(VENV)/.dev
+	@rm -rf .build/wheel && mkdir -p .build
 	$(BIN)/python -m build --wheel --outdir .build/wheel . >/dev/null
-	$(PYTHON) -m venv .build/clean
-	.build/clean/bin/python -m pip --disable-pip-version-check --quiet install --constraint constraints.txt \
-	    .build/wheel/*.whl pytest hypothesis
-	tools/wheel-test.sh .build/clean/bin/python
+
+wheel-test: wheel
+	tools/wheel-test.sh $(PYTHON)
+
+# Under every other Python that the package claims; one that is not installed is left out and named.
+wheel-test-others: wheel
+	@for version in $(OTHER_PYTHONS); do \
+	    if python=$$(tools/find-python.sh $$version); then tools/wheel-test.sh "$$python" --once || exit 1; \
+	    else echo "wheel-test: skipped Python $$version: no interpreter found on the path or under pyenv"; fi; \
+	done
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.
 bench: $(VENV)/.dev

@@ -1,15 +1,57 @@
-"""Fixtures of more than one package. Imports stay inside: tests/runtime also runs where torch is absent."""
+"""Checks that hold for every test, and fixtures of more than one package.
 
-from collections.abc import Callable
+Imports of packages stay inside: tests/runtime also runs where torch is absent.
+"""
+
+import os
+import tempfile
+from collections.abc import Callable, Iterator
+from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
+
+from .checks.cpu_limit import LIMIT_S, CpuLimit
+from .checks.leftovers import Leftovers, temporary_directory
+from .checks.started_processes import StartedProcesses
+
+# One thread a product, as BLAS and torch read it when they are first imported: tests share the cores already, and
+# threads that wait for each other cost more than they bring.
+for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+    os.environ.setdefault(_name, "1")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Have every test checked for its CPU time and its processes."""
+    config.pluginmanager.register(CpuLimit(LIMIT_S), "cpu-limit")
+    config.pluginmanager.register(StartedProcesses(), "started-processes")
+
+
+@pytest.fixture(scope="session")
+def _leftovers() -> Iterator[Leftovers]:
+    """Give the run a temporary directory of its own, and fail at the end if anything is left there.
+
+    Its name is short: sockets lie in it, and a socket's path has at most 107 bytes.
+    """
+    with tempfile.TemporaryDirectory(prefix="t", ignore_cleanup_errors=True) as name, temporary_directory(name):
+        found = Leftovers(Path(name))
+        yield found
+        left = found.left()
+    if left:
+        pytest.fail("left in the temporary directory: " + "; ".join(left), pytrace=False)
+
+
+@pytest.fixture(autouse=True)
+def _leaves_nothing(_leftovers: Leftovers, request: pytest.FixtureRequest) -> Iterator[None]:
+    yield
+    _leftovers.look(request.node.nodeid)
 
 
 @pytest.fixture(scope="session")
 def toy_data() -> Callable[..., Any]:
     """Return a maker of linear toy data that trains in seconds: V = V0 (1 - A x), and bends that scale it."""
+    import numpy as np
+
     from eitskin_proto.sensor.grid import N_UNITS, map_from_units
     from eitskin_proto.sensor.table import N_ROWS
     from eitskin_training.samples.batches import TrainingData

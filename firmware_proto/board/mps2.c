@@ -1,5 +1,5 @@
 /* The core on an emulated Cortex-M3 (QEMU's mps2-an385): UART0 is the line, timer 0 the clock, timer 1 the alarm,
- * PSRAM the storage and the analogue front end.
+ * PSRAM the storage and what the analogue front end (mps2_front_end.c) plays.
  *
  *     0x21000000  slot 0, 0x21001000  slot 1
  *     0x21080000  power[4]: cut at this change, changes so far, seed of the torn word, 0xdead once cut
@@ -8,13 +8,11 @@
  *                 the rate is 0
  *
  * A host that maps the PSRAM's file can cut the power at a chosen change of storage: the firmware leaves that change
- * half done, says so in power[3] and stands still until it is killed. Without a recording the front end plays a
- * pattern that names drive, pair and scan. This is a board of its own right, so it has globals; the core has none. */
+ * half done, says so in power[3] and stands still until it is killed. This is a board of its own right, so it has
+ * globals; the core has none. */
 
-#include <string.h>
-
-#include "eit_bytes.h"
 #include "eit_device.h"
+#include "mps2.h"
 
 #define REGISTER(address) (*(volatile uint32_t *)(address))
 #define UART_DATA REGISTER(0x40004000u)
@@ -37,14 +35,10 @@
 #define TICKS_PER_US 25u
 #define BAUD 921600u
 
-#define PSRAM 0x21000000u
 #define SLOT_STRIDE 0x1000u
 #define SLOT_WORDS (EIT_SLOT_BYTES / 4u)
-#define POWER ((volatile uint32_t *)(PSRAM + 0x80000u))
+#define POWER ((volatile uint32_t *)(MPS2_PSRAM + 0x80000u))
 #define POWER_IS_CUT 0xdeadu
-#define RECORDING ((const uint8_t *)(PSRAM + 0x100000u))
-#define RECORDING_HEAD 24u
-#define RECORDING_MAX_FRAMES ((0xf00000u - RECORDING_HEAD) / (4u * EIT_FULL_ROWS))
 
 #define RING 8192u /* a power of two; 17 frames of 104 rows */
 
@@ -61,17 +55,13 @@ static uint32_t clock_ticks; /* last value read */
 static uint32_t clock_rest;  /* ticks that are no whole microsecond yet */
 static uint32_t clock_us;    /* what timer 0 has counted */
 static uint32_t settled_us;  /* when the drive has settled: the clock never shows less */
-static uint8_t present_drive;
-static uint32_t scans;       /* begun since boot */
-static uint32_t scan_us;     /* when the present one began */
-static uint64_t playing_us;  /* since the first one began */
 
 static uint32_t ring_used(const struct ring *ring)
 {
     return ring->put - ring->taken;
 }
 
-static uint32_t now_us(void *ctx)
+uint32_t mps2_now_us(void *ctx)
 {
     const uint32_t value = CLOCK_VALUE;
     const uint32_t ticks = clock_ticks - value + clock_rest; /* it counts down */
@@ -85,6 +75,11 @@ static uint32_t now_us(void *ctx)
     }
     settled_us = clock_us;
     return clock_us;
+}
+
+void mps2_settle_until(uint32_t moment_us)
+{
+    settled_us = moment_us;
 }
 
 /* Called with interrupts off, or from the interrupt. */
@@ -114,7 +109,7 @@ static bool write_line(void *ctx, const uint8_t *packet, size_t length)
 
 static volatile uint32_t *slot_words(uint8_t slot)
 {
-    return (volatile uint32_t *)(PSRAM + slot * SLOT_STRIDE);
+    return (volatile uint32_t *)(MPS2_PSRAM + slot * SLOT_STRIDE);
 }
 
 static void storage_read(void *ctx, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
@@ -175,87 +170,6 @@ static enum eit_status storage_program(void *ctx, uint8_t slot, uint32_t offset,
     return EIT_OK;
 }
 
-static uint32_t recorded_frames(void)
-{
-    static const uint8_t magic[4] = {'E', 'I', 'T', 'V'};
-    const uint32_t frames = eit_get32(RECORDING + 4);
-
-    return eit_same(RECORDING, magic, sizeof magic) && frames <= RECORDING_MAX_FRAMES ? frames : 0;
-}
-
-static enum eit_status drive(void *ctx, uint8_t number, const struct eit_config *config)
-{
-    /* Emulated electronics settle at once, so the clock jumps ahead and waits for timer 0 at the end of the scan.
-     * Fourteen alarms a frame would measure the scheduler of the machine below. */
-    const uint32_t now = now_us(ctx);
-
-    settled_us = now + config->settle_us;
-    if (number <= present_drive) {
-        playing_us += scans == 0 ? 0 : now - scan_us;
-        scan_us = now;
-        scans++;
-    }
-    present_drive = number;
-    return EIT_OK;
-}
-
-/* Which frame of a recording is due. */
-static uint32_t due_frame(uint32_t frames)
-{
-    const uint32_t rate_mHz = eit_get32(RECORDING + 16);
-
-    if (rate_mHz == 0) {
-        return (scans - 1u) % frames;
-    }
-    return (uint32_t)(playing_us * rate_mHz / 1000000000u % frames);
-}
-
-static int32_t played(uint32_t frames, uint32_t due, uint32_t pair)
-{
-    const uint32_t row = (pair - present_drive - 2u) % EIT_ELECTRODES;
-
-    if (row >= 13u) {
-        return 0; /* shares an electrode with the drive: not in the table */
-    }
-    if (frames == 0) {
-        return (int32_t)(((present_drive * 16u + pair + 1u) << 16) + (scans & 0xffu) * 256u);
-    }
-    return (int32_t)eit_get32(RECORDING + RECORDING_HEAD +
-                              4u * (due * EIT_FULL_ROWS + present_drive * 13u + row));
-}
-
-static enum eit_status measure(void *ctx, const struct eit_config *config, int32_t counts[EIT_PAIRS],
-                               uint16_t *saturated)
-{
-    const uint32_t frames = recorded_frames();
-    const uint32_t due = frames == 0 ? 0 : due_frame(frames);
-
-    (void)ctx;
-    *saturated = 0;
-    for (uint32_t pair = 0; pair < EIT_PAIRS; pair++) {
-        const int64_t amplified = (int64_t)played(frames, due, pair) * config->gain;
-
-        if (amplified > INT32_MAX || amplified < -INT32_MAX) {
-            *saturated = (uint16_t)(*saturated | (1u << pair));
-            counts[pair] = amplified > 0 ? INT32_MAX : -INT32_MAX;
-        } else {
-            counts[pair] = (int32_t)amplified;
-        }
-    }
-    return EIT_OK;
-}
-
-static double volts_per_count(void *ctx, const struct eit_config *config)
-{
-    double volts = 1.0 / 1073741824.0;
-
-    (void)ctx;
-    if (recorded_frames() != 0) {
-        memcpy(&volts, RECORDING + 8, sizeof volts);
-    }
-    return volts / config->gain;
-}
-
 static void restart(void *ctx)
 {
     (void)ctx;
@@ -282,8 +196,8 @@ static void sleep_us(uint32_t duration_us)
 static void run(void)
 {
     static const struct eit_port port = {
-        NULL,  now_us,  write_line,      storage_read, storage_erase, storage_program,
-        drive, measure, volts_per_count, restart,
+        NULL,       mps2_now_us,  write_line,           storage_read, storage_erase, storage_program,
+        mps2_drive, mps2_measure, mps2_volts_per_count, restart,
     };
     static const struct eit_identity identity = {"QEMU-AN385", {1, 0, 0}, BAUD / 10u};
 

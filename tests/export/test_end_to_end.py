@@ -17,6 +17,8 @@ from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
 from eitskin_training.gate import fit, stored, untouched
 
+pytestmark = pytest.mark.network
+
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:

@@ -16,6 +16,8 @@ from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
 
+pytestmark = pytest.mark.network
+
 
 def trained_looking(architecture: Architecture) -> VD2T:
     """Return a network whose batch norms have statistics and scales unlike their first ones."""
@@ -79,7 +81,21 @@ def test_folding_batch_norm_changes_nothing(name: str) -> None:
     np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=1e-6)
 
 
-@pytest.mark.parametrize("name", ARCHITECTURES)
+@pytest.fixture(scope="module", autouse=True)
+def _first_export() -> None:
+    """The first export of a process imports for seconds and solves the stored inputs, which is no test's own time."""
+    model = trained_looking(ARCHITECTURES["no cloud"])
+    geometry, head = split(model)
+    parity.parity(model, graphs.geometry_graph(geometry), graphs.head_graph(head))
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in ("paper", "sharpened", "symmetric") else pytest.mark.slow)
+        for name in ARCHITECTURES
+    ],
+)
 def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     model = trained_looking(ARCHITECTURES[name])
     geometry, head = split(model)
@@ -150,6 +166,7 @@ def test_a_folded_network_that_kept_its_dropout_is_refused_when_exported() -> No
         graphs.head_graph(head)
 
 
+@pytest.mark.slow
 def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> None:
     model = trained_looking(recipe("free").architecture)
     geometry, head = split(model)
@@ -176,7 +193,12 @@ def both(whole: bytes, part: bytes, seed: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 @pytest.mark.parametrize(
-    "bounds", [(0, 10, 5, 20), (29, 30, 44, 45), (12, 13, 12, 13), (12, 13, 22, 23), (3, 11, 5, 30)]
+    "bounds",
+    [
+        (0, 10, 5, 20),
+        (12, 13, 12, 13),
+        *(pytest.param(b, marks=pytest.mark.slow) for b in ((29, 30, 44, 45), (12, 13, 22, 23), (3, 11, 5, 30))),
+    ],
 )
 @pytest.mark.parametrize("int8", [False, True])
 @pytest.mark.parametrize(("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32)])

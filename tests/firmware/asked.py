@@ -1,6 +1,7 @@
 """Devices at the end of a line, asked one request at a time: the C core, the virtual skin, the emulated board."""
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,12 @@ from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.server import SkinServer
+
+SILENCE_S = 60.0
+"""A board that says nothing for so long is gone; a busy machine may starve it for seconds."""
+
+BEHIND = 251
+"""Tag of the question that is sent behind others; no test uses it."""
 
 PAPER = config_toml.named("paper")
 FAST = config_toml.named("fast")
@@ -171,53 +178,71 @@ class VirtualAsked(Asked):
 
 
 class BoardAsked(Asked):
-    """The firmware under QEMU: real time, so only questions that need none of it."""
+    """The firmware under QEMU: real time, so only questions that need none of it.
+
+    Nothing here waits for a time that a starved board could miss: it waits for what the board will say, and gives up
+    when the board has said nothing for a minute.
+    """
 
     restart_s = 0.4
 
     def __init__(self, folder: Path) -> None:
         super().__init__()
+        self._pending: list[m.Message] = []
         self.storage = folder / "storage.bin"
+        self._switch_on()
+
+    def _switch_on(self) -> None:
         self.board = Board(self.storage)
         self.port = SerialPort(self.board.port)
-        self.wait(0.3)
+        self.ask(m.HelloRequest())
 
     def send(self, data: bytes) -> None:
         self.port.write(data)
 
     def ask(self, request: m.Message) -> Any:
         self.send(b"\0" + framing.encode(request.pack()))
-        deadline_s = time.perf_counter() + 10.0
-        while time.perf_counter() < deadline_s:
-            for payload in self.deframer.feed(self.port.read(0.5)):
-                found = m.unpack(payload)
-                if not isinstance(found, m.Event | Frame):
-                    assert found.tag == request.tag
-                    return found
-        raise AssertionError(f"the board did not answer {request}")
+        found = self._until(lambda found: not isinstance(found, m.Event | Frame))[-1]
+        assert getattr(found, "tag", None) == request.tag
+        return found
+
+    def raw(self, data: bytes, wait_s: float = 0.0) -> list[m.Message]:
+        """Send bytes and return what came until the board answered a question that was sent behind them."""
+        self.send(data + b"\0" + framing.encode(m.TimeRequest(tag=BEHIND).pack()))
+        return self._until(lambda found: isinstance(found, m.Time) and found.tag == BEHIND)[:-1]
 
     def until_restarted(self, request: m.Restart) -> list[m.Message]:
-        """The same; on a busy machine it takes a while until it says what runs, the last of its messages."""
-        said = super().until_restarted(request)
-        deadline_s = time.perf_counter() + 10.0
-        while time.perf_counter() < deadline_s and not any(
-            isinstance(found, m.Event) and found.code != EventCode.RESTARTING for found in said
-        ):
-            said += self.listen(0.2)
+        """The same: what runs then is the last of its messages."""
+        self.send(b"\0" + framing.encode(request.pack()))
+        return self._until(lambda found: isinstance(found, m.Event) and found.code != EventCode.RESTARTING)
+
+    def _until(self, last: Callable[[m.Message], bool]) -> list[m.Message]:
+        """Return what the board says up to the message that is asked for."""
+        said: list[m.Message] = []
+        while not said or not last(said[-1]):
+            if not self._pending:
+                data = self.port.read(SILENCE_S)
+                assert data, f"the board said nothing for {SILENCE_S:g} s; before: {said}"
+                self._pending = [m.unpack(payload) for payload in self.deframer.feed(data)]
+                continue
+            said.append(self._pending.pop(0))
         return said
 
+    def listen(self, wait_s: float) -> list[m.Message]:
+        before, self._pending = self._pending, []
+        return before + super().listen(wait_s)
+
     def wait(self, seconds: float) -> bytes:
-        said, deadline_s = b"", time.perf_counter() + max(seconds, 0.2)
+        said, deadline_s = b"", time.perf_counter() + seconds
         while (left_s := deadline_s - time.perf_counter()) > 0:
             said += self.port.read(left_s)
         return said
 
     def power_cycle(self) -> None:
         self.close()
-        self.board = Board(self.storage)
-        self.port = SerialPort(self.board.port)
         self.deframer.reset()
-        self.wait(0.3)
+        self._pending.clear()
+        self._switch_on()
 
     def close(self) -> None:
         self.port.close()

@@ -3,6 +3,8 @@ import pytest
 from eitskin_tools.emulator.device_core import HostDevice, library
 from eitskin_tools.emulator.firmware import missing_tools
 
+from .asked import DEVICES
+
 
 @pytest.fixture(scope="session")
 def core():
@@ -18,3 +20,27 @@ def device(core):
     made.run(1000)
     made.take()
     return made
+
+
+def _asked(name, folder):
+    made, needs = DEVICES[name]
+    missing = missing_tools(needs) if needs else []
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not found: see tools/system-packages.sh")
+    device = made(folder)
+    try:
+        yield device
+    finally:
+        device.close()
+
+
+@pytest.fixture(params=["core", "virtual", pytest.param("board", marks=pytest.mark.process)])
+def asked(request, tmp_path):
+    """Return each device in turn."""
+    yield from _asked(request.param, tmp_path)
+
+
+@pytest.fixture(params=["core", "virtual"])
+def clocked(request, tmp_path):
+    """Return those whose clock a test can move; an emulator keeps no times, and boots for each of many cases."""
+    yield from _asked(request.param, tmp_path)

@@ -1,7 +1,5 @@
 """The real firmware on an emulated Cortex-M3, over its pseudo-terminal."""
 
-import time
-
 import numpy as np
 import pytest
 
@@ -12,22 +10,28 @@ from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.frames import Frame
 from eitskin_tools.emulator.board import Board, record
 from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.emulator.patience import patient
 from eitskin_tools.fault_injection import powercut
 from eitskin_tools.flash import procedure
-from eitskin_tools.flash.exchange import Exchange
 
 MISSING = missing_tools("qemu")
-pytestmark = pytest.mark.skipif(
-    bool(MISSING),
-    reason=f"{', '.join(MISSING)} not found: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm",
-)
+SILENCE_S = 60.0
+"""A board that sends nothing for so long is gone; on a busy machine it is slow."""
+
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.skipif(
+        bool(MISSING),
+        reason=f"{', '.join(MISSING)} not found: apt-get install gcc-arm-none-eabi libnewlib-arm-none-eabi "
+        "qemu-system-arm",
+    ),
+]
 
 
-def frames_of(port, count, timeout_s=20.0):
+def frames_of(port, count):
     deframer, frames = framing.Deframer(), []
-    deadline_s = time.perf_counter() + timeout_s
-    while len(frames) < count and time.perf_counter() < deadline_s:
-        for payload in deframer.feed(port.read(1.0)):
+    while len(frames) < count and (data := port.read(SILENCE_S)):
+        for payload in deframer.feed(data):
             message = messages.unpack(payload)
             if isinstance(message, Frame):
                 frames.append(message)
@@ -43,7 +47,7 @@ def test_it_shakes_hands_streams_and_plays_its_pattern(storage):
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            exchange = Exchange(port, timeout_s=2.0)
+            exchange = patient(port)
             hello = exchange.hello()
             assert (hello.serial_number, hello.flags, hello.rows) == ("QEMU-AN385", HelloFlag.FACTORY, 104)
             exchange.command(messages.Start)
@@ -70,7 +74,7 @@ def test_a_recording_comes_out_as_the_volts_that_went_in(storage):
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            exchange = Exchange(port, timeout_s=2.0)
+            exchange = patient(port)
             scale = exchange.hello().volts_per_count
             exchange.command(messages.Start)
             frames, _ = frames_of(port, 8)
@@ -87,7 +91,7 @@ def test_flash_survives_a_kill_at_any_stage_and_then_takes_the_new_configuration
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            stored = procedure.write(Exchange(port, timeout_s=2.0), config_toml.named("full208"))
+            stored = procedure.write(patient(port), config_toml.named("full208"))
             assert (stored.generation, stored.configuration.name) == (1, "full208")
         finally:
             port.close()

@@ -21,6 +21,13 @@ HERE = Path(__file__).parent
 TINY = HERE.parent / "golden" / "tiny.eitskin"
 
 
+def pytest_collection_modifyitems(items):
+    """Mark whoever asks for a virtual skin, which is a process of its own."""
+    for item in items:
+        if "virtual_skin" in getattr(item, "fixturenames", ()):
+            item.add_marker("process")
+
+
 @contextmanager
 def _virtual_skin(**options):
     process = subprocess.Popen(
@@ -29,8 +36,12 @@ def _virtual_skin(**options):
     try:
         yield process.stdout.readline().strip()
     finally:
-        process.kill()
-        process.wait()
+        process.terminate()  # it then takes its port's folder along
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
         process.stdout.close()
 
 
@@ -90,7 +101,7 @@ class Running:
 
     def stop(self):
         self.skin.stop()
-        self.thread.join(10)
+        self.thread.join(60)
         assert not self.thread.is_alive()
 
 

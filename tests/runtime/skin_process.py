@@ -5,6 +5,7 @@ Takes one JSON object as its argument, prints the port's path, serves until it i
 """
 
 import json
+import signal
 import sys
 from time import perf_counter_ns
 
@@ -42,6 +43,7 @@ class MadeUp:
 
 
 def main(options):
+    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
     source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
     configuration = configuration_for(options.get("rate_hz", 100.0), options.get("configuration", "paper"))
@@ -54,8 +56,8 @@ def main(options):
     port = PtyPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
-    print(port.path, flush=True)
     try:
+        print(port.path, flush=True)
         server.SkinServer(device, port, player).run(perf_counter_ns() + int(60e9))
     finally:
         port.close()

@@ -13,6 +13,8 @@ import pytest
 import eitskin
 from eitskin.reference.captured import load
 
+pytestmark = pytest.mark.process
+
 
 def command(*words, **options):
     return subprocess.Popen(
@@ -26,7 +28,7 @@ def command(*words, **options):
 
 def finished(*words):
     process = command(*words)
-    out, err = process.communicate(timeout=30)
+    out, err = process.communicate(timeout=120)
     return process.returncode, out, err
 
 
@@ -51,12 +53,12 @@ def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_s
         report = wait_until_ready(process)
         for found in ("open, exclusive", "low-latency mode", "VIRTUAL-0001", "gate: false-alarm rate", "median spread"):
             assert found in report
-        with eitskin.subscribe(f"ipc://{tmp_path}/frames", mode="all", timeout_s=5) as frames:
+        with eitskin.subscribe(f"ipc://{tmp_path}/frames", mode="all", timeout_s=60) as frames:
             taken = [next(frames) for _ in range(60)]
         assert taken[-1].touched
         assert taken[-1].latency_s < 1.0
         process.send_signal(signal.SIGTERM)
-        out, err = process.communicate(timeout=10)
+        out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert out.count("\n") == 1
     summary = json.loads(out)
@@ -126,7 +128,7 @@ def test_a_busy_port_is_one_line_and_exit_1(virtual_skin, tiny_path, endpoints):
         wait_until_ready(first)
         code, _, err = finished("run", "--port", port, "--bundle", tiny_path)
         first.send_signal(signal.SIGINT)
-        first.communicate(timeout=10)
+        first.communicate(timeout=120)
     assert first.returncode == 0
     assert code == 1
     assert "open in another program" in err.splitlines()[-1]
@@ -284,7 +286,7 @@ def test_subscribe_without_a_runtime_gives_up_with_one_line(tmp_path):
     assert (code, out) == (1, "")
     assert "nobody listens there" in err
     assert "'eitskin run --port PORT'" in err
-    assert time.perf_counter() - start < 20
+    assert time.perf_counter() - start < 100
     assert finished("subscribe", "ipc:///tmp/x", "--frames", "0")[0] == 2
 
 
@@ -321,14 +323,14 @@ def test_one_thread_computes_and_no_other_runs(virtual_skin, tiny_path, tmp_path
         words = ["--bundle", tiny_path, "--reference-frames", 10, *endpoints]
         process = command("run", "--port", port, *words)
         wait_until_ready(process)
-        with eitskin.subscribe(f"ipc://{tmp_path}/frames", timeout_s=5) as frames:
+        with eitskin.subscribe(f"ipc://{tmp_path}/frames", timeout_s=60) as frames:
             before = ticks(process.pid)
             end = time.perf_counter() + 2
             while time.perf_counter() < end:
                 next(frames)
             after = ticks(process.pid)
         process.send_signal(signal.SIGINT)
-        process.communicate(timeout=10)
+        process.communicate(timeout=120)
     used = {thread: after[thread][1] - before.get(thread, ("", 0))[1] for thread in after}
     main = used.pop(process.pid)
     others = {thread: spent for thread, spent in used.items() if not after[thread][0].startswith("ZMQbg")}

@@ -3,8 +3,11 @@ import sys
 from importlib import metadata
 
 import numpy as np
+import pytest
 
 import eitskin
+
+pytestmark = pytest.mark.process
 
 
 def modules_after(statement):

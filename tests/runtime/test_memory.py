@@ -57,7 +57,7 @@ def test_a_subscriber_that_sleeps_50_ms_sees_the_newest_frame_and_delays_nobody(
         endpoint = runtime.publisher.endpoint
         behind = []
         for modest in (False, True):  # libzmq's way of keeping one message, and ours
-            with eitskin.subscribe(endpoint, timeout_s=5, skip_unchanged=modest) as slow:
+            with eitskin.subscribe(endpoint, timeout_s=60, skip_unchanged=modest) as slow:
                 next(slow)
                 for _ in range(15):
                     time.sleep(0.05)

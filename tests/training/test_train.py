@@ -14,6 +14,8 @@ from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 
+pytestmark = pytest.mark.network
+
 
 def tiny(labels: str = "area", **changes: Any) -> Recipe:
     return replace(recipe("tiny"), labels=labels, **changes)

@@ -27,6 +27,8 @@ from eitskin_proto.wire.unwrap import StreamCounter
 from eitskin_tools.fault_injection.usb_skin import MockedUsb
 from eitskin_tools.fault_injection.usb_urb import PACKET
 
+pytestmark = pytest.mark.process
+
 PORT = "usb:USB-7"
 
 

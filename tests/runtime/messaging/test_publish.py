@@ -34,7 +34,7 @@ def send(publisher, packer, number, age_us=100):
 
 
 def wait_until_wanted(publisher):
-    end = time.perf_counter() + 5
+    end = time.perf_counter() + 60
     while not publisher.wanted and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.005)
@@ -50,11 +50,11 @@ def publisher(tmp_path):
 
 def test_frames_reach_a_subscriber_and_the_publisher_knows_that_it_is_wanted(publisher, packer):
     assert not publisher.wanted
-    with eitskin.subscribe(publisher.endpoint, timeout_s=5) as frames:
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60) as frames:
         wait_until_wanted(publisher)
         send(publisher, packer, 1)
         assert next(frames).number == 1
-    end = time.perf_counter() + 5
+    end = time.perf_counter() + 60
     while publisher.wanted and time.perf_counter() < end:
         publisher.look()
     assert not publisher.wanted
@@ -62,8 +62,8 @@ def test_frames_reach_a_subscriber_and_the_publisher_knows_that_it_is_wanted(pub
 
 def test_a_slow_subscriber_sees_the_newest_frame_and_delays_nobody(publisher, packer):
     with (
-        eitskin.subscribe(publisher.endpoint, timeout_s=5) as slow,
-        eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=5) as recorder,
+        eitskin.subscribe(publisher.endpoint, timeout_s=60) as slow,
+        eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as recorder,
     ):
         wait_until_wanted(publisher)
         time.sleep(0.1)  # the second subscriber joins as well
@@ -85,7 +85,7 @@ def test_a_slow_subscriber_sees_the_newest_frame_and_delays_nobody(publisher, pa
 
 
 def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher, packer, monkeypatch):
-    with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=1) as recorder:
+    with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=5) as recorder:
         wait_until_wanted(publisher)
         sent = 5_000
         for number in range(1, sent + 1):
@@ -137,7 +137,7 @@ def test_a_hostile_publisher_cannot_stop_a_subscriber(tmp_path, packer):
     bad += [rng.integers(0, 256, 100, dtype=np.uint8).tobytes() for _ in range(200)]
     with zmq.Context() as context, context.socket(zmq.PUB) as hostile:
         hostile.bind(endpoint)
-        with eitskin.subscribe(endpoint, mode="all", timeout_s=5) as frames:
+        with eitskin.subscribe(endpoint, mode="all", timeout_s=60) as frames:
             time.sleep(0.3)
             for message in bad:
                 hostile.send(message)
@@ -152,7 +152,7 @@ def test_a_hostile_publisher_cannot_stop_a_subscriber(tmp_path, packer):
 def test_an_address_in_use_is_named_and_its_owner_is_not_disturbed(publisher, packer):
     with pytest.raises(EndpointError, match=r"frames is in use: stop the program"):
         Publisher(publisher.endpoint)
-    with eitskin.subscribe(publisher.endpoint, timeout_s=5) as frames:
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60) as frames:
         wait_until_wanted(publisher)
         send(publisher, packer, 4)
         assert next(frames).number == 4
@@ -220,7 +220,7 @@ def test_curve_lets_in_who_is_listed_and_nobody_else(tmp_path, keys, packer):
     stranger = load_client_keys(keys / "server.key", tmp_path / "stranger" / "client.key_secret")
     try:
         with (
-            eitskin.subscribe(publisher.endpoint, keys=trusted, timeout_s=5) as frames,
+            eitskin.subscribe(publisher.endpoint, keys=trusted, timeout_s=60) as frames,
             eitskin.subscribe(publisher.endpoint, keys=stranger, timeout_s=0.3) as nothing,
             eitskin.subscribe(publisher.endpoint, timeout_s=0.3) as plain,
         ):
@@ -252,19 +252,19 @@ def test_keys_that_others_can_read_or_that_admit_nobody_are_refused(keys):
 
 
 def test_a_flood_of_subscriptions_is_cut_off_and_honest_subscribers_return(publisher, packer):
-    with eitskin.subscribe(publisher.endpoint, timeout_s=5) as honest:
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60) as honest:
         wait_until_wanted(publisher)
         with zmq.Context() as context, context.socket(zmq.XSUB) as flood:
             flood.linger = 0
             flood.connect(publisher.endpoint)
             for index in range(5000):
                 flood.send(b"\x01" + index.to_bytes(4, "little"))
-            end = time.perf_counter() + 5
+            end = time.perf_counter() + 60
             while not publisher.resets and time.perf_counter() < end:
                 publisher.look()
                 time.sleep(0.001)
         assert publisher.resets >= 1
-        end = time.perf_counter() + 5
+        end = time.perf_counter() + 60
         while honest.received == 0 and time.perf_counter() < end:
             send(publisher, packer, 5)
             if honest._socket.poll(20):
@@ -292,7 +292,7 @@ def test_too_many_connections_are_cut_off(publisher, monkeypatch):
         client = socket.socket(socket.AF_UNIX)
         client.connect(path)
         clients.append(client)
-    end = time.perf_counter() + 5
+    end = time.perf_counter() + 60
     while not publisher.resets and time.perf_counter() < end:
         publisher.look_at_connections()
         time.sleep(0.01)

@@ -133,7 +133,7 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
     worker = RegionWorker(pipeline)
     for row in range(29):
         worker.want((Region(row, row + 1, 0, 45),))
-    end = time.perf_counter() + 10
+    end = time.perf_counter() + 60
     while time.perf_counter() < end and (pipeline._next_engines is None or worker._running):
         time.sleep(0.01)
     assert pipeline._next_engines.regions == (Region(28, 29, 0, 45),)
@@ -144,16 +144,16 @@ def test_only_the_union_is_computed_while_all_subscribers_agree(virtual_skin, ru
     one, other = (0.0, 0.0, 50.0, 30.0), (100.0, 60.0, 150.0, 100.0)
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
         endpoint = runtime.publisher.endpoint
-        with eitskin.subscribe(endpoint, mode="all", region_mm=one, timeout_s=5) as first:
+        with eitskin.subscribe(endpoint, mode="all", region_mm=one, timeout_s=60) as first:
             frame = next(frame for frame in first if frame.regions == (first.region,) and frame.solver != "none")
             outside = frame.map.copy()
             outside[first.region.slices] = 0.0
             assert frame.map[first.region.slices].any()
             assert not outside.any()
             assert "map:region" in frame.skipped
-            with eitskin.subscribe(endpoint, region_mm=other, timeout_s=5) as second:
+            with eitskin.subscribe(endpoint, region_mm=other, timeout_s=60) as second:
                 both = union([first.region, second.region])
                 assert next(frame for frame in second if frame.regions == both).map[second.region.slices].any()
-            with eitskin.subscribe(endpoint, timeout_s=5) as plain:  # whoever says nothing gets everything
+            with eitskin.subscribe(endpoint, timeout_s=60) as plain:  # whoever says nothing gets everything
                 assert next(frame for frame in plain if frame.regions == (WHOLE,))
             assert next(frame for frame in first if frame.regions == (first.region,))

@@ -53,7 +53,7 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
     ):
         skin.capture_reference(10)
         frames = []
-        for frame in skin.frames(timeout_s=30.0):
+        for frame in skin.frames(timeout_s=120.0):
             frames.append(frame)
             if skin.pipeline.record.idle and any(seen.map.any() for seen in frames):
                 break  # it has been idle, awake, and is idle again
@@ -96,12 +96,12 @@ def test_a_new_reference_is_captured_from_whole_scans(virtual_skin, watchful):
         skin.capture_reference(5)
         answers = []
         asking = threading.Thread(target=lambda: answers.append(skin.recapture(20)))
-        for frame in skin.frames(timeout_s=10.0):
+        for frame in skin.frames(timeout_s=120.0):
             if "acquisition:idle" in frame.skipped and not asking.ident:
                 asking.start()
             if "reference" in frame.events:
                 break
-        asking.join(5)
+        asking.join(60)
         assert [(answer["frames"], answer["weak_rows"], answer["remarks"]) for answer in answers] == [(20, [], [])]
 
 

@@ -172,7 +172,7 @@ def test_a_short_message_means_the_map_of_the_frame_that_it_names(packer):
 
 
 def wait_for(publisher, condition):
-    end = time.perf_counter() + 5
+    end = time.perf_counter() + 60
     while not condition() and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.002)
@@ -204,7 +204,7 @@ def test_short_frames_are_sent_only_while_every_subscriber_agrees(tmp_path):
 def test_a_resting_touch_is_computed_once_and_published_short(virtual_skin, running, tmp_path):
     options = {"touches": [[0.2, 60, 0.3]], "noise": 1e-3}
     with virtual_skin(**options) as port, running(port, tmp_path, skip_unchanged=True) as runtime:
-        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=5) as frames:
+        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=60) as frames:
             taken = [frame for frame, _ in zip(frames, range(150), strict=False)]
             assert frames.mapless == frames.lost == 0
         touched = [frame for frame in taken if frame.touched]
@@ -217,7 +217,7 @@ def test_a_resting_touch_is_computed_once_and_published_short(virtual_skin, runn
             if frame.map_sequence in by_sequence:
                 assert np.array_equal(frame.map, by_sequence[frame.map_sequence].map)
                 assert frame.sequence - frame.map_sequence < REFRESH_FRAMES
-        with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=5) as plain:  # one who did not agree
+        with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=60) as plain:  # one who did not agree
             assert next(plain).map.any()
 
 
@@ -225,7 +225,7 @@ def test_a_moving_touch_is_computed_every_frame(virtual_skin, running, tmp_path)
     touches = [[0.02 * step, 0.02 * step + 0.02, 0.2 + 0.05 * (step % 4)] for step in range(300)]
     options = {"touches": touches, "noise": 1e-4, "rate_hz": 40.0}
     with virtual_skin(**options) as port, running(port, tmp_path, skip_unchanged=True) as runtime:
-        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=5) as frames:
+        with eitskin.subscribe(runtime.publisher.endpoint, mode="all", skip_unchanged=True, timeout_s=60) as frames:
             taken = [frame for frame, _ in zip(frames, range(40), strict=False)]
         touched = [frame for frame in taken if frame.touched]
         assert len({frame.map_sequence for frame in touched}) >= len(touched) - 2

@@ -70,6 +70,7 @@ def test_a_core_that_is_not_ours_is_bad_usage() -> None:
         frame.run(parser.parse_args(["--core", "4096"]))
 
 
+@pytest.mark.process
 def test_every_packet_crosses_the_bare_line_once_and_takes_time() -> None:
     core = min(os.sched_getaffinity(0))
     found = line_floor.floor_ns(500.0, 50, core)
@@ -77,6 +78,7 @@ def test_every_packet_crosses_the_bare_line_once_and_takes_time() -> None:
     assert (found > 10_000).all(), "two processes were woken in less than 10 us"
 
 
+@pytest.mark.process
 def test_footprint_measures_fresh_interpreters(capsys: pytest.CaptureFixture[str], monkeypatch: Any) -> None:
     import argparse
 

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 
 from eitskin_proto.wire.framing import Deframer
 from eitskin_tools.bench.peer.compare import ages, corruption, ours
@@ -21,6 +22,7 @@ def test_a_flipped_frame_differs_in_one_bit() -> None:
     assert int(np.unpackbits(changed).sum()) == 1
 
 
+@pytest.mark.process
 def test_our_reader_returns_every_whole_frame_and_no_damaged_one() -> None:
     found = ages(ours(), 100, 200.0)
     assert found["returned"] == found["sent"]

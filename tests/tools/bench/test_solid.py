@@ -15,6 +15,8 @@ from eitskin_sim.scene.shapes import Rect
 from eitskin_tools.bench.physics.solid import Solid, build_solid
 from eitskin_tools.bench.physics.solid_mesh import Resolution
 
+pytestmark = pytest.mark.slow
+
 pytest.importorskip("skfem", reason="the independent solid comes with the extra 'dev'")
 
 SIZE = (60.0, 40.0)

@@ -194,6 +194,7 @@ def test_rows_that_noise_drowns_cost_less_when_the_reference_says_how_much_they_
     assert off[1] < 0.9 * off[0]
 
 
+@pytest.mark.process
 @pytest.mark.parametrize("labels", ["units", "area"])
 def test_a_frame_gives_the_same_map_again_and_a_head_of_single_frames_says_so(sample, labels):
     bundle = load_bundle(default_path(labels))
@@ -208,6 +209,8 @@ def test_a_frame_gives_the_same_map_again_and_a_head_of_single_frames_says_so(sa
         assert 0.0 <= batch["worst"] < 1e-5
 
 
+@pytest.mark.slow
+@pytest.mark.process
 def test_the_quick_form_explains_every_break_and_publishes_nothing_absurd(capsys):
     assert main(["bench", "stability", "--quick", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)  # one object, nothing else

@@ -7,10 +7,12 @@ import pytest
 
 from eitskin_tools import cli
 
+pytestmark = pytest.mark.process
+
 
 def eitskin(*words: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
-        [sys.executable, "-m", "eitskin_tools.cli", *words], capture_output=True, text=True, timeout=60, check=False
+        [sys.executable, "-m", "eitskin_tools.cli", *words], capture_output=True, text=True, timeout=120, check=False
     )
 
 
@@ -78,5 +80,5 @@ def test_importing_the_runtime_pulls_in_neither_torch_nor_scipy() -> None:
         "import sys, eitskin; eitskin.subscribe; eitskin.Skin; "
         "print([name for name in ('torch', 'scipy') if name in sys.modules])"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=120, check=True)
     assert done.stdout.strip() == "[]"

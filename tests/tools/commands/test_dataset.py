@@ -33,6 +33,8 @@ def test_too_many_touch_sets_is_exit_1_and_writes_nothing(capsys: pytest.Capture
     assert not (tmp_path / "d").exists()
 
 
+@pytest.mark.slow
+@pytest.mark.process
 def test_a_small_set_is_written_and_reported_as_one_object(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
     words = ["dataset", "--set", "paper", "--bends", "1", "--touch-sets", "15", "--out", str(tmp_path / "d"), "--json"]
     assert cli.main(words) == 0

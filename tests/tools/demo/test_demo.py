@@ -1,6 +1,5 @@
 """The demonstration end to end, with a tiny bundle: what is counted and reported, not how fast or how right it is."""
 
-import io
 import json
 import os
 import signal
@@ -8,22 +7,30 @@ import subprocess
 import sys
 import time
 from pathlib import Path
-from types import SimpleNamespace
 
-import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
-from eitskin_tools.demo.frame_picture import choose, picture
-from eitskin_tools.demo.recorder import STAGES, Record
-from eitskin_tools.demo.score import accuracy, percentiles_us, timing
-from eitskin_tools.pictures.draw import Painter, plain_lines
 from eitskin_tools.processes.children import Child, ChildDiedError, process_group
+from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
+
+pytestmark = pytest.mark.process
 
 ROOT = Path(__file__).parents[3]
 BUNDLE = ROOT / "tests" / "golden" / "tiny.eitskin"
 COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "demo", "--no-draw"]
+PATIENCE_S = 120.0
+"""How long a busy machine may take for anything here; a quiet one takes seconds."""
+
+
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A cache in which the script's keyframes are solved already."""
+    folder: Path = tmp_path_factory.mktemp("cache")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("XDG_CACHE_HOME", str(folder))
+        prepare(demonstration(), demonstration().period_s)
+    return folder
 
 
 def ours(folder: Path) -> list[str]:
@@ -48,23 +55,31 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def left_in(place: Path) -> set[str]:
-    """What is in the folder that need not be: the cache is kept, and ``.ses`` is onnxruntime's own."""
-    return {path.name for path in place.iterdir()} - {"cache", ".ses"}
+    """What is in the folder that need not be: ``.ses`` is onnxruntime's own."""
+    return {path.name for path in place.iterdir()} - {".ses"}
 
 
-def environment(place: Path) -> dict[str, str]:
-    return {**os.environ, "TMPDIR": str(place), "XDG_CACHE_HOME": str(place / "cache")}
+def environment(place: Path, cache: Path) -> dict[str, str]:
+    return {**os.environ, "TMPDIR": str(place), "XDG_CACHE_HOME": str(cache)}
 
 
-def test_json_is_one_object_and_nothing_is_left_behind(place: Path) -> None:
+@pytest.fixture(scope="module")
+def shown(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Return a demonstration that ran for a while and the temporary folder that it had."""
+    place = tmp_path_factory.mktemp("d")
     done = subprocess.run(
         [*COMMAND, "--seconds=3", "--json", f"--bundle={BUNDLE}"],
-        capture_output=True, text=True, timeout=90, check=False, env=environment(place),
+        capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False, env=environment(place, cache),
     )  # fmt: skip
+    return done, place
+
+
+def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    done, _ = shown
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
     assert done.stdout.count("\n") == 1
-    assert found["frames"] >= 200
+    assert found["frames"] >= 100, "of 600, if this machine has time for them"
     # A machine that is too busy to read in time may lose frames, but each loss is explained: a packet that the line had
     # no room for is cut short and takes its neighbour along.
     assert found["lost"] <= 2 * found["overruns"]
@@ -73,19 +88,23 @@ def test_json_is_one_object_and_nothing_is_left_behind(place: Path) -> None:
     assert list(found["stages_us"]) == ["wire", "decode", "normalise", "gate", "infer", "pack", "publish", "deliver"]
     medians = [stage["p50"] for stage in found["stages_us"].values()]
     assert all(value >= 0 for value in medians), "stamps of different processes are in order"
-    assert found["scored"] > 50
+    assert found["scored"] > 10
     assert 0 < found["inferred"] < found["frames"]
     assert -1.0 <= found["cc_median"] <= 1.0
+
+
+def test_nothing_is_left_behind(shown: tuple[subprocess.CompletedProcess[str], Path]) -> None:
+    _, place = shown
     assert ours(place) == []
     assert left_in(place) == set()
 
 
-def test_a_process_that_dies_ends_the_demonstration_with_one_line(place: Path) -> None:
+def test_a_process_that_dies_ends_the_demonstration_with_one_line(place: Path, cache: Path) -> None:
     broken = place / "broken.eitskin"
     broken.write_bytes(BUNDLE.read_bytes()[:5000])
     done = subprocess.run(
         [*COMMAND, "--seconds=3", "--json", f"--bundle={broken}"],
-        capture_output=True, text=True, timeout=60, check=False, env=environment(place),
+        capture_output=True, text=True, timeout=PATIENCE_S, check=False, env=environment(place, cache),
     )  # fmt: skip
     assert done.returncode == 1
     assert done.stdout == ""
@@ -100,32 +119,32 @@ def _hears_ctrl_c() -> None:
     signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
-def test_ctrl_c_ends_it_early_with_its_summary(place: Path) -> None:
+@pytest.mark.slow
+def test_ctrl_c_ends_it_early_with_its_summary(place: Path, cache: Path) -> None:
     process = subprocess.Popen(
-        [*COMMAND, "--seconds=60", "--json", f"--bundle={BUNDLE}"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(place),
+        [*COMMAND, "--seconds=900", "--json", f"--bundle={BUNDLE}"],
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(place, cache),
         preexec_fn=_hears_ctrl_c,  # noqa: PLW1509 - no thread runs here
     )  # fmt: skip
-    deadline = time.monotonic() + 40.0
-    while time.monotonic() < deadline and not any("recorder" in line for line in ours(place)):
+    deadline = time.monotonic() + PATIENCE_S
+    while not any("first" in path.read_text() for path in place.glob("eitskin-demo-*/subscriber.out")):
+        assert time.monotonic() < deadline, "no frame has come"
         time.sleep(0.05)
-    time.sleep(3.0)
     process.send_signal(signal.SIGINT)
     try:
-        out, error = process.communicate(timeout=50)  # well before the 60 s that it was started for
+        out, error = process.communicate(timeout=PATIENCE_S)  # well before the 900 s that it was started for
     finally:
         process.kill()
         process.communicate()
-    assert process.returncode in (0, 130), error
-    if process.returncode == 0:  # 130 where the first frame had not come yet
-        assert json.loads(out)["frames"] > 0
+    assert process.returncode == 0, error
+    assert json.loads(out)["frames"] > 0
     assert ours(place) == []
     assert left_in(place) == set()
 
 
 @pytest.mark.parametrize("arguments", [["--seconds=0"], ["--rate=-5"], ["--noise=N9"], ["--solver=magic"]])
 def test_bad_usage_is_exit_2(arguments: list[str]) -> None:
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=PATIENCE_S, check=False)
     assert done.returncode == 2
     assert arguments[0].partition("=")[0] in done.stderr
 
@@ -135,149 +154,20 @@ def test_the_last_words_of_a_dead_child_are_reported(tmp_path: Path) -> None:
         child = Child("virtual-skin", "eitskin_tools.cli", ["virtual-skin", "--scene=/nowhere.json"], tmp_path)
         children.append(child)
         with pytest.raises(ChildDiedError, match=r"virtual-skin ended with status 1: .*nowhere\.json"):
-            child.line(child.out, "{", 30.0)
+            child.line(child.out, "{", PATIENCE_S)
 
 
-def a_record(frames: int = 400, first_us: int = 1_000_000) -> Record:
-    """A record of perfect maps of the script, 20 frames a second, every stage 10 us, the wire 100 us."""
-    script = demonstration()
-    found = Record.empty(frames)
-    for index in range(frames):
-        found.sequence[index] = 7 + index
-        time_us = 20_000 + 50_000 * index
-        found.device_us[index] = first_us + time_us
-        found.maps[index] = script.truth_at(time_us * 1e-6).reshape(-1)
-        found.touched[index] = bool(script.scene_at(time_us * 1e-6).touches)
-    found.host_ns[:] = found.device_us[:, None] * 1000 + 100_000 + 10_000 * np.arange(7)
-    found.received_ns[:] = found.host_ns[:, -1] + 50_000
-    return found
-
-
-def test_scores_of_a_perfect_stream_are_perfect() -> None:
-    found = accuracy(a_record(), demonstration(), start_us=1_000_000)
-    assert found.cc_median == found.cc_median_flat == found.cc_median_bent == 1.0
-    assert (found.missed, found.false_alarms) == (0.0, 0.0)
-    assert found.scored > 250
-
-
-def test_truth_taken_at_the_wrong_time_is_noticed() -> None:
-    found = accuracy(a_record(), demonstration(), start_us=500_000)
-    assert found.cc_median is not None
-    assert found.cc_median < 0.95
-
-
-def test_a_device_clock_that_wraps_scores_the_same() -> None:
-    start = (1 << 32) - 3_000_000
-    record = a_record(first_us=start)
-    assert accuracy(record, demonstration(), start_us=start).cc_median == 1.0
-
-
-def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
-    record = a_record()
-    record.sequence[200:] += 3  # three frames were lost
-    wire = np.zeros(1 << 12, dtype=np.int64)
-    wire[record.sequence] = record.device_us * 1000
-    wire[207:209] = -1  # two of them had no room on the line; the third was damaged by the second
-    found = timing(record, wire)
-    assert (found["lost"], found["overruns"]) == (3, 2)
-    assert found["rate_hz"] == pytest.approx(20.0, rel=1e-6)
-    assert found["latency_us"] == {"p50": 210.0, "p99": 210.0, "p999": 210.0, "max": 210.0}
-    spans = {name: stage["p50"] for name, stage in found["stages_us"].items()}
-    assert spans["wire"] == 100.0
-    assert spans["deliver"] == 50.0
-    assert sum(spans.values()) == pytest.approx(found["latency_us"]["p50"])
-
-
-@pytest.mark.parametrize(
-    ("skipped", "ran"),
-    [
-        ((), True),
-        (("geometry:cloud_unchanged",), True),
-        (("map:untouched", "geometry:cloud_unchanged"), True),  # looked at in spite of the gate
-        (("inference:unchanged", "geometry:cloud_unchanged"), False),  # has an earlier frame's map and its solver
-        (("inference:untouched", "geometry:cloud_unchanged"), False),
-    ],
-)
-def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[str, ...], ran: bool) -> None:
-    record = Record.empty(1)
-    frame = SimpleNamespace(
-        sequence=1, device_us=0, received_ns=300_000, host_ns=dict.fromkeys(STAGES, 200_000), touched=True,
-        solver="vd2t", skipped=skipped, cloud=0, map=np.zeros(GRID_SHAPE), counts={"corrupt": 0, "withheld": 0},
-    )  # fmt: skip
-    record.note(0, frame)
-    assert record.inferred[0] == ran
-    wire = np.full(4, 100_000)
-    found = timing(record, wire)
-    assert found["inferred"] == int(ran)
-    assert found["latency_us"]["p50"] == 200.0
-    assert found["latency_inferred_us"] == ({"p50": 200.0, "p99": 200.0, "p999": 200.0, "max": 200.0} if ran else {})
-
-
-def test_an_empty_record_is_an_error_and_not_a_summary() -> None:
-    with pytest.raises(ValueError, match="not one frame"):
-        timing(Record.empty(0), np.zeros(4, dtype=np.int64))
-
-
-def test_percentiles_are_of_microseconds() -> None:
-    assert percentiles_us(np.arange(0, 1_001_000, 1000))["p99"] == 990.0
-    assert percentiles_us(np.array([], dtype=np.int64)) == {}
-
-
-def test_long_runs_keep_a_bounded_number_of_maps() -> None:
-    assert Record.empty(2000).stride == 1
-    long = Record.empty(100_000)
-    assert len(long.maps) <= 6000
-    assert long.maps.shape[1] == N_PIXELS
-
-
-def test_a_record_survives_its_file(tmp_path: Path) -> None:
-    record = a_record(20)
-    record.save(tmp_path / "record.npz", 15)
-    again = Record.load(tmp_path / "record.npz")
-    assert np.array_equal(again.sequence, record.sequence[:15])
-    assert np.array_equal(again.maps, record.maps[:15])
-
-
-def test_a_map_is_drawn_with_y_upwards() -> None:
-    image = np.zeros(GRID_SHAPE)
-    image[0, 0] = 1.0  # the corner (0, 0)
-    lines = plain_lines(image)
-    assert (len(lines), len(lines[0])) == (15, 45)
-    assert lines[-1][0] == "█"
-    assert sum(line.count("█") for line in lines) == 1
-
-
-def test_the_screen_is_given_back_even_after_an_error() -> None:
-    screen = io.StringIO()
-    with pytest.raises(RuntimeError, match="boom"), Painter(screen) as painter:  # noqa: PT012
-        painter.show("title", np.zeros(GRID_SHAPE), np.ones(GRID_SHAPE), ["footer"])
-        raise RuntimeError("boom")
-    text = screen.getvalue()
-    assert text.index("\x1b[?1049h") < text.index("title") < text.index("\x1b[?25h") < text.index("\x1b[?1049l")
-
-
-def test_the_picture_shows_a_bent_touched_frame() -> None:
-    script = demonstration()
-    index, time_s = choose(a_record(), script, 1_000_000)
-    scene = script.scene_at(time_s)
-    assert len(scene.touches) == 3
-    assert abs(scene.bend.angle_deg) >= 50.0
-    assert index == round((time_s - 0.02) / 0.05)
-    with pytest.raises(ValueError, match="record more seconds"):
-        choose(a_record(60), script, 1_000_000)
-
-
-def test_children_end_when_their_parent_is_killed(place: Path) -> None:
+def test_children_end_when_their_parent_is_killed(place: Path, cache: Path) -> None:
     code = (
         "import os, pathlib, signal\n"
         "from eitskin_tools.processes.children import Child\n"
         f"child = Child('virtual-skin', 'eitskin_tools.cli', ['virtual-skin'], pathlib.Path({str(place)!r}))\n"
-        "child.line(child.out, '/', 30.0)\n"
+        "child.line(child.out, '/', 120.0)\n"
         "os.kill(os.getpid(), signal.SIGKILL)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=60, env=environment(place))
+    done = subprocess.run([sys.executable, "-c", code], check=False, timeout=PATIENCE_S, env=environment(place, cache))
     assert done.returncode == -signal.SIGKILL
-    deadline = time.monotonic() + 10.0
+    deadline = time.monotonic() + PATIENCE_S
     while ours(place) and time.monotonic() < deadline:
         time.sleep(0.05)
     assert ours(place) == []
@@ -289,17 +179,9 @@ def test_the_demonstration_needs_no_torch() -> None:
     code = (
         f"from eitskin_tools.demo import {modules}\n"
         "from eitskin_tools.virtual_skin import process\n"
-        "import eitskin_tools.scripted_scene.prepare, eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics\n"
-        "import sys\n"
+        "import eitskin_tools.scripted_scene.prepare, eitskin_tools.scripted_scene.script\n"
+        "import eitskin_sim.surface.predict, eitskin_sim.evaluation.metrics, sys\n"
         "print('torch' in sys.modules)\n"
     )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=PATIENCE_S)
     assert done.stdout == "False\n"
-
-
-def test_the_picture_is_a_png_of_a_recorded_frame(tmp_path: Path) -> None:
-    pytest.importorskip("matplotlib", reason="pictures need the extra 'plot'")
-    path = tmp_path / "frame.png"
-    picture(a_record(), demonstration(), 1_000_000, path)
-    assert path.read_bytes().startswith(b"\x89PNG")
-    assert 20_000 < path.stat().st_size < 400_000

@@ -32,12 +32,13 @@ def test_a_recording_repeats_the_scripts_period_with_equal_reciprocal_rows():
     assert np.ptp(volts, axis=0).max() > 0, "touches come and go"
 
 
+@pytest.mark.process
 @pytest.mark.skipif(bool(MISSING), reason=f"{', '.join(MISSING)} not found: apt-get install qemu-system-arm ...")
 def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_path):
     log, wire = tmp_path / "skin.log", tmp_path / "wire.npy"
     process = subprocess.Popen(
         [sys.executable, "-m", "eitskin_tools.emulator.emulated_skin", "--rate=100", "--noise=none", f"--log={log}",
-         f"--wire-times={wire}", "--seconds=60"],
+         f"--wire-times={wire}", "--seconds=900"],
         stdout=subprocess.PIPE, text=True,
     )  # fmt: skip
     try:
@@ -48,7 +49,7 @@ def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_pat
         device.start()
         first, volts = None, np.zeros(104)
         while first is None:
-            for payload in device.payloads(2.0):
+            for payload in device.payloads(60.0):
                 if payload[0] == MessageType.FRAME and first is None:
                     view.load(payload)
                     view.volts_into(volts, device.hello.volts_per_count)
@@ -58,7 +59,7 @@ def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_pat
         assert np.load(wire, mmap_mode="r")[first] > 0
     finally:
         process.send_signal(signal.SIGINT)
-        assert process.wait(20.0) == 0
+        assert process.wait(120.0) == 0
         process.stdout.close()
     last = read_log(log)[-1]
     assert last["event"] == "stop"

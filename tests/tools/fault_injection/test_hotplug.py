@@ -18,6 +18,7 @@ def test_the_stream_resumes_after_every_pulled_plug_and_nothing_leaks(capsys):
     assert "not_run" in report["usb"]
 
 
+@pytest.mark.process
 def test_so_it_does_on_a_mocked_usb_bus():
     lacking = missing()
     if lacking:

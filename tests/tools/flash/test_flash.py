@@ -123,6 +123,7 @@ def test_a_port_that_is_not_there_is_one_line(capsys):
     assert "/dev/does-not-exist" in err
 
 
+@pytest.mark.process
 def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
     sim = subprocess.Popen(
         [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin", "--noise=none"],

@@ -90,14 +90,16 @@ def skin(*faults):
             yield made, str(port.path)
         finally:
             server.stop()
-            thread.join(10.0)
+            thread.join(60.0)
             assert not thread.is_alive()
 
 
+@pytest.mark.process
 def test_a_port_that_another_program_streams_from_is_left_alone(capsys):
     with skin() as (made, port):
         first = SerialPort(port)
         first.write(framing.encode(messages.Start().pack()))
+        assert first.read(60.0)  # it streams
         assert cli.main(["flash", "write", "fast", "--port", port]) == 1
         err = capsys.readouterr().err.splitlines()
         assert len(err) == 1

@@ -5,6 +5,8 @@ import sys
 
 import pytest
 
+pytestmark = pytest.mark.process
+
 COUNT = """
 import os
 from eitskin_tools.processes.threads import one_blas_thread

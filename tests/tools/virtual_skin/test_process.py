@@ -19,6 +19,8 @@ from eitskin_tools.processes.skin_log import read_log, script_start
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
 
+pytestmark = pytest.mark.process
+
 COMMAND = [sys.executable, "-m", "eitskin_tools.cli", "virtual-skin"]
 
 
@@ -28,14 +30,18 @@ def sim(*arguments: str) -> Iterator[subprocess.Popen[str]]:
     try:
         yield process
     finally:
-        process.kill()
-        process.communicate()
+        process.send_signal(signal.SIGINT)  # it then takes its port's folder along
+        try:
+            process.communicate(timeout=60)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.communicate()
 
 
 def stream(port: str, frames: int) -> tuple[m.Hello, list[m.Frame]]:
     """Shake hands, take some frames, stop."""
     found: list[m.Message] = []
-    with serial.Serial(port, timeout=2.0, exclusive=True) as line:
+    with serial.Serial(port, timeout=30.0, exclusive=True) as line:
         deframer = Deframer()
         line.write(b"\0" + encode(m.HelloRequest(1).pack()) + encode(m.Start(2, frames=frames).pack()))
         while sum(isinstance(message, m.Frame) for message in found) < frames:
@@ -53,7 +59,7 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None
         assert Path(port).is_symlink()
         hello, frames = stream(port, 50)
         process.send_signal(signal.SIGINT)
-        assert process.wait(10.0) == 0
+        assert process.wait(60.0) == 0
         assert not Path(port).parent.exists()
     script = demonstration()
     solved = prepare(script, script.period_s)
@@ -80,14 +86,14 @@ def test_json_is_one_object_and_sigterm_ends_it_cleanly(tmp_path: Path) -> None:
         assert hello.rate_mHz == 100_000
         assert frames[0].device_us * 1000 + found["clock_epoch_ns"] == pytest.approx(before, abs=2e9)
         process.send_signal(signal.SIGTERM)
-        assert process.wait(10.0) == 0
+        assert process.wait(60.0) == 0
         assert process.stdout.read() == ""
         assert not Path(found["port"]).parent.exists()
 
 
 def test_it_ends_by_itself_when_its_time_is_over() -> None:
     with sim("--seconds=0.2") as process:
-        assert process.wait(20.0) == 0
+        assert process.wait(60.0) == 0
 
 
 def test_noise_is_50_db_of_each_voltage_and_repeats_with_its_seed() -> None:
@@ -126,7 +132,7 @@ def test_a_scene_is_held_after_the_reference_phase(tmp_path: Path) -> None:
     ],
 )
 def test_bad_options_get_one_line(arguments: list[str], status: int, words: str) -> None:
-    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=30, check=False)
+    done = subprocess.run([*COMMAND, *arguments], capture_output=True, text=True, timeout=120, check=False)
     assert done.returncode == status
     assert done.stdout == ""
     assert words in done.stderr

@@ -30,7 +30,7 @@ from eitskin_tools.processes.skin_log import read_log, script_start
 START_S: Final = 120.0
 """How long solving a script's keyframes may take, which happens once after it changed."""
 
-READY_S: Final = 30.0
+READY_S: Final = 120.0
 """How long the runtime may take for handshake and reference."""
 
 CLOUDS_HZ: Final = 4.0

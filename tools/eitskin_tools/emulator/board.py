@@ -15,7 +15,6 @@ import re
 import signal
 import struct
 import subprocess
-import time
 from pathlib import Path
 from typing import Final, Self
 
@@ -31,7 +30,6 @@ POWER_AT: Final = 0x80000
 RECORDING_AT: Final = 0x100000
 RECORDING_HEAD: Final = struct.Struct("<4sIdII")
 IS_CUT: Final = 0xDEAD
-START_TIMEOUT_S: Final = 10.0
 INT32_SHARE: Final = 2**30
 """A recording's largest voltage is stored as this count, so that a gain of 1 never saturates."""
 
@@ -122,13 +120,6 @@ class Board:
     def stopped(self) -> bool:
         """Whether the board reached the change at which it was to stop."""
         return bool(struct.unpack_from("<I", self._memory, POWER_AT + 12)[0] == IS_CUT)
-
-    def wait_until_stopped(self, timeout_s: float) -> bool:
-        """Return whether the board stopped within the time; 1 ms polls, as a file has nothing to wait on."""
-        deadline_s = time.perf_counter() + timeout_s
-        while not self.stopped and time.perf_counter() < deadline_s:
-            time.sleep(0.001)
-        return self.stopped
 
     def kill(self) -> None:
         """Cut the power: SIGKILL, without warning."""

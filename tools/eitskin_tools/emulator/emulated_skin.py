@@ -35,8 +35,8 @@ from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.framing import Deframer
 from eitskin_proto.wire.scan_rows import ALL_DRIVES, table_rows
 from eitskin_tools.emulator.board import Board, new_storage, record
+from eitskin_tools.emulator.patience import patient
 from eitskin_tools.flash import procedure
-from eitskin_tools.flash.exchange import Exchange
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.process import WIRE_CAPACITY
@@ -128,7 +128,7 @@ def _flash(board: Board, rate_hz: float) -> None:
         return  # built into the firmware
     line = SerialPort(board.port)
     try:
-        procedure.write(Exchange(line, timeout_s=2.0), wanted)
+        procedure.write(patient(line), wanted)
     finally:
         line.close()
 

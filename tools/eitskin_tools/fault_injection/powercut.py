@@ -22,6 +22,7 @@ from eitskin_proto.wire.config import Configuration
 from eitskin_tools.emulator.board import Board, new_storage
 from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.emulator.patience import UntilStopped, patient
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 
@@ -120,7 +121,7 @@ def _board_name(storage: Path) -> Configuration:
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            return procedure.show(Exchange(port, timeout_s=2.0)).active.configuration
+            return procedure.show(patient(port)).active.configuration
         finally:
             port.close()
 
@@ -131,12 +132,15 @@ def _board_write(storage: Path, name: str, cut_at: int = 0, seed: int = 0) -> in
         port = SerialPort(board.port)
         try:
             if cut_at == 0:
-                _write(name)(Exchange(port, timeout_s=2.0))
+                _write(name)(patient(port))
                 return board.changes
-            with suppress(SkinError):
-                _write(name)(Exchange(port, timeout_s=0.5, attempts=1))
-            if not board.wait_until_stopped(1.0):
-                raise SkinError(f"the board did not reach change {cut_at}; it made {board.changes}")
+            gave_up = "the flash came to its end"
+            try:
+                _write(name)(patient(UntilStopped(port, lambda: board.stopped)))
+            except SkinError as error:
+                gave_up = str(error)
+            if not board.stopped:
+                raise SkinError(f"the board did not reach change {cut_at}; it made {board.changes}: {gave_up}")
             return board.changes
         finally:
             port.close()

@@ -21,7 +21,7 @@ from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.unwrap import StreamCounter
 from eitskin_tools.emulator.board import Board
-from eitskin_tools.flash.exchange import Exchange
+from eitskin_tools.emulator.patience import patient
 
 
 def soak(seconds: float, port: str | None = None) -> dict[str, float]:
@@ -37,7 +37,7 @@ def soak(seconds: float, port: str | None = None) -> dict[str, float]:
             port = stack.enter_context(Board(Path(folder) / "storage.bin")).port
         line = open_line(port)
         stack.callback(line.close)
-        rate_hz = Exchange(line, timeout_s=2.0).hello().rate_mHz / 1000
+        rate_hz = patient(line).hello().rate_mHz / 1000
         line.write(framing.encode(messages.Start().pack()))
         figures = _follow(line, seconds)
         line.write(framing.encode(messages.Stop().pack()))

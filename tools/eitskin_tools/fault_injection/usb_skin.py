@@ -114,7 +114,7 @@ class MockedUsb:
         if self._process.stdin is not None:
             self._process.stdin.close()  # the process ends with its input
         try:
-            self._process.wait(5.0)
+            self._process.wait(30.0)
         except subprocess.TimeoutExpired:
             self._process.kill()
             self._process.wait()

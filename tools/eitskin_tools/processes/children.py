@@ -18,8 +18,8 @@ from typing import Final
 
 from eitskin_proto.errors import SkinError
 
-GRACE_S: Final = 5.0
-"""How long a child may take to end after it was asked to."""
+GRACE_S: Final = 20.0
+"""How long a child may take to end after it was asked to; far more than it needs, since a busy machine is no hang."""
 
 PR_SET_PDEATHSIG: Final = 1
 """Option of prctl(2): the signal that a process gets when its parent dies."""

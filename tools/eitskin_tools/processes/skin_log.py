@@ -15,7 +15,7 @@ def read_log(path: Path) -> list[dict[str, Any]]:
     return [json.loads(line) for line in text[: text.rfind("\n") + 1].splitlines()]
 
 
-def script_start(path: Path, timeout_s: float = 20.0) -> dict[str, Any]:
+def script_start(path: Path, timeout_s: float = 120.0) -> dict[str, Any]:
     """Wait for the event at which the script began, the first START, and return it.
 
     Raises:

@@ -1,4 +1,4 @@
-"""Where the virtual skin's voltages come from: a script's keyframes, or rows given to it, each with noise on top."""
+"""Where the virtual skin's voltages come from: a script's keyframes with noise on top."""
 
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
@@ -52,17 +52,3 @@ class ScriptSource:
     def voltages(self, time_s: float) -> Array:
         """Return the (104,) V at a time since the first START."""
         return self.noise.on(self.script.voltages_at(time_s, self.keyframes))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class RecordedSource:
-    """Voltages of a recording, one row after the other at a fixed rate, over and over."""
-
-    rows: Array
-    """(n, 104) V."""
-    rate_hz: float
-
-    def voltages(self, time_s: float) -> Array:
-        """Return the (104,) V at a time since the first START."""
-        row: Array = self.rows[round(time_s * self.rate_hz) % len(self.rows)]
-        return row

@@ -1,7 +1,7 @@
 """Electrodes that fail while the sheet bends and is touched: how soon they are named, and what is named wrongly.
 
-The sheet and its touches are a stream (:mod:`eitskin_tools.bench.electrodes.streams`); the circuit around it
-(:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment, frame by frame.
+The circuit around a sheet (:mod:`eitskin_sim.measurement.faults`) reads any failure at any moment of a stream
+(:mod:`eitskin_tools.bench.electrodes.streams`), frame by frame.
 """
 
 from collections.abc import Callable, Sequence
@@ -9,7 +9,6 @@ from itertools import product
 from typing import Any, Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin.health.electrodes import NOT_RECIPROCAL
 from eitskin.health.explanation import Finding
@@ -19,7 +18,7 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 from eitskin_sim.measurement.faults import Detached, Fault, Noisy, Shorted, Swapped, measure
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_tools.bench.electrodes.streams import Stream
+from eitskin_tools.bench.electrodes.streams import Array, Stream
 
 REFERENCE_FRAMES: Final = 100
 """Noisy frames whose mean is the reference."""
@@ -28,8 +27,6 @@ AFTER_FRAMES: Final = 30
 """Frames that a failure is looked at; it counts as named if that takes ``IN_TIME`` at most."""
 
 IN_TIME: Final = 20
-
-Array = npt.NDArray[np.float64]
 
 FAILURES: Final[dict[str, Callable[[int], Fault]]] = {
     "detached x1e5": lambda e: Detached(e, 1e5),

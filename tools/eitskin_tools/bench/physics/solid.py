@@ -97,12 +97,6 @@ class Solid:
         return csr_array(coo_array((values, (self.rows, self.columns)), (n, n)))
 
 
-def solve_slab(scene: Scene, resolution: Resolution) -> tuple[Array, int]:
-    """Return the (104,) V of a scene with patch contacts and rectangular touches under 1 A, and the unknowns."""
-    solid = build_solid(scene, resolution, scene.touches)
-    return solid.voltages(scene.touches)[0], int(np.prod(solid.shape)) + 15
-
-
 def build_solid(scene: Scene, resolution: Resolution, touches: Sequence[Touch]) -> Solid:
     """Return the solid of a scene, on a mesh that follows the borders of the given touches."""
     import skfem

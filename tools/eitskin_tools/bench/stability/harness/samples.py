@@ -13,7 +13,7 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units, unit_rect_mm
+from eitskin_proto.sensor.grid import UNIT_SHAPE, map_from_units, unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
 from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import touched_units
@@ -155,8 +155,3 @@ def _free_touches(generator: np.random.Generator) -> tuple[Touch, ...]:
         disc = generator.random() < 0.5
         touches.append(Touch((Disc(x, y, a) if disc else Rect(x - a, y - b, x + a, y + b),)))
     return tuple(touches)
-
-
-def empty_map() -> Array:
-    """Return a (30, 45) map of zeros."""
-    return np.zeros(GRID_SHAPE)

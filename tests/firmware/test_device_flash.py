@@ -1,0 +1,229 @@
+"""The whole C device in memory: flashing, trials, locks, and lines that lose what it says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import FULL_TABLE
+from eitskin_proto.wire import config_toml, messages
+from eitskin_proto.wire.codes import Code, FrameFlag, HelloFlag, Slot
+from eitskin_proto.wire.frames import Frame
+from eitskin_tools.flash import procedure
+from eitskin_tools.flash.exchange import Exchange, Refused, Silent
+
+from .talk import FAST, PAPER, ack, begin, talk
+
+
+def test_a_configuration_is_written_read_back_tried_and_confirmed(device):
+    exchange, steps = Exchange(device), []
+    stored = procedure.write(exchange, FAST, progress=lambda step, done, total: steps.append((step, done / total)))
+    assert stored == procedure.Stored(FAST, 1)
+    assert [step for step, _ in steps] == [
+        "begin", "write", "write", "verify", "commit", "restart", "boot", "confirm", "done",
+    ]  # fmt: skip
+    assert [share for _, share in steps] == sorted(share for _, share in steps)
+    shown = procedure.show(exchange)
+    assert shown.active == stored
+    assert shown.hello.flags == 0
+    device.boot()
+    assert procedure.show(exchange).active == stored
+
+
+def test_streams_carry_the_generation_and_the_full_table_after_a_change(device):
+    exchange = Exchange(device)
+    procedure.write(exchange, FAST)
+    procedure.write(exchange, config_toml.named("full208"))
+    counts = np.arange(256, dtype=np.int32).reshape(16, 16) << 16
+    device.set_counts(counts, np.zeros(16, dtype=np.uint16))
+    frames = [m for m in talk(device, messages.Start(), run_us=100_000) if isinstance(m, Frame)]
+    assert {frame.generation for frame in frames} == {2}
+    assert frames[0].flags & FrameFlag.FULL
+    assert frames[0].counts.tolist() == [int(counts[k, m]) >> 8 for k, m in FULL_TABLE]
+
+
+def test_without_a_confirmation_the_next_boot_goes_back(device):
+    exchange = Exchange(device)
+    procedure.write(exchange, PAPER)
+    blob = FAST.to_blob()
+    for request in (begin(), messages.ConfigWrite(5, 0, blob[:32]), messages.ConfigWrite(5, 32, blob[32:]),
+                    messages.ConfigCommit(5, FAST.digest), messages.Restart(5)):  # fmt: skip
+        assert ack(device, request).code == Code.OK
+    device.run(30_000)
+    tried = exchange.hello()
+    assert (tried.configuration_name, tried.flags) == ("fast", HelloFlag.TRIAL)
+    frames = [m for m in talk(device, messages.Start(frames=1), run_us=9000) if isinstance(m, Frame)]
+    assert frames[0].flags & FrameFlag.TRIAL
+    device.boot()
+    back = exchange.hello()
+    assert (back.configuration_name, back.generation, back.flags) == ("paper", 1, HelloFlag.ROLLED_BACK)
+
+
+def test_a_trial_that_nobody_confirms_ends_by_itself_after_30_s(device):
+    exchange = Exchange(device)
+    blob = FAST.to_blob()
+    for request in (begin(), messages.ConfigWrite(5, 0, blob[:32]), messages.ConfigWrite(5, 32, blob[32:]),
+                    messages.ConfigCommit(5, FAST.digest), messages.Restart(5)):  # fmt: skip
+        assert ack(device, request).code == Code.OK
+    device.run(30_000)
+    assert exchange.hello().flags & HelloFlag.TRIAL
+    assert ack(device, begin(6)).code == Code.NOT_CONFIRMED
+    device.run(29_000_000, step_us=10_000)
+    assert exchange.hello().flags & HelloFlag.TRIAL
+    device.run(1_500_000, step_us=10_000)
+    assert exchange.hello().flags == HelloFlag.ROLLED_BACK | HelloFlag.FACTORY
+
+
+def test_rolling_back_returns_to_the_configuration_before(device):
+    exchange = Exchange(device)
+    with pytest.raises(procedure.FlashError, match="no earlier configuration"):
+        procedure.rollback(exchange)
+    procedure.write(exchange, FAST)
+    procedure.write(exchange, PAPER)
+    assert procedure.rollback(exchange).configuration_name == "fast"
+    with pytest.raises(procedure.FlashError, match="no earlier configuration"):
+        procedure.rollback(exchange)  # the revoked one is no place to return to
+    assert procedure.write(exchange, PAPER).generation == 3  # a number is not given twice
+
+
+def test_a_second_flasher_is_told_how_long_to_wait_until_the_lock_expires(device):
+    assert ack(device, begin(token=5)).code == Code.OK
+    refused = ack(device, begin(token=6))
+    assert refused.code == Code.BUSY
+    assert 9_900 <= refused.detail <= 10_000
+    for request in (messages.ConfigWrite(6, 0, b"1234"), messages.ConfigCommit(6, 1), messages.Restart(6),
+                    messages.ConfigAbort(6), messages.ConfigRollback(6, 0)):  # fmt: skip
+        assert ack(device, request).code == Code.BUSY
+    device.run(9_000_000, step_us=10_000)
+    assert ack(device, messages.ConfigWrite(5, 0, FAST.to_blob()[:32])).code == Code.OK  # speaking keeps the lock
+    device.run(9_000_000, step_us=10_000)
+    assert ack(device, begin(token=6)).code == Code.BUSY
+    device.run(1_100_000, step_us=10_000)
+    assert ack(device, messages.ConfigVerify(5)).code == Code.NO_SESSION
+    assert ack(device, begin(token=6)).code == Code.OK
+    assert ack(device, messages.ConfigAbort(6)).code == Code.OK
+    assert ack(device, begin(token=5)).code == Code.OK
+
+
+@pytest.mark.parametrize(
+    ("changes", "code", "detail"),
+    [
+        ({"hardware_id": 7}, Code.WRONG_HARDWARE, FAST.hardware_id),
+        ({"format": 2}, Code.BAD_FORMAT, 1),
+        ({"size": 65}, Code.TOO_LARGE, 64),
+        ({"token": 0}, Code.BAD_VALUE, 0),
+        ({"name": "paper", "revision": 0}, Code.DOWNGRADE, 1),
+        ({"name": "paper", "revision": 0, "allow_downgrade": 1}, Code.OK, 64),
+        ({"name": "other", "revision": 0}, Code.OK, 64),
+    ],
+)
+def test_begin_refuses_what_must_not_be_written(device, changes, code, detail):
+    answer = ack(device, begin(**changes))
+    assert (answer.code, answer.detail) == (code, detail)
+
+
+def test_begin_is_refused_while_streaming(device):
+    talk(device, messages.Start())
+    assert [m.code for m in talk(device, begin()) if isinstance(m, messages.Ack)] == [Code.STREAMING]
+
+
+def test_chunks_must_follow_each_other_and_may_be_repeated(device):
+    blob = FAST.to_blob()
+    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).code == Code.NO_SESSION
+    assert ack(device, begin()).code == Code.OK
+    assert ack(device, messages.ConfigWrite(5, 4, blob[4:8])).code == Code.BAD_OFFSET
+    assert ack(device, messages.ConfigWrite(5, 0, blob[:3])).code == Code.BAD_VALUE
+    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).detail == 32
+    assert ack(device, messages.ConfigWrite(5, 0, blob[:32])).detail == 32  # the answer was lost, say
+    assert ack(device, messages.ConfigWrite(5, 0, blob[32:])).code == Code.BAD_OFFSET
+    assert ack(device, messages.ConfigVerify(5)).code == Code.INCOMPLETE
+    assert ack(device, messages.ConfigCommit(5, FAST.digest)).code == Code.INCOMPLETE
+    assert ack(device, messages.ConfigWrite(5, 32, blob[32:])).code == Code.OK
+    assert ack(device, messages.ConfigWrite(5, 64, blob[:4])).code == Code.BAD_OFFSET
+    assert ack(device, messages.ConfigCommit(5, FAST.digest ^ 1)).code == Code.DIGEST_MISMATCH
+    verified = ack(device, messages.ConfigVerify(5))
+    assert (verified.code, verified.detail) == (Code.OK, FAST.digest)
+    first, second = (ack(device, messages.ConfigCommit(5, FAST.digest)) for _ in range(2))
+    assert (first.code, first.detail) == (second.code, second.detail) == (Code.OK, 1)
+
+
+def test_a_blob_that_means_nothing_is_not_committed(device):
+    for change, code in (({"hardware_id": 99}, Code.WRONG_HARDWARE), ({"rate_mHz": 900_000}, Code.RATE_TOO_HIGH),
+                         ({"gain": 5}, Code.INVALID_CONFIGURATION)):  # fmt: skip
+        wrong = replace(FAST, **change)
+        blob = wrong.to_blob()
+        assert ack(device, begin(digest=wrong.digest)).code == Code.OK
+        for at in (0, 32):
+            assert ack(device, messages.ConfigWrite(5, at, blob[at : at + 32])).code == Code.OK
+        assert ack(device, messages.ConfigCommit(5, wrong.digest)).code == code
+    device.boot()
+    assert Exchange(device).hello().flags == HelloFlag.FACTORY
+
+
+def test_a_configuration_is_only_read_where_there_is_one(device):
+    assert ack(device, messages.ConfigRead(slot=Slot.OTHER)).code == Code.NO_PREVIOUS
+    for wrong in (messages.ConfigRead(slot=2), messages.ConfigRead(offset=60, length=8), messages.ConfigRead(length=0)):
+        assert ack(device, wrong).code == Code.BAD_VALUE
+    [piece] = talk(device, messages.ConfigRead(tag=8, offset=60, length=4))
+    assert (piece.tag, piece.total, piece.data) == (8, 64, PAPER.digest.to_bytes(4, "little"))
+
+
+def test_confirming_another_generation_is_refused(device):
+    assert ack(device, messages.ConfigConfirm(1, PAPER.digest)).code == Code.WRONG_GENERATION
+    assert ack(device, messages.ConfigConfirm(0, PAPER.digest ^ 1)).code == Code.WRONG_GENERATION
+    assert ack(device, messages.ConfigConfirm(0, PAPER.digest)).code == Code.OK
+
+
+class Faulty:
+    """A line that loses, repeats or holds back what the device says, by a script."""
+
+    def __init__(self, device, script):
+        self.device, self.script, self.name = device, iter(script), "a faulty line"
+        self.held = b""
+
+    def read(self, timeout_s=None):
+        data = self.device.read(timeout_s)
+        if not data:
+            return data
+        fate = next(self.script, "pass")
+        if fate == "late":  # comes with whatever the device says next, long after it was asked again
+            self.held = data
+            return b""
+        data, self.held = self.held + data, b""
+        if fate == "lose":
+            return self.device.read(timeout_s)
+        return data * 2 if fate == "twice" else data
+
+    def __getattr__(self, name):
+        return getattr(self.device, name)
+
+
+@pytest.mark.parametrize("fate", ["lose", "twice", "late"])
+@pytest.mark.parametrize("when", range(14))
+def test_an_answer_that_is_lost_or_late_or_comes_twice_changes_nothing(device, fate, when):
+    exchange = Exchange(Faulty(device, ["pass"] * when + [fate]), timeout_s=0.05)
+    assert procedure.write(exchange, FAST).generation == 1
+    assert procedure.show(exchange).active.configuration == FAST
+
+
+def test_a_device_that_never_answers_is_named(device):
+    device.cut_line = True
+    with pytest.raises(Silent, match="host model of the device did not answer HELLO_REQUEST in 4 attempts: is it an"):
+        procedure.show(Exchange(device, timeout_s=0.01))
+
+
+def test_the_host_refuses_what_the_line_cannot_carry_before_it_writes(device):
+    before = device.changes
+    with pytest.raises(ValueError, match=r"rate_Hz is 400\.0, but a line of 92160 bytes/s reaches at most 354"):
+        procedure.write(Exchange(device), replace(FAST, rate_mHz=400_000))
+    with pytest.raises(procedure.FlashError, match=r"'fast' is for 0x00000063, the device is eitskin-16: nothing was"):
+        procedure.write(Exchange(device), replace(FAST, hardware_id=99))
+    with pytest.raises(Refused, match=r"refused CONFIG_BEGIN: DOWNGRADE: .*detail 1"):
+        procedure.write(Exchange(device), replace(PAPER, revision=0))
+    assert device.changes == before
+
+
+def test_differences_name_the_fields(device):
+    exchange = Exchange(device)
+    assert procedure.verify(exchange, PAPER) == []
+    assert procedure.verify(exchange, replace(PAPER, gain=4, settle_us=90)) == [("settle_us", 100, 90), ("gain", 8, 4)]
