@@ -75,9 +75,12 @@ ROOMS: dict[str, Arrows] = {
         "score": {"network", "samples"},
         "card": {"network", "samples", "score"},
         "gate": {"network", "samples"},
-        "train": {"network", "recipes", "samples", "score"},
-        "adapt": {"network", "recipes", "samples", "score", "train"},
-        "ablations": {"network", "recipes", "samples", "score", "train"},
+        "train": {"network", "recipes", "run_files", "samples", "score"},
+        "adapt": {"missing_electrodes_score", "network", "recipes", "run_files", "samples", "score"},
+        "run_files": {"network", "recipes", "samples"},
+        "row_statistics": {"gate", "recipes", "samples"},
+        "missing_electrodes_score": {"network", "samples", "score"},
+        "ablations": {"network", "recipes", "run_files", "samples", "score", "train"},
         "curves": {"train"},
     },
     "eitskin_export": {
@@ -100,6 +103,7 @@ ROOMS: dict[str, Arrows] = {
         "command_line": set(),
         "console": set(),
         "errors": set(),
+        "stages": set(),
         "flash": set(),
         "phantoms": set(),
         "pictures": set(),
@@ -115,7 +119,7 @@ ROOMS: dict[str, Arrows] = {
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
-        "commands": {"command_line", "console", "demo", "errors", "evaluation", "flash", "virtual_skin"},
+        "commands": {"command_line", "console", "demo", "errors", "evaluation", "flash", "stages", "virtual_skin"},
         "cli": {"command_line", "errors"},
     },
 }  # fmt: skip

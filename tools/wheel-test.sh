@@ -30,6 +30,7 @@ rm "$away/tests/proto/test_generated.py" # compares files of the repository, not
 cp firmware_proto/SPEC.md "$away/firmware_proto/"
 cp pyproject.toml "$away/"
 cd "$away"
-"$python" -c 'import sys, eitskin; print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)'
+"$python" -c 'import sys, eitskin
+print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)'
 "$python" -m pytest -q --numprocesses auto --maxprocesses 8 --dist loadfile tests
 touch "$done_mark"

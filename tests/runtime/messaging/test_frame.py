@@ -165,7 +165,7 @@ def test_the_specification_lists_exactly_the_published_fields(packer):
     specification = Path(__file__).parents[3] / "firmware_proto" / "SPEC.md"
     if not specification.exists():
         pytest.skip("the source tree was removed to test the installed wheel")
-    section = specification.read_text().partition("## 7. The published frame")[2].partition("Control requests")[0]
+    section = specification.read_text().partition("## 7. The published frame")[2].partition("### The map")[0]
     listed = [line.split("|")[1].strip() for line in section.splitlines() if line.startswith("| ")][1:]
     assert listed == list(msgpack.unpackb(filled(packer)))
 

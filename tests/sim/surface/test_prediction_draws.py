@@ -5,14 +5,14 @@ import pytest
 
 from eitskin.reference.plausible import check_prediction
 from eitskin_sim.scene.family import draw, paper_bends
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import flat_voltages, predict
 
 
 @pytest.fixture(scope="module")
 def drawn():
     rng = np.random.default_rng(3)
-    clouds = [scanned_cloud(bend, rng) for bend in (*paper_bends(3), *draw("A", 4, 31), *draw("B", 4, 31))]
+    clouds = [measured_cloud(bend, rng) for bend in (*paper_bends(3), *draw("A", 4, 31), *draw("B", 4, 31))]
     return [(cloud, predict(cloud)) for cloud in clouds]
 
 

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_sim.scene.family import draw, paper_bends
-from eitskin_sim.surface.measured_cloud import scanned_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 
 
 @pytest.fixture(scope="module")
@@ -16,7 +16,7 @@ def bends():
 @pytest.fixture(scope="module")
 def clouds(bends):
     rng = np.random.default_rng(8)
-    return [scanned_cloud(bend, rng).astype(np.float64) for bend in bends]
+    return [measured_cloud(bend, rng).astype(np.float64) for bend in bends]
 
 
 def test_every_drawn_cloud_passes_without_a_word(clouds):
@@ -24,7 +24,7 @@ def test_every_drawn_cloud_passes_without_a_word(clouds):
 
 
 def test_scans_without_noise_pass_as_well(bends):
-    assert {check_sheet(scanned_cloud(bend))[1] for bend in bends[::10]} == {()}
+    assert {check_sheet(measured_cloud(bend))[1] for bend in bends[::10]} == {()}
 
 
 RNG = np.random.default_rng(4)

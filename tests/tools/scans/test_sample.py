@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_proto.sensor.cloud_file import load_surface
 from eitskin_sim.scene.scene import load_scene
-from eitskin_sim.surface.measured_cloud import scanned_cloud
-from eitskin_sim.surface.ordered_cloud import load_cloud
+from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
 from eitskin_tools.scans import prepare
@@ -28,5 +28,5 @@ def test_the_sample_becomes_the_cloud_of_the_sample_scene(tmp_path: Path, capsys
     assert cli.main(["surface", "sample", "--out", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["points"] == len(prepare.scan())
     bend = load_scene(files.find("sample", files.SCENE)).bend
-    away = align_cloud(load_cloud(out)) - scanned_cloud(bend)
+    away = align_cloud(load_surface(out).cloud_mm) - measured_cloud(bend)
     assert np.sqrt((away**2).sum(axis=0).mean()) < 0.5  # mm; the largest error would be of a wrong corner, 100 mm
