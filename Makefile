@@ -97,7 +97,7 @@ wheel-test: wheel
 wheel-test-others: wheel
 	@for version in $(OTHER_PYTHONS); do \
 	    if python=$$(tools/find-python.sh $$version); then tools/wheel-test.sh "$$python" --once || exit 1; \
-	    else echo "wheel-test: skipped Python $$version: no interpreter found on the path or under pyenv"; fi; \
+	    else echo "wheel-test: skipped Python $$version: no interpreter with venv and pip found on the path or under pyenv"; fi; \
 	done
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.

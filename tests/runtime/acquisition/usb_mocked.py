@@ -50,7 +50,7 @@ def port(bus):
         opened.close()
 
 
-def frames_until(device, counter, enough, timeout_s=30.0, view=None):
+def frames_until(device, counter, enough, timeout_s=120.0, view=None):
     """Follow a stream until a number of frames has come; return how many."""
     view, frames, end_s = view or FrameView(), 0, time.perf_counter() + timeout_s
     while frames < enough and time.perf_counter() < end_s:
@@ -146,7 +146,7 @@ def test_an_unplugged_device_is_a_lost_port_and_comes_back_under_another_number(
     opened.close()
     with pytest.raises(PortMissing):
         UsbPort(PORT)
-    deadline_s = time.perf_counter() + 10.0
+    deadline_s = time.perf_counter() + 60.0
     listed = usb_port.devices()
     while [found.node for found in listed] in ([], [node]) and time.perf_counter() < deadline_s:
         time.sleep(0.02)  # libusb lists the old number until it has read the kernel's message

@@ -152,14 +152,15 @@ def test_a_free_shard_holds_area_labels_of_its_own_touches(tmp_path: Path) -> No
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Any]:
     distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
-    with distributed.LocalCluster(
-        n_workers=2,
-        threads_per_worker=1,
-        processes=True,
-        protocol="tcp://",
-        dashboard_address=None,
-        local_directory=tmp_path / "scratch",
-    ) as running:
+    from dask import config
+
+    with (
+        config.set(temporary_directory=str(tmp_path / "scratch")),  # of the scheduler, which has no option for it
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, protocol="tcp://", dashboard_address=None,
+            local_directory=tmp_path / "scratch",
+        ) as running,
+    ):  # fmt: skip
         yield running
 
 

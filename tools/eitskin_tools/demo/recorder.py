@@ -25,7 +25,7 @@ STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publis
 MOST_MAPS: Final = 6000
 """Maps kept: 32 MB."""
 
-SILENCE_S: Final = 20.0
+SILENCE_S: Final = 60.0
 """How long the first frame may take, since device, reference and runtime come before it, and any other."""
 
 
