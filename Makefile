@@ -1,6 +1,6 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
 # make test    lint, types, Python and C tests, the runtime from its wheel; minutes
-# make test-quick | test-all    without processes and whole networks, under a minute; with all that is slow
+# make test-quick | test-all    without processes and heavy sums, under a minute; with all that is slow
 # make check   lint, types and tests, without the wheel
 # make docs    the documentation as HTML in .build/docs; a warning is an error
 # make bench   the benchmarks, each as one JSON object
@@ -62,7 +62,7 @@ test-rest: slow wheel-test-others
 test-all: test test-rest
 
 test-quick: $(VENV)/.dev
-	$(PYTEST) -m "not slow and not process and not network"
+	$(PYTEST) -m "not slow and not process and not heavy"
 
 check: lint types unit firmware-test
 
@@ -97,7 +97,7 @@ wheel-test: wheel
 wheel-test-others: wheel
 	@for version in $(OTHER_PYTHONS); do \
 	    if python=$$(tools/find-python.sh $$version); then tools/wheel-test.sh "$$python" --once || exit 1; \
-	    else echo "wheel-test: skipped Python $$version: no interpreter with venv and pip found on the path or under pyenv"; fi; \
+	    else echo "wheel-test: skipped Python $$version: no interpreter with venv found on the path or under pyenv"; fi; \
 	done
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.

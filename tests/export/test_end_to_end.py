@@ -17,7 +17,7 @@ from eitskin_sim.dataset.reader import load
 from eitskin_tools.cli import main
 from eitskin_training.gate import fit, stored, untouched
 
-pytestmark = pytest.mark.network
+pytestmark = pytest.mark.heavy
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
 
-pytestmark = pytest.mark.network
+pytestmark = pytest.mark.heavy
 
 
 def trained_looking(architecture: Architecture) -> VD2T:

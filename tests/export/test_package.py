@@ -16,7 +16,7 @@ from eitskin_training.gate.untouched import bends_of
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import TrainingData
 
-pytestmark = pytest.mark.network
+pytestmark = pytest.mark.heavy
 
 PROJECTION = np.zeros((1350, 104), dtype=np.float32)
 JACOBIAN = np.random.default_rng(0).standard_normal((104, 1350))

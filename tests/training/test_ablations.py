@@ -7,6 +7,8 @@ import pytest
 from eitskin_training.ablations import VARIANTS, ablate, variant_data, variant_recipe, wrong_shapes
 from eitskin_training.recipes import recipe
 
+pytestmark = pytest.mark.heavy
+
 
 def test_every_variant_changes_the_inputs_and_nothing_else() -> None:
     base = recipe("tiny")

@@ -18,7 +18,7 @@ from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import consistency_of, noisy_change
 
-pytestmark = pytest.mark.network
+pytestmark = pytest.mark.heavy
 
 QUICK = Plan(fitting_steps=20, steps=20, batch=64, rate=3e-3, width=32)
 

@@ -14,7 +14,7 @@ from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 
-pytestmark = pytest.mark.network
+pytestmark = pytest.mark.heavy
 
 
 def tiny(labels: str = "area", **changes: Any) -> Recipe:

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import pytest
 
+pytestmark = pytest.mark.process
+
 ROOT = Path(__file__).parents[3]
 
 DOOR = ROOT / "runtime" / "eitskin" / "model" / "session.py"

@@ -22,6 +22,8 @@ from eitskin_sim.dataset.reader import DataSet, load
 from eitskin_sim.dataset.shards import make_shard, shard_job
 from eitskin_sim.unit_grid.units import UnitGenerator
 
+pytestmark = pytest.mark.heavy
+
 PLAN = make_plan("paper", 0, deformations=2, touch_sets=20)
 FREE_PLAN = make_plan("free", 0, deformations=3, per_deformation=10, kept=0)
 

@@ -11,6 +11,8 @@ from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
 from eitskin_sim.scene.scene import parse_phantoms
 
+pytestmark = pytest.mark.heavy
+
 BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
 FILE = [
     {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},

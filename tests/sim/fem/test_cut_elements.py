@@ -10,6 +10,8 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
 
+pytestmark = pytest.mark.heavy
+
 SHEET, ELECTRODES = Sheet(), Electrodes()
 
 

@@ -13,6 +13,8 @@ from eitskin_sim.scene.electrodes import Piece
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Rect
 
+pytestmark = pytest.mark.heavy
+
 UNDER = Touch((Rect(8.0, 0.0, 13.0, 10.0),))
 """Its border cuts the contact of electrode 0."""
 

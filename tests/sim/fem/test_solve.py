@@ -9,6 +9,8 @@ from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
 from eitskin_sim.scene.scene import parse_scene
 from eitskin_tools.cli import main
 
+pytestmark = pytest.mark.heavy
+
 
 def write(path: Path, scene: object) -> str:
     path.write_text(json.dumps(scene))

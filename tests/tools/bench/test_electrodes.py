@@ -23,6 +23,8 @@ from eitskin_tools.bench.electrodes.accuracy import lost_sets
 from eitskin_tools.bench.skip import scenes
 from eitskin_tools.cli import main
 
+pytestmark = pytest.mark.heavy
+
 
 @cache
 def consistency() -> Consistency:

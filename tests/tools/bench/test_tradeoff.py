@@ -7,6 +7,8 @@ from eitskin_tools.bench.tradeoff.bench import mark_front, markdown
 from eitskin_tools.bench.tradeoff.picture import style
 from eitskin_tools.cli import main
 
+pytestmark = pytest.mark.heavy
+
 PHANTOMS = [
     {
         "name": "one",

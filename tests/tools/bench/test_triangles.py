@@ -7,6 +7,8 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Electrodes, Scene
 from eitskin_tools.bench.physics.triangles import solve_triangles
 
+pytestmark = pytest.mark.heavy
+
 
 def test_independent_triangles_give_the_same_voltages_with_edge_electrodes() -> None:
     pytest.importorskip("skfem", reason="the independent solver comes with the extra 'dev'")

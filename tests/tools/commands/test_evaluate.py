@@ -13,6 +13,8 @@ from eitskin_tools import cli
 from eitskin_tools.evaluation import paper_tables, solvers
 from eitskin_tools.evaluation.paper import TABLE_2
 
+pytestmark = pytest.mark.heavy
+
 BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
 FILE = [
     {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},

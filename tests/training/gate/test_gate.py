@@ -17,6 +17,8 @@ from eitskin_training.gate.untouched import Bends, bends_of
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.samples.batches import TrainingData
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:

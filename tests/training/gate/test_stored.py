@@ -12,6 +12,8 @@ from eitskin_training.gate.stored import NAME, gate_of_run, hand_on
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.samples.batches import TrainingData
 
+pytestmark = pytest.mark.heavy
+
 
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:
