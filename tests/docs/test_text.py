@@ -33,6 +33,7 @@ def tracked():
     return [ROOT / name for name in listed.splitlines()]
 
 
+@pytest.mark.process
 def test_no_line_of_any_text_file_is_longer_than_120_characters():
     too_long = []
     for path in tracked():
