@@ -57,7 +57,7 @@ docs: $(VENV)/.docs
 test: check wheel-test
 
 # The rest: what `make test` leaves out, so that both together are everything.
-test-rest: slow wheel-test-others
+test-rest: slow wheel-test-others docs
 
 test-all: test test-rest
 
