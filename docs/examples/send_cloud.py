@@ -1,4 +1,4 @@
-"""Tell a running runtime how the sheet is bent: the scanned cloud, and what it should read untouched (V_pred).
+"""Tell a running runtime how the sheet is bent: the cloud, and what it should read untouched (V_pred).
 
     eitskin surface docs/examples/surface.ply --out cloud.npz --predict
     python docs/examples/send_cloud.py cloud.npz [CONTROL]
