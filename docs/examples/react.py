@@ -6,6 +6,7 @@ It also stops when it does not know: no frame in time, or only an old one. Repla
 """
 
 import sys
+from contextlib import suppress
 
 import numpy as np
 
@@ -57,4 +58,5 @@ def main(endpoint: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:2])
+    with suppress(KeyboardInterrupt):
+        main(sys.argv[1:2])

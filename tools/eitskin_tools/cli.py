@@ -19,7 +19,7 @@ from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.errors import UsageError
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
-    "demo": ("live.demo", "a virtual skin, the runtime and a subscriber in three processes, with the map drawn live"),
+    "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
     "run": ("live.run", "read a skin, publish tactile frames"),
     "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
