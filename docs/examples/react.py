@@ -6,6 +6,7 @@ It also stops when it does not know: no frame in time, or only an old one. Repla
 """
 
 import sys
+from contextlib import suppress
 
 import numpy as np
 
@@ -33,17 +34,18 @@ def centre_mm(touched_map: np.ndarray) -> tuple[float, float]:
 
 def main(endpoint: list[str]) -> None:
     """React until Ctrl-C."""
-    moving, calm = False, 0
+    moving, blind, calm = False, False, 0
     with eitskin.subscribe(*endpoint, timeout_s=0.5, max_age_s=0.2) as frames:
         while True:
             try:
                 frame = frames.next_frame()
             except (eitskin.NoFrame, eitskin.StaleFrame) as error:
-                if moving or calm == 0:
+                if not blind:
                     print(f"blind: {error}")
-                moving, calm = False, 0
-                drive(0.0)
+                    drive(0.0)
+                moving, blind, calm = False, True, 0
                 continue
+            blind = False
             touched = frame.touched and frame.map.max() > 0.5
             calm = 0 if touched else calm + 1
             if moving and touched:
@@ -56,4 +58,5 @@ def main(endpoint: list[str]) -> None:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:2])
+    with suppress(KeyboardInterrupt):
+        main(sys.argv[1:2])

@@ -1,25 +1,21 @@
-"""Tell a running runtime how the sheet is bent: the scanned cloud, and what it should read untouched (V_pred).
+"""Tell a running runtime how the sheet is bent: the cloud, and what it should read untouched (V_pred).
 
-    eitskin surface docs/examples/surface.ply --out cloud.npz --predict
+    eitskin surface docs/examples/surface.ply --out cloud.npz
     python docs/examples/send_cloud.py cloud.npz [CONTROL]
 
-CONTROL is the runtime's control endpoint, not the one it publishes on. A file without a prediction gets one here, which
-needs the extra ``sim``, for the forward model.
+CONTROL is the runtime's control endpoint, not the one it publishes on; without it the default one is used. A file
+without a prediction gets one here, which needs the extra ``sim``, for the forward model.
 """
 
 import sys
 
-import numpy as np
-
 import eitskin
-from eitskin.messaging.endpoints import default_control
+from eitskin_proto.sensor.cloud_file import Surface, load_surface
 
-with np.load(sys.argv[1]) as file:
-    surface = {name: file[name] for name in ("cloud", "predicted", "predicted_flat") if name in file}
-if "predicted" not in surface:
+found = load_surface(sys.argv[1])
+if found.predicted_V is None:
     from eitskin_sim.surface.predict import flat_voltages, predict
 
-    surface |= {"predicted": predict(surface["cloud"]), "predicted_flat": flat_voltages()}
-control = sys.argv[2] if len(sys.argv) > 2 else default_control()
-revision = eitskin.send_cloud(control, **surface)
+    found = Surface(found.cloud_mm, predict(found.cloud_mm), flat_voltages())
+revision = eitskin.send_cloud(sys.argv[2], found) if len(sys.argv) > 2 else eitskin.send_cloud(found)
 print(f"cloud {revision} is in use; every frame from now on carries this number")

@@ -7,6 +7,9 @@ from pathlib import Path
 ROOT = Path(__file__).parents[2]
 
 FENCE = re.compile(r"^\s*```(.*)$")
+SAID = re.compile(r"eitskin [\w-]+: ")
+"""How a line begins that a command says."""
+
 LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
 
 
@@ -63,7 +66,7 @@ def commands(path: Path) -> list[str]:
         if joined.endswith("\\"):
             joined = joined.removesuffix("\\") + " "
             continue
-        if joined.startswith("eitskin ") and not line.startswith("eitskin"):
+        if joined.startswith("eitskin ") and not line.startswith("eitskin") and not SAID.match(joined):
             found.append(joined)
         joined = ""
     inline = " ".join(outside_code(path))

@@ -7,6 +7,8 @@ import msgpack
 import pytest
 import zmq
 
+from eitskin.reference.judgement import Judgement
+
 from .markdown import ROOT
 
 SPEC = (ROOT / "firmware_proto/SPEC.md").read_text(encoding="utf-8")
@@ -19,6 +21,12 @@ def constant(name, files="**/*.py"):
     paths = (ROOT / "runtime/eitskin").glob(files)
     (value,) = {found for path in paths for found in pattern.findall(path.read_text(encoding="utf-8"))}
     return ast.literal_eval(value)
+
+
+def test_the_findings_of_a_reference_are_all_listed():
+    found = Judgement(0.0, 0.0, None, None, None, (), ()).fields()
+    pages = (FLAT, " ".join((ROOT / "docs/control.md").read_text(encoding="utf-8").split()))
+    assert [name for name in found for page in pages if f"`{name}`" not in page] == []
 
 
 @pytest.mark.parametrize("page", ["firmware_proto/SPEC.md", "docs/messages.md"])
@@ -58,9 +66,13 @@ def test_every_key_of_a_published_frame_is_listed(runtime):
 
 
 @pytest.mark.process
-def test_every_field_of_the_status_is_listed(runtime):
+@pytest.mark.parametrize(
+    ("page", "heading"), [("firmware_proto/SPEC.md", "- `status`:"), ("docs/control.md", "## status")]
+)
+def test_every_field_of_the_status_is_listed(runtime, page, heading):
     import eitskin
 
-    listed = re.findall(r"^\| ([\w, ]+) \|", SPEC.split("- `status`:")[1], re.MULTILINE)
+    text = (ROOT / page).read_text(encoding="utf-8").split(heading)[1].split("\n## ")[0].replace("`", "")
+    listed = re.findall(r"^\| ([\w, ]+) \|", text, re.MULTILINE)
     names = {name for entry in listed for name in entry.split(", ")} - {"field"}
     assert names == set(eitskin.request(runtime.control, "status"))

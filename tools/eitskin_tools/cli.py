@@ -19,13 +19,13 @@ from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.errors import UsageError
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
-    "demo": ("live.demo", "a virtual skin, the runtime and a subscriber in three processes, with the map drawn live"),
+    "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
     "run": ("live.run", "read a skin, publish tactile frames"),
     "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
-    "surface": ("live.surface", "turn a raw scan of the bent sheet into a 3 x 30 x 45 cloud"),
+    "surface": ("live.surface", "order measured points of the bent sheet into a 3 x 30 x 45 cloud"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""

@@ -1,8 +1,8 @@
-"""The scanned surface: 3 x 30 x 45 points in mm, one under each pixel's centre, in one agreed pose.
+"""The measured surface: 3 x 30 x 45 points in mm, one under each pixel's centre, in one agreed pose.
 
 A scanner sees the sheet from anywhere. Before a cloud is stored, learned from or used, it is moved rigidly onto the
 flat sheet, as close to it as least squares allow (Kabsch, "A solution for the best rotation to relate two sets of
-vectors", Acta Cryst. A32, 1976). Two scans of the same shape then give the same numbers, whatever the pose. Only proper
+vectors", Acta Cryst. A32, 1976). Two clouds of the same shape give the same numbers, whatever the pose. Only proper
 rotations count: a mirrored sheet is another sheet.
 """
 
@@ -17,7 +17,7 @@ CLOUD_SHAPE: Final = (3, *GRID_SHAPE)
 """Axes: x, y, z in mm; row along y; column along x."""
 
 LARGEST_MM: Final = 1000.0
-"""No coordinate is further than this from the origin: a scan in metres or micrometres would be."""
+"""No coordinate is further than this from the origin: a cloud in metres or micrometres would be."""
 
 SPREAD_MM: Final = (5.0, 500.0)
 """Root mean square distance of the points from their middle: 52 mm when flat, 25 mm when rolled up."""

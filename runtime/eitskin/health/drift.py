@@ -1,7 +1,7 @@
 """Has the sheet's conductivity changed since its one reference was taken? Drying and warmth move every row alike.
 
 A uniform change by a factor moves l = log(V / V0) by one number c in all rows. So does a stretch that is the same in
-every direction: voltages alone cannot tell the two apart, and what is left of c is known to a tenth. With a scan,
+every direction: voltages alone cannot tell the two apart, and what is left of c is known to a tenth. With a cloud,
 V_pred says what the shape does, and c is known to half a percent. In both cases the untouched sheet is a Gaussian, of
 mean m and precision P, made at export from deformations ::
 
@@ -10,10 +10,9 @@ mean m and precision P, made at export from deformations ::
 D above its limit is no untouched sheet at any uniform drift, so such a frame says nothing of drift: a touch is a
 pattern, and c is the one pattern that it is not. Frames are averaged, and c is reported once it has been plausible for
 ``HOLD`` frames. A sheet that dries more at one end than at the other is beyond the limit as well: if it is so by
-``UNEVEN`` times, nothing touches it for as long, by the gate, and there is a scan, its reference is called ``uneven``:
-no number, and nothing to take out. Between the two nothing is said.
-Compensation, if it is asked for, takes out c and nothing else, moves by ``SLOPE`` a frame at most, and
-only where there is a prediction.
+``UNEVEN`` times, nothing touches it for as long by the gate, and there is a V_pred, its reference is called ``uneven``:
+no number, and nothing to take out. Between the two nothing is said. Compensation, if it is asked for, takes out c and
+nothing else, moves by ``SLOPE`` a frame at most, and only where there is a prediction.
 """
 
 from typing import Final
@@ -34,7 +33,7 @@ SLOPE: Final = 1e-5
 """Most that the compensation moves a frame, in log: 0.2 % a second at 200 frames/s; a sheet dries in hours."""
 
 UNEVEN: Final = 2.0
-"""Times the limit: one in nine bends of family B, whose scans tell less than A's, lies between once and 1.7 times."""
+"""Times the limit: one in nine bends of family B, whose clouds tell less than A's, lies between once and 1.7 times."""
 
 SIGMAS: Final = 3.0
 """Drift is an event above so many of its standard deviations, and above ``LEAST``."""
@@ -64,7 +63,7 @@ class Drift:
         self._told = False
         self._strange = 0
         self.uneven = False
-        """The sheet is untouched, yet far from what reference and scan say, and not by a common factor."""
+        """The sheet is untouched, yet far from what reference and cloud say, and not by a common factor."""
         self._steady = np.zeros(0)
         self.taken_out = 0.0
         """What compensation has taken out so far, in log."""
@@ -129,7 +128,7 @@ class Drift:
 
         Args:
             frames: How many.
-            touched: They are touched, or may be a sheet that the scan does not say enough of.
+            touched: They are touched, or may be a sheet that the cloud does not say enough of.
         """
         self._strange = 0 if touched else self._strange + frames
         before, self.uneven = self.uneven, self._strange >= HOLD

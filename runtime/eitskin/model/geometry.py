@@ -72,7 +72,7 @@ class GeometryGraph:
         points = network_input(flat_cloud() if cloud is None else cloud)
         bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
         if not np.isfinite(bias).all():
-            raise ValueError("the geometry graph answers this cloud with non-finite values; scan the sheet again")
+            raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted

@@ -1,4 +1,4 @@
-"""A scanned surface takes effect: the geometry graph runs in the thread that brought the cloud, frames do not wait."""
+"""A new cloud takes effect: the geometry graph runs in the thread that brought the cloud, frames do not wait."""
 
 import threading
 

@@ -11,12 +11,12 @@ CAUSES = 0.1 * np.random.default_rng(11).standard_normal((6, N_ROWS))
 BENDS = 0.05 * np.random.default_rng(12).standard_normal((4, N_ROWS))
 NOISE = 0.003
 
-NO_SCAN = np.zeros(N_ROWS, dtype=np.float32)
-SCAN = np.full(N_ROWS, 1e-6, dtype=np.float32)
+NO_PREDICTION = np.zeros(N_ROWS, dtype=np.float32)
+PREDICTION = np.full(N_ROWS, 1e-6, dtype=np.float32)
 
 
 def consistency():
-    """Return an untouched sheet of four bends, known to a hundredth where there is a scan."""
+    """Return an untouched sheet of four bends, known to a hundredth where there is a prediction."""
     noise, zero = NOISE**2 * np.eye(N_ROWS), np.zeros(N_ROWS)
     return Consistency(
         mean=zero,
@@ -43,7 +43,7 @@ def show(drift, shown, predicted, touched=False):
 
 
 @pytest.mark.parametrize("true", [-0.2, 0.1, 0.4])
-@pytest.mark.parametrize("predicted", [NO_SCAN, SCAN])
+@pytest.mark.parametrize("predicted", [NO_PREDICTION, PREDICTION])
 def test_a_common_factor_is_found_whatever_the_bend(true, predicted):
     drift = Drift(consistency())
     bend = np.array([1.0, -0.5, 0.3, 0.2]) @ BENDS * (0.01 if predicted.any() else 1.0)
@@ -56,13 +56,13 @@ def test_a_common_factor_is_found_whatever_the_bend(true, predicted):
 
 def test_a_sheet_without_drift_tells_nothing():
     drift = Drift(consistency())
-    assert show(drift, frames(0.5 * BENDS[0], HOLD + 200), NO_SCAN) == []
+    assert show(drift, frames(0.5 * BENDS[0], HOLD + 200), NO_PREDICTION) == []
     assert abs(drift.percent) < 100 * LEAST
 
 
 def test_nothing_is_said_while_the_sheet_is_touched():
     drift = Drift(consistency(), compensate=True)
-    assert show(drift, frames(0.1 + CAUSES[0], HOLD + 200), SCAN, touched=True) == []
+    assert show(drift, frames(0.1 + CAUSES[0], HOLD + 200), PREDICTION, touched=True) == []
     assert np.isnan(drift.percent)
     assert drift.taken_out == 0.0
 
@@ -70,12 +70,12 @@ def test_nothing_is_said_while_the_sheet_is_touched():
 def test_compensation_takes_out_the_factor_slowly_and_a_touch_stays():
     drift = Drift(consistency(), compensate=True)
     drifted = frames(np.full(N_ROWS, 0.01), HOLD + 1500)
-    show(drift, drifted, SCAN)
+    show(drift, drifted, PREDICTION)
     assert 0 < drift.taken_out <= 1500 * SLOPE + 1e-9
     assert drift.taken_out == pytest.approx(0.01, abs=1e-3)
     before = drift.taken_out
     touch = np.expm1(0.01 + 0.5 * CAUSES[1]).astype(np.float32)
-    show(drift, frames(0.01 + 0.5 * CAUSES[1], 3000, seed=4), SCAN, touched=True)
+    show(drift, frames(0.01 + 0.5 * CAUSES[1], 3000, seed=4), PREDICTION, touched=True)
     assert drift.taken_out == pytest.approx(before, abs=2 * SLOPE * 50)  # at most until the average shows the touch
     drift.correct(touch)
     np.testing.assert_allclose(np.log1p(touch), 0.5 * CAUSES[1], atol=2e-3)
@@ -83,14 +83,14 @@ def test_compensation_takes_out_the_factor_slowly_and_a_touch_stays():
 
 def test_without_a_prediction_nothing_is_taken_out():
     drift = Drift(consistency(), compensate=True)
-    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), NO_SCAN)
+    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), NO_PREDICTION)
     assert drift.percent == pytest.approx(10.5, abs=1.5)
     assert drift.taken_out == 0.0
 
 
 def test_a_new_reference_begins_anew():
     drift = Drift(consistency(), compensate=True)
-    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), SCAN)
+    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), PREDICTION)
     drift.restart()
     assert drift.taken_out == 0.0
     assert np.isnan(drift.percent)
@@ -101,17 +101,17 @@ GRADIENT = np.linspace(-0.05, 0.05, N_ROWS)
 
 def test_an_untouched_sheet_that_no_factor_explains_is_called_uneven_once():
     drift = Drift(consistency())
-    assert show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 50), SCAN) == [HOLD - 1]
-    told = show(drift, frames(GRADIENT, HOLD + 100), SCAN)
+    assert show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 50), PREDICTION) == [HOLD - 1]
+    told = show(drift, frames(GRADIENT, HOLD + 100), PREDICTION)
     assert len(told) == 1
     assert HOLD - 1 <= told[0] < HOLD + 60  # the running mean first has to leave the uniform drift
     assert drift.uneven
     assert np.isnan(drift.percent), "no number stands for it"
-    show(drift, frames(np.zeros(N_ROWS), 300), SCAN)
+    show(drift, frames(np.zeros(N_ROWS), 300), PREDICTION)
     assert not drift.uneven
 
 
-@pytest.mark.parametrize(("predicted", "touched"), [(SCAN, True), (NO_SCAN, False)])
+@pytest.mark.parametrize(("predicted", "touched"), [(PREDICTION, True), (NO_PREDICTION, False)])
 def test_what_may_be_a_touch_or_a_bend_is_not_called_uneven(predicted, touched):
     drift = Drift(consistency())
     assert show(drift, frames(GRADIENT, 2 * HOLD), predicted, touched=touched) == []

@@ -1,4 +1,4 @@
-"""Raw scans, in any pose and without order, become the ordered cloud."""
+"""Measured points, in any pose and without order, become the ordered cloud."""
 
 import json
 import struct
@@ -23,7 +23,7 @@ SHEET = Sheet()
 
 
 class Raw:
-    """A scan of a bend as a scanner would give it, with the pose that nobody tells."""
+    """Points of a bend as a scanner would give it, with the pose that nobody tells."""
 
     def __init__(self, bend, count=20_000, *, noise_mm=0.1, outliers=0.01, holes=(), seed=0):
         rng = np.random.default_rng(seed)
@@ -227,16 +227,16 @@ def write_ply(path, points, form):
 @pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
 def test_ply_files_of_all_three_forms_hold_the_same_points(tmp_path, form):
     points = np.random.default_rng(0).uniform(-200, 200, (50, 3))
-    write_ply(tmp_path / "scan.ply", points, form)
-    assert np.allclose(read_points(tmp_path / "scan.ply"), points, atol=2e-5)  # float32 of 200 mm
+    write_ply(tmp_path / "points.ply", points, form)
+    assert np.allclose(read_points(tmp_path / "points.ply"), points, atol=2e-5)  # float32 of 200 mm
 
 
 def test_text_and_array_files_are_read(tmp_path):
     points = np.random.default_rng(0).uniform(-200, 200, (50, 6))
-    np.save(tmp_path / "scan.npy", points.astype(np.float32))
-    assert np.allclose(read_points(tmp_path / "scan.npy"), points[:, :3], atol=2e-5)
-    np.savetxt(tmp_path / "scan.xyz", points, delimiter=",", header="x y z nx ny nz")
-    assert np.allclose(read_points(tmp_path / "scan.xyz"), points[:, :3])
+    np.save(tmp_path / "points.npy", points.astype(np.float32))
+    assert np.allclose(read_points(tmp_path / "points.npy"), points[:, :3], atol=2e-5)
+    np.savetxt(tmp_path / "points.xyz", points, delimiter=",", header="x y z nx ny nz")
+    assert np.allclose(read_points(tmp_path / "points.xyz"), points[:, :3])
 
 
 BROKEN = {
@@ -251,7 +251,7 @@ BROKEN = {
     "ragged.xyz": b"1 2 3\n4 5\n",
     "binary.xyz": b"\xff\xfe\x00\x01",
     "pickle.npy": b"\x93NUMPY\x01\x00v\x00",
-    "scan.obj": b"v 1 2 3\n",
+    "points.obj": b"v 1 2 3\n",
 }
 
 
@@ -269,9 +269,10 @@ def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys)
 
 def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
     raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "scan.npy", raw.points)
+    np.save(tmp_path / "points.npy", raw.points)
     corner = [f"{value:.2f}" for value in raw.corner()]
-    words = ["surface", str(tmp_path / "scan.npy"), "--out", str(tmp_path / "cloud.npz"), "--json", "--corner", *corner]
+    files = [str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
+    words = ["surface", *files, "--json", "--corner", *corner]
     assert cli.main(words) == 0
     report = json.loads(capsys.readouterr().out)
     surface = load_surface(tmp_path / "cloud.npz")

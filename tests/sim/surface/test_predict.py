@@ -1,4 +1,4 @@
-"""The predicted reference: exact where a scan shows everything, with its error stated where it cannot."""
+"""The predicted reference: exact where a cloud shows everything, with its error stated where it cannot."""
 
 import numpy as np
 import pytest

@@ -100,12 +100,12 @@ def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_s
     request = solvers.Request("vd2t", bundle=tiny, prediction=prediction)
     solvers.evaluate_requests(phantoms[:1], [request], harness.Conditions(seeds=2))
     assert len(fed) == 2
-    assert not np.array_equal(clouds[0], clouds[1])  # each scan has its own noise
+    assert not np.array_equal(clouds[0], clouds[1])  # each cloud has its own noise
     flat, bent = (harness.voltages_of(scene) for scene in (harness.Scene(), phantoms[0].scene.untouched()))
     for cloud, ratio in zip(clouds, fed, strict=True):
         if prediction == "scan":
             assert np.allclose(ratio, np.log(predict(cloud) / flat_voltages()), atol=1e-6)
-            assert np.sqrt(np.mean((ratio - np.log(bent / flat)) ** 2)) < 0.02  # scan noise: 0.8 % a row
+            assert np.sqrt(np.mean((ratio - np.log(bent / flat)) ** 2)) < 0.02  # noise of the cloud: 0.8 % a row
         elif prediction == "true":
             assert np.allclose(ratio, np.log(bent / flat), atol=1e-6)
         else:

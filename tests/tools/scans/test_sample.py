@@ -1,4 +1,4 @@
-"""The sample scan is what its module makes, and becomes the cloud of the sample scene."""
+"""The sample points are what their module makes, and become the cloud of the sample scene."""
 
 import json
 from pathlib import Path
@@ -15,9 +15,9 @@ from eitskin_tools.command_line import files
 from eitskin_tools.scans import prepare
 
 
-def test_the_shipped_scan_is_the_one_that_is_made() -> None:
+def test_the_shipped_points_are_those_that_are_made() -> None:
     head, _, body = prepare.SAMPLE.read_bytes().partition(b"end_header\n")
-    made_head, _, made_body = prepare.ply(prepare.scan()).partition(b"end_header\n")
+    made_head, _, made_body = prepare.ply(prepare.points()).partition(b"end_header\n")
     assert head == made_head
     found, made = np.frombuffer(body, "<f4"), np.frombuffer(made_body, "<f4")
     assert np.abs(found - made).max() < 1e-3  # another processor rounds otherwise
@@ -26,7 +26,7 @@ def test_the_shipped_scan_is_the_one_that_is_made() -> None:
 def test_the_sample_becomes_the_cloud_of_the_sample_scene(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "cloud.npz"
     assert cli.main(["surface", "sample", "--out", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["points"] == len(prepare.scan())
+    assert json.loads(capsys.readouterr().out)["points"] == len(prepare.points())
     bend = load_scene(files.find("sample", files.SCENE)).bend
     away = align_cloud(load_surface(out).cloud_mm) - measured_cloud(bend)
     assert np.sqrt((away**2).sum(axis=0).mean()) < 0.5  # mm; the largest error would be of a wrong corner, 100 mm

@@ -37,7 +37,7 @@ class Kind:
 SCENE: Final = Kind("a scene as JSON", "eitskin_tools.scenes", ".json")
 PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".json")
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
-SCAN: Final = Kind("a scan of the surface in mm, as .ply, .xyz or .npy", "eitskin_tools.scans", ".ply")
+POINTS: Final = Kind("measured points of the surface in mm, as .ply, .xyz or .npy", "eitskin_tools.scans", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
 BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")

@@ -91,7 +91,7 @@ def comparison(
 
 
 def _conditions(conditions: Conditions) -> str:
-    text = f"Noise {conditions.noise} at {conditions.snr_db:g} dB, {conditions.seeds} draw(s) of noise and scan"
+    text = f"Noise {conditions.noise} at {conditions.snr_db:g} dB, {conditions.seeds} draw(s) of noise and cloud"
     return text + (f", touches shifted by up to {conditions.shift_px:g} pixel" if conditions.shift_px else "") + "."
 
 

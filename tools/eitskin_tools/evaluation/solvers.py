@@ -2,7 +2,7 @@
 
 The network runs through the runtime's own engine: the bundle's graphs, the runtime's normalisation, and the one
 reference taken flat and untouched. If its head has a second input, that is fed the way a robot feeds it: V_pred by the
-forward model from the scanned cloud, against the same model's flat sheet. It takes the shipped bundle whose labels
+forward model from the measured cloud, against the same model's flat sheet. It takes the shipped bundle whose labels
 match the phantoms, unless one is named.
 """
 
@@ -32,7 +32,7 @@ from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.surface.predict import flat_voltages
 
 Prediction = Literal["scan", "none", "true"]
-"""What a head's second input is: V_pred of the scan, nothing, or the true untouched voltages, which no robot has."""
+"""What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
 
 PREDICTIONS: Final[tuple[str, ...]] = get_args(Prediction)
 """The kinds of second input."""

@@ -1,1 +1,1 @@
-"""A sample scan, to be named where a scan's file is asked for."""
+"""Sample points of a surface, to be named where a file of points is asked for."""

@@ -1,4 +1,4 @@
-"""Makes the sample scan: points on the sample scene's surface, as a scanner of 0.1 mm sees them, in no order.
+"""Makes the sample points: on the sample scene's surface, as a scanner of 0.1 mm sees them, in no order.
 
 ``python -m eitskin_tools.scans.prepare`` writes the file that is shipped.
 """
@@ -22,8 +22,8 @@ SPACING_MM: Final = 1.5
 SEED: Final = 1
 
 
-def scan(name: str = "sample") -> npt.NDArray[np.float32]:
-    """Return (6868, 3) mm of a scan of a shipped scene, in the frame of its surface.
+def points(name: str = "sample") -> npt.NDArray[np.float32]:
+    """Return (6868, 3) mm of points of a shipped scene, in the frame of its surface.
 
     Args:
         name: Of the scene.
@@ -36,8 +36,8 @@ def scan(name: str = "sample") -> npt.NDArray[np.float32]:
     flat = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
     flat = flat + rng.uniform(-jitter_mm, jitter_mm, flat.shape)
     rng.shuffle(flat)
-    points = surface(scene.bend, scene.sheet, flat)
-    return np.asarray(points + NOISE_MM * rng.standard_normal(points.shape), dtype=np.float32)
+    exact = surface(scene.bend, scene.sheet, flat)
+    return np.asarray(exact + NOISE_MM * rng.standard_normal(exact.shape), dtype=np.float32)
 
 
 def ply(points_mm: npt.NDArray[np.float32]) -> bytes:
@@ -48,5 +48,5 @@ def ply(points_mm: npt.NDArray[np.float32]) -> bytes:
 
 
 if __name__ == "__main__":
-    SAMPLE.write_bytes(ply(scan()))
+    SAMPLE.write_bytes(ply(points()))
     print(SAMPLE)

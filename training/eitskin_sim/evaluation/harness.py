@@ -51,7 +51,7 @@ REFERENCES: Final[tuple[str, ...]] = get_args(Reference)
 DATA_MM: Final = 1.2
 """Element size of the data: finer than the 1.5 mm of training and the 4.5 mm of the solvers' operators."""
 
-SCAN_SEED: Final = 20_000
+CLOUD_SEED: Final = 20_000
 """The cloud's noise has its own seeds, apart from those of the voltages."""
 
 SHIFT_SEED: Final = 21_000
@@ -265,5 +265,5 @@ def _cloud(bend: Bend, kind: CloudKind, seed: int) -> Array:
     if kind == "flat":
         bend = Bend()
     elif kind == "other":
-        bend = next(other for other in draw("A", 2 + seed, SCAN_SEED)[seed:] if other != bend)
-    return np.asarray(measured_cloud(bend, np.random.default_rng([SCAN_SEED, seed])), dtype=np.float64)
+        bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED)[seed:] if other != bend)
+    return np.asarray(measured_cloud(bend, np.random.default_rng([CLOUD_SEED, seed])), dtype=np.float64)

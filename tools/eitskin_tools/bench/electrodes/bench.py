@@ -4,7 +4,7 @@ Rows of ``false alarms`` and of each kind of failure run through moving deformat
 (:mod:`eitskin_tools.bench.electrodes.detection`); rows of ``accuracy`` need ``--phantoms``
 (:mod:`eitskin_tools.bench.electrodes.accuracy`); of ``gate`` say whether the gate is still right without electrodes
 (:mod:`eitskin_tools.bench.electrodes.gate`); rows of ``drift`` how well a common factor is known, with and without a
-scan (:mod:`eitskin_tools.bench.electrodes.drift`); ``cost`` is CPU time. Rows are shown on stderr as each part is done.
+cloud (:mod:`eitskin_tools.bench.electrodes.drift`); ``cost`` is CPU time. Rows are shown on stderr as each part ends.
 """
 
 import argparse

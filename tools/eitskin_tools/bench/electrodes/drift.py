@@ -1,7 +1,7 @@
 """How well a drift of the sheet's conductivity is known, and whether its compensation eats a touch.
 
 Deformations of families A and B that no bundle learned from, each with a common factor on all voltages, with and
-without the prediction that a scan gives; how often a drift is told of sheets that have none, touched or not; then
+without the prediction that a cloud gives; how often a drift is told of sheets that have none, touched or not; then
 a touch that lies still for minutes while compensation runs.
 """
 
@@ -44,7 +44,7 @@ STILL_FRAMES: Final = 12_000
 
 
 def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
-    """Return rows on drift: its error without and with a scan, and what compensation takes of a touch.
+    """Return rows on drift: its error without and with a cloud, and what compensation takes of a touch.
 
     Args:
         consistency: Of a bundle.
@@ -149,7 +149,7 @@ def still(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Ge
 
 
 def uneven(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Return what is said of a flat sheet, scanned and untouched, that dried more at one end than at the other."""
+    """Return what is said of a flat sheet, measured and untouched, that dried more at one end than at the other."""
     length, width = Sheet().size_mm
     edges = np.linspace(0.0, length, STRIPS + 1)
     rows = []

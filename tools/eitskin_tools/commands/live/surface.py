@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.surface.ordered_cloud import PointCloudError, organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
-    points = read_points(files.find(arguments.file, files.SCAN))
+    points = read_points(files.find(arguments.file, files.POINTS))
     files.writable(arguments.out)
     start = time.perf_counter()
     try:

@@ -18,7 +18,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "skip": "what each skipped stage saves",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
-    "surface": "a raw scan to a cloud, V_pred and operators, and what the classical solvers take",
+    "surface": "measured points to a cloud, V_pred and operators, and what the classical solvers take",
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "what breaks a skin, at which level, and why",

@@ -32,7 +32,7 @@ Array = npt.NDArray[np.float64]
 Labels = Literal["units", "area"]
 
 SEED: Final = 71_903
-"""Of bends, touches and scans; data sets have seeds below 10,000."""
+"""Of bends, touches and clouds; data sets have seeds below 10,000."""
 
 FULL_SCALE: Final = 8.0
 """What the front end takes, relative to the largest voltage of the reference, where a sweep says nothing else."""
@@ -49,7 +49,7 @@ class Sample:
     flat: Array
     """(104,) V, the reference: flat, untouched and undisturbed unless a sweep disturbs it."""
     sheet: Sheet
-    """The scanned bend and its untouched voltages."""
+    """The measured bend and its untouched voltages."""
     full_scale_V: float
     """What the front end cuts off at."""
     spread: Array | None = None
@@ -107,12 +107,12 @@ def _assembled(scene: Scene) -> System:
 
 @lru_cache(maxsize=1024)
 def sheet_of(scene: Scene) -> Sheet:
-    """Return a scene's scanned, untouched sheet, scanned once a process."""
-    return _scanned(scene.untouched())
+    """Return a scene's measured, untouched sheet, made once a process."""
+    return _measured(scene.untouched())
 
 
 @lru_cache(maxsize=1024)
-def _scanned(untouched: Scene) -> Sheet:
+def _measured(untouched: Scene) -> Sheet:
     cloud = measured_cloud(untouched.bend, np.random.default_rng(SEED))
     sheet = Sheet(np.asarray(cloud, dtype=np.float64), voltages_of(untouched))
     sheet.predicted()  # now, since disturbed copies of the sheet would each do it again

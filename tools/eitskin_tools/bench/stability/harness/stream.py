@@ -65,7 +65,7 @@ class Stream:
         self._sequence = 0
         self._cloud: Array | None = None
         self._geometries: dict[int, tuple[Array, Geometry]] = {}
-        """By the scan, which is kept beside it so that its id is not given away again."""
+        """By the cloud, which is kept beside it so that its id is not given away again."""
         self._reference: Array = np.zeros(0)
         self._volts_per_count = 0.0
 
@@ -136,7 +136,7 @@ class Stream:
             self._cloud = cloud
 
     def _geometry(self, sheet: Sheet) -> Geometry:
-        """Return what the network knows of a scan, computed once: every sweep bends the same sheets."""
+        """Return what the network knows of a cloud, computed once: every sweep bends the same sheets."""
         key = id(sheet.cloud_mm)
         if key not in self._geometries:
             predicted = log_ratio(sheet.predicted(), flat_voltages()) if self.bundle.uses_prediction else None
