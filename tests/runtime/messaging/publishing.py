@@ -1,0 +1,20 @@
+"""How tests publish a frame, and wait until somebody takes them."""
+
+import time
+
+
+def send(publisher, packer, number, age_us=100):
+    packer.put("n", number)
+    packer.put("seq", number)
+    packer.put("age_us", age_us)
+    packer.put("publish", time.perf_counter_ns())
+    publisher.look()
+    publisher.send(packer.message())
+
+
+def wait_until_wanted(publisher):
+    end = time.perf_counter() + 60
+    while not publisher.wanted and time.perf_counter() < end:
+        publisher.look()
+        time.sleep(0.005)
+    assert publisher.wanted
