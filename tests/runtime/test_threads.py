@@ -12,6 +12,9 @@ from .command_line import command, wait_until_ready
 
 pytestmark = pytest.mark.process
 
+ENOUGH = 8
+"""Clock ticks of the thread that computes, 80 ms of work: the measurement sees what runs."""
+
 
 def ticks(pid):
     """Return {thread: (name, clock ticks)} of a process."""
@@ -28,15 +31,15 @@ def test_one_thread_computes_and_no_other_runs(virtual_skin, tiny_path, tmp_path
         process = command("run", "--port", port, *words)
         wait_until_ready(process)
         with eitskin.subscribe(f"ipc://{tmp_path}/frames", timeout_s=60) as frames:
-            before = ticks(process.pid)
-            end = time.perf_counter() + 2
-            while time.perf_counter() < end:
+            before = after = ticks(process.pid)
+            end = time.perf_counter() + 120
+            while after[process.pid][1] < before[process.pid][1] + ENOUGH and time.perf_counter() < end:
                 next(frames)
-            after = ticks(process.pid)
+                after = ticks(process.pid)
         process.send_signal(signal.SIGINT)
         process.communicate(timeout=120)
     used = {thread: after[thread][1] - before.get(thread, ("", 0))[1] for thread in after}
     main = used.pop(process.pid)
     others = {thread: spent for thread, spent in used.items() if not after[thread][0].startswith("ZMQbg")}
-    assert main >= 5  # 50 ms of work in 2 s: the measurement sees what runs
+    assert main >= ENOUGH
     assert sum(others.values()) <= 1, (main, others, after)

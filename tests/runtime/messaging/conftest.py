@@ -59,7 +59,7 @@ def raw(server):
         socket.linger = 0
         socket.connect(server.endpoint)
         socket.send_multipart(parts)
-        answer = msgpack.unpackb(socket.recv()) if socket.poll(5000) else None
+        answer = msgpack.unpackb(socket.recv()) if socket.poll(60_000) else None
         socket.close()
         return answer
 

@@ -12,9 +12,11 @@ def send(publisher, packer, number, age_us=100):
     publisher.send(packer.message())
 
 
-def wait_until_wanted(publisher):
+def wait_until_wanted(publisher, subscribers=1):
+    """Wait for subscribers to everything."""
     end = time.perf_counter() + 60
-    while not publisher.wanted and time.perf_counter() < end:
+    while publisher._topics.get(b"", 0) < subscribers and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.005)
     assert publisher.wanted
+    assert publisher._topics[b""] >= subscribers

@@ -9,7 +9,7 @@ import zmq
 
 import eitskin
 from eitskin.errors import ControlError, EndpointError
-from eitskin.messaging import control
+from eitskin.messaging import control, endpoints
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.control_fields import LARGEST_REQUEST
@@ -146,9 +146,9 @@ def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, runnin
             # a starved machine may overflow the line; nothing that came whole while frames were read is kept back
             assert status["withheld"] == status["withheld_by_reason"]["stale"]
             with pytest.raises(ControlError, match=r"differs from the reference of .* expected at most 10%.*--force"):
-                request(control, "reference", frames=20)
+                request(control, "reference", frames=20, timeout_s=60)
             # forced, the touch that is held now becomes the new zero
-            answer = request(control, "reference", frames=20, force=True)
+            answer = request(control, "reference", frames=20, force=True, timeout_s=60)
             assert answer["weak_rows"] == []
             assert answer["older_difference"] > 0.1
             assert answer["remarks"]
@@ -161,9 +161,11 @@ def test_a_running_runtime_takes_clouds_references_and_stop(virtual_skin, runnin
 
 def test_frames_that_nobody_takes_are_judged_but_not_computed(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path) as runtime:
-        time.sleep(0.8)
-        assert runtime.skin.statistics.solvers == {"none": runtime.skin.statistics.frames}
-        assert runtime.skin.statistics.skipped["inference:no_subscriber"] > 20
+        statistics, end = runtime.skin.statistics, time.perf_counter() + 60
+        while statistics.skipped.get("inference:no_subscriber", 0) <= 20 and time.perf_counter() < end:
+            time.sleep(0.02)
+        assert statistics.skipped["inference:no_subscriber"] > 20
+        assert set(statistics.solvers) == {"none"}
         with eitskin.subscribe(runtime.publisher.endpoint, timeout_s=60) as frames:
             assert next(frames).solver == "vd2t"
 
@@ -176,6 +178,9 @@ def test_a_flood_of_connections_is_cut_off_and_honest_clients_are_answered(serve
     flood = []
     end = time.perf_counter() + 60
     while not server.resets and time.perf_counter() < end:
+        if len(flood) == 500:  # enough: now the server's thread may take its time
+            time.sleep(0.01)
+            continue
         client = socket.socket(socket.AF_UNIX)
         try:
             client.connect(path)
@@ -186,13 +191,14 @@ def test_a_flood_of_connections_is_cut_off_and_honest_clients_are_answered(serve
     for client in flood:
         client.close()
     assert server.resets >= 1
-    assert len(flood) < 5000  # cut off long before 20,000 files, even where the server's thread waits for its turn
     assert request(server.endpoint, "status") == {"frames": 5}
 
 
-def test_closing_takes_no_longer_than_the_sockets_do(tmp_path, recorder):
+def test_closing_takes_no_longer_than_the_sockets_do(tmp_path, recorder, monkeypatch):
+    listens, looks = endpoints._listens, []
+    monkeypatch.setattr(endpoints, "CLOSING_S", 60.0)
+    monkeypatch.setattr(endpoints, "_listens", lambda path: looks.append(listens(path)) or looks[-1])
     server = ControlServer(f"ipc://{tmp_path}/again", recorder)
-    start = time.perf_counter()
     server.close()
-    assert time.perf_counter() - start < 1.0  # waiting for a file that nobody removes took 2 s
+    assert looks[-1] is False  # it ended because nobody listens any more, and not after waiting for a file to go
     assert not (tmp_path / "again").exists()

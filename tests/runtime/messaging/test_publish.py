@@ -1,4 +1,3 @@
-import contextlib
 import os
 import time
 
@@ -31,50 +30,45 @@ def test_a_slow_subscriber_sees_the_newest_frame_and_delays_nobody(publisher, pa
         eitskin.subscribe(publisher.endpoint, timeout_s=60) as slow,
         eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as recorder,
     ):
-        wait_until_wanted(publisher)
-        time.sleep(0.1)  # the second subscriber joins as well
-        longest = 0.0
-        for number in range(1, 1001):
-            start = time.perf_counter()
+        wait_until_wanted(publisher, 2)
+        numbers = []
+        for number in range(1, 1001):  # all in one thread: a publisher that waited for either would wait for ever
             send(publisher, packer, number)
-            longest = max(longest, time.perf_counter() - start)
             if number % 100 == 0:
                 time.sleep(0.02)  # the slow one wakes ten times
                 while next(slow).number < number:
                     pass  # on a busy machine the newest may need a moment to arrive
-        assert longest < 5.0  # two seconds' worth of frames wait in its queue; the publisher does not
-        assert slow.received < 200
+            if number % 250 == 0:  # a second's worth and more waits in its queue
+                numbers += [next(recorder).number for _ in range(250)]
+        assert publisher.dropped == 0
+        assert slow.received < 500
         assert slow.received + slow.lost > 800  # what it never saw is counted, from its first frame on
-        numbers = [next(recorder).number for _ in range(1000)]
         assert numbers == list(range(1, 1001))
         assert recorder.lost == 0
 
 
 def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher, packer, monkeypatch):
-    with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=5) as recorder:
+    with eitskin.subscribe(publisher.endpoint, mode="all", timeout_s=60) as recorder:
         wait_until_wanted(publisher)
-        sent = 5_000
-        for number in range(1, sent + 1):
+        number = sent = 5_000
+        for early in range(1, sent + 1):
+            send(publisher, packer, early)
+        while recorder._number <= sent and number < 2 * sent:  # one that comes after the gap tells of it
+            number += 1
             send(publisher, packer, number)
-        time.sleep(0.2)
-        send(publisher, packer, sent + 1)
-        with contextlib.suppress(NoFrame):
-            while True:
+            while recorder._socket.poll(50):
                 recorder.next_frame()
-        if recorder._number <= sent:  # the queues were full to the end; one more tells the gap
-            send(publisher, packer, sent + 2)
-            recorder.next_frame()
         assert recorder.lost > 0
         assert recorder.received + recorder.lost == recorder._number
 
 
 def test_silence_and_old_frames_are_errors_that_are_also_timeouts(publisher, packer):
-    with eitskin.subscribe(publisher.endpoint, timeout_s=0.2, max_age_s=0.5) as frames:
-        with pytest.raises(NoFrame, match=r"within 0\.2 s"):
-            next(frames)
+    with eitskin.subscribe(publisher.endpoint, timeout_s=0.2) as frames, pytest.raises(NoFrame, match=r"within 0\.2 s"):
+        next(frames)
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60, max_age_s=60.5) as frames:
         wait_until_wanted(publisher)
-        send(publisher, packer, 1, age_us=700_000)
-        with pytest.raises(StaleFrame, match=r"0\.7\d\d s old, expected at most 0.5 s") as caught:
+        send(publisher, packer, 1, age_us=700_000_000)
+        with pytest.raises(StaleFrame, match=r"7\d\d\.\d{3} s old, expected at most 60.5 s") as caught:
             next(frames)
         assert isinstance(caught.value, TimeoutError)
         send(publisher, packer, 2)
@@ -101,10 +95,10 @@ def test_a_hostile_publisher_cannot_stop_a_subscriber(tmp_path, packer):
     nan = msgpack.packb(msgpack.unpackb(good) | {"map": np.full(1350, np.nan, "<f4").tobytes()})
     bad = [b"", b"\x91" * 3000, b"\xdf\xff\xff\xff\xff", nan, good[:-1], bytes(15000)]
     bad += [rng.integers(0, 256, 100, dtype=np.uint8).tobytes() for _ in range(200)]
-    with zmq.Context() as context, context.socket(zmq.PUB) as hostile:
+    with zmq.Context() as context, context.socket(zmq.XPUB) as hostile:
         hostile.bind(endpoint)
         with eitskin.subscribe(endpoint, mode="all", timeout_s=60) as frames:
-            time.sleep(0.3)
+            assert hostile.poll(60_000)  # it has subscribed
             for message in bad:
                 hostile.send(message)
             hostile.send_multipart([good, good])
