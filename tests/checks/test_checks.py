@@ -18,7 +18,7 @@ from started_processes import StartedProcesses
 def pytest_configure(config):
     for marker in ("slow", "process"):
         config.addinivalue_line("markers", marker)
-    config.pluginmanager.register(CpuLimit(0.12))
+    config.pluginmanager.register(CpuLimit(0.1))
     config.pluginmanager.register(StartedProcesses())
 """
 
@@ -27,7 +27,7 @@ import os, subprocess, sys, time
 import cpu_limit
 import pytest
 
-LONG_S = 6 * 0.12 * cpu_limit.slowness()  # over the limit also where the machine is found to be slower later on
+LONG_S = 4 * 0.1 * cpu_limit.slowness()  # over the limit also where the machine is found to be slower later on
 
 def busy():
     end = time.process_time() + LONG_S
