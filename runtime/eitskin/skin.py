@@ -50,8 +50,7 @@ class Skin:
         idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
             (:mod:`eitskin.pipeline.idle`); None scans all of them always.
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
-        compensate_drift: Whether to take out of the frames what the reference has drifted
-            (:mod:`eitskin.health.drift`).
+        compensate_drift: Whether frames are freed of what the reference has drifted (:mod:`eitskin.health.drift`).
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.

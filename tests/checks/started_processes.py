@@ -62,4 +62,7 @@ def _looked_at(item: pytest.Item) -> Iterator[None]:
     _started.clear()
     yield
     if _started and item.get_closest_marker("process") is None:
-        pytest.fail(f"started {_started[0]}: mark it process, or do without", pytrace=False)
+        pytest.fail(
+            f"started {_started[0]}, which only tests with the marker process may: mark it process, or do without",
+            pytrace=False,
+        )

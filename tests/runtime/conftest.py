@@ -124,3 +124,8 @@ def _running(port, folder, **options):
 def running():
     """Return a context manager that runs a runtime on a port, with endpoints in a folder."""
     return _running
+
+
+@pytest.fixture
+def endpoints(tmp_path):
+    return ["--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control"]

@@ -5,6 +5,7 @@ Takes one JSON object as its argument, prints the port's path, serves until it i
 """
 
 import json
+import select
 import signal
 import sys
 from time import perf_counter_ns
@@ -42,6 +43,16 @@ class MadeUp:
         return self.base * (1 + amount * self.pattern + self.noise * self.rng.standard_normal(N_ROWS))
 
 
+class PatientPort(PtyPort):
+    """A line with room for every frame, sooner or later: what a busy host reads late is not lost."""
+
+    def write(self, data):
+        while not super().write(data):
+            if not self.plugged or not select.select([], [self.fileno()], [], 60.0)[1]:
+                return False
+        return True
+
+
 def main(options):
     signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
@@ -53,12 +64,12 @@ def main(options):
         options.get("first_us", 0),
     )
     server.LATEST_NS = 10 * 10**9  # on a busy machine a scan comes late rather than never: loss is what tests inject
-    port = PtyPort()
+    port = PatientPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
     try:
         print(port.path, flush=True)
-        server.SkinServer(device, port, player).run(perf_counter_ns() + int(60e9))
+        server.SkinServer(device, port, player).run(perf_counter_ns() + int(300e9))
     finally:
         port.close()
 

@@ -2,6 +2,7 @@
 
 import time
 import tracemalloc
+from itertools import pairwise
 
 import eitskin
 from eitskin.skin import Skin
@@ -32,7 +33,9 @@ def test_a_frame_leaves_nothing_behind(virtual_skin, tiny_path):
                 break
             sizes[number // 100] = min(sizes[number // 100], tracemalloc.get_traced_memory()[0])
         tracemalloc.stop()
-    assert sizes[-1] - sizes[2] < 4000, sizes  # the first hundreds fill caches of texts and statistics
+    grown = sorted(later - earlier for earlier, later in pairwise(sizes[2:]))  # the first hundreds fill caches
+    # What every frame left behind would show in every hundred; what a pause of the machine brings along comes once.
+    assert grown[1] < 1300, sizes
 
 
 def test_what_a_frame_takes_for_a_moment_is_small(virtual_skin, tiny_path):
@@ -52,7 +55,15 @@ def test_what_a_frame_takes_for_a_moment_is_small(virtual_skin, tiny_path):
     assert sorted(peaks)[50] < 5400, sorted(peaks)[::10]
 
 
-def test_a_subscriber_that_sleeps_50_ms_sees_the_newest_frame_and_delays_nobody(virtual_skin, running, tmp_path):
+def asleep(skin, frames):
+    """Return once so many more frames were published, which a loop that waits for its subscribers never does."""
+    until, end = skin.published + frames, time.perf_counter() + 60
+    while skin.published < until and time.perf_counter() < end:
+        time.sleep(0.005)
+    assert skin.published >= until
+
+
+def test_a_subscriber_that_sleeps_over_frames_sees_the_newest_frame_and_delays_nobody(virtual_skin, running, tmp_path):
     with virtual_skin(touches=[[0.2, 60, 0.3]], rate_hz=100.0) as port, running(port, tmp_path) as runtime:
         endpoint = runtime.publisher.endpoint
         behind = []
@@ -60,7 +71,7 @@ def test_a_subscriber_that_sleeps_50_ms_sees_the_newest_frame_and_delays_nobody(
             with eitskin.subscribe(endpoint, timeout_s=60, skip_unchanged=modest) as slow:
                 next(slow)
                 for _ in range(15):
-                    time.sleep(0.05)
+                    asleep(runtime.skin, 5)
                     published = runtime.skin.published
                     behind.append(published - next(slow).number)
             assert slow.received == 16
@@ -69,5 +80,3 @@ def test_a_subscriber_that_sleeps_50_ms_sees_the_newest_frame_and_delays_nobody(
         # a frame lie for a while, so the rule is for the median, and five, what it slept over, is never reached twice.
         assert sorted(behind)[len(behind) // 2] <= 2, behind
         assert runtime.publisher.dropped == 0
-        latency_us = runtime.skin.statistics.summary()["latency_us"]
-        assert latency_us["p50"] < 50_000  # the loop never waited for the sleeper

@@ -20,15 +20,15 @@ def pty():
 
 
 def test_bytes_pass_until_the_plug_is_pulled_and_after_it_is_back(pty):
-    line = HotPlug(str(pty.path), give_up_s=10.0)
+    line = HotPlug(str(pty.path), give_up_s=60.0)
     try:
         for cycle in range(1, 4):
             assert pty.write(b"before")
-            assert line.read(2.0) == b"before"
+            assert line.read(60.0) == b"before"
             pty.unplug()
             threading.Timer(0.1, pty.plug).start()
             with pytest.raises(PortReturned, match="vanished and is back: shake hands anew"):
-                line.read(5.0)
+                line.read(60.0)
             assert line.returns == cycle
             line.write(b"after")
             deadline = time.monotonic() + 60.0
@@ -40,7 +40,7 @@ def test_bytes_pass_until_the_plug_is_pulled_and_after_it_is_back(pty):
 
 
 def test_a_write_notices_the_return_as_well(pty):
-    line = HotPlug(str(pty.path), give_up_s=10.0)
+    line = HotPlug(str(pty.path), give_up_s=60.0)
     try:
         pty.unplug()
         threading.Timer(0.1, pty.plug).start()
@@ -90,13 +90,13 @@ def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
     monkeypatch.setattr("eitskin.acquisition.hotplug.list_ports.comports", lambda: ports)
     assert usb_name(str(pty.path)) == UsbName(0x1209, 0x5315, "SKIN-7")
     assert usb_name("/dev/ttyS0") is None
-    line = HotPlug(str(pty.path), give_up_s=10.0)
+    line = HotPlug(str(pty.path), give_up_s=60.0)
     try:
         with PtyPort() as elsewhere:
             pty.unplug()
             ports[1] = Found(str(elsewhere.path), 0x1209, 0x5315, "SKIN-7")
             with pytest.raises(PortReturned, match=str(elsewhere.path)):
-                line.read(5.0)
+                line.read(60.0)
             assert line.name == str(elsewhere.path)
             assert port_named(UsbName(0x1209, 0x5315, "SKIN-8")) is None
     finally:
@@ -105,7 +105,7 @@ def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
 
 def test_the_stream_resumes_after_an_unplug_with_the_gap_counted(virtual_skin, tiny):
     with virtual_skin(rate_hz=100.0, faults=["unplug@1.5:0.3"]) as port:
-        line = HotPlug(port, give_up_s=20.0)
+        line = HotPlug(port, give_up_s=60.0)
         with Skin(line, bundle=tiny) as skin:
             skin.capture_reference(20)
             sequences, events = [], []
@@ -126,7 +126,7 @@ class Swapped(HotPlug):
     """A line behind which another device turns up when it vanishes."""
 
     def __init__(self, port, other):
-        super().__init__(port, give_up_s=20.0)
+        super().__init__(port, give_up_s=60.0)
         self.other = other
 
     def _reopened(self):

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -67,19 +68,26 @@ def environment(place: Path, cache: Path) -> dict[str, str]:
 def shown(cache: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
     """Return a demonstration that ran for a while and the temporary folder that it had."""
     place = tmp_path_factory.mktemp("d")
-    done = subprocess.run(
-        [*COMMAND, "--seconds=3", "--json", f"--bundle={BUNDLE}"],
+    return demonstrated(3, place, cache), place
+
+
+def demonstrated(seconds: int, place: Path, cache: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [*COMMAND, f"--seconds={seconds}", "--json", f"--bundle={BUNDLE}"],
         capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False, env=environment(place, cache),
     )  # fmt: skip
-    return done, place
+
+
+def summary(done: subprocess.CompletedProcess[str]) -> dict[str, Any]:
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.count("\n") == 1
+    found: dict[str, Any] = json.loads(done.stdout)
+    return found
 
 
 def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]) -> None:
-    done, _ = shown
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert done.stdout.count("\n") == 1
-    assert found["frames"] >= 100, "of 600, if this machine has time for them"
+    found = summary(shown[0])
+    assert found["frames"] > 0, "of 600, if this machine has time for them"
     # A machine that is too busy to read in time may lose frames, but each loss is explained: a packet that the line had
     # no room for is cut short and takes its neighbour along.
     assert found["lost"] <= 2 * found["overruns"]
@@ -88,7 +96,15 @@ def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]
     assert list(found["stages_us"]) == ["wire", "decode", "normalise", "gate", "infer", "pack", "publish", "deliver"]
     medians = [stage["p50"] for stage in found["stages_us"].values()]
     assert all(value >= 0 for value in medians), "stamps of different processes are in order"
-    assert found["scored"] > 10
+    assert 0 <= found["inferred"] < found["frames"]
+    assert 0 <= found["scored"] <= found["frames"]
+
+
+@pytest.mark.slow
+def test_a_longer_demonstration_computes_and_scores_what_it_shows(place: Path, cache: Path) -> None:
+    found = summary(demonstrated(20, place, cache))
+    assert found["frames"] >= 200, "of 4000: also a busy machine has time for these"
+    assert found["scored"] > 50
     assert 0 < found["inferred"] < found["frames"]
     assert -1.0 <= found["cc_median"] <= 1.0
 

@@ -139,4 +139,4 @@ def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
         assert (status, "no earlier configuration" in err) == (1, True)
     finally:
         sim.send_signal(signal.SIGINT)  # it then removes its port's folder
-        sim.communicate(timeout=30.0)
+        sim.communicate(timeout=120.0)

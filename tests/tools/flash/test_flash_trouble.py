@@ -15,6 +15,7 @@ from eitskin_proto.wire.codes import Code
 from eitskin_tools import cli
 from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.emulator.patience import patient
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 from eitskin_tools.virtual_skin.configure import configuration_for
@@ -124,7 +125,7 @@ def test_a_device_that_never_answers_is_one_line_and_stays_as_it_was(capsys):
 def test_a_device_that_answers_twice_or_late_is_flashed_all_the_same(fault):
     with skin(fault) as (made, port):
         line = SerialPort(port)
-        exchange = Exchange(line, timeout_s=0.12 if fault.startswith("late") else 0.6)
+        exchange = patient(line)
         assert procedure.write(exchange, FAST).generation == 1
         line.close()
         assert made.store.configuration == FAST

@@ -1,9 +1,9 @@
 """Scripted faults on a real pseudo-terminal: what they do to the bytes, and that they do it when they were told to."""
 
 import itertools
-import threading
+import select
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -24,34 +24,79 @@ from ..conftest import ROWS_V, Ramp
 
 RATE_HZ = 500.0
 
+PATIENCE_S = 60.0
+"""How long bytes may take through a pseudo-terminal."""
+
+
+class Line(PtyPort):
+    """A pseudo-terminal that counts what the device put on it."""
+
+    written = 0
+
+    def write(self, data: bytes) -> bool:
+        taken = super().write(data)
+        self.written += len(data) if taken else 0
+        return taken
+
+    def write_all(self, data: bytes, timeout_s: float) -> bool:
+        taken = super().write_all(data, timeout_s)
+        self.written += len(data) if taken else 0
+        return taken
+
 
 class Skin:
-    """A served virtual skin and what a host sees of it."""
+    """A virtual skin whose clock only the test moves, and what a host sees of it.
 
-    def __init__(self, server: SkinServer, port: PtyPort) -> None:
-        self.server, self.port = server, port
+    Args:
+        faults: As of the command line.
+        port: Its line.
+    """
+
+    def __init__(self, faults: tuple[str, ...], port: Line) -> None:
+        self.now_ns = 1_000_000_000
+        device = VirtualDevice(Ramp(), configuration_for(RATE_HZ), self.now_ns)
+        player = FaultPlayer([parse(text) for text in faults], seed=1)
+        self.server, self.port = SkinServer(device, port, player, clock=lambda: self.now_ns), port
         self.deframer = Deframer()
         self.frames: list[m.Frame] = []
         self.others: list[m.Message] = []
         self.events: list[m.Event] = []
-        self.serial = self.open()
+        self.open()
 
-    def open(self) -> serial.Serial:
-        return serial.Serial(str(self.port.path), timeout=0.05, exclusive=True)
+    def open(self) -> None:
+        self.serial = serial.Serial(str(self.port.path), timeout=0.05, exclusive=True)
+        self.taken = self.port.written
 
     def tell(self, request: m.Message) -> None:
         self.serial.write(b"\0" + encode(request.pack()))
+        assert select.select([self.port.fileno()], [], [], PATIENCE_S)[0]
+        self.server.turn(self.now_ns)
 
     def listen(self, seconds: float) -> None:
-        end = time.perf_counter() + seconds
-        while time.perf_counter() < end:
-            self.take(self.serial.read(max(1, self.serial.in_waiting)))
+        """Let time pass, and take everything that the device sends meanwhile."""
+        self.sleep(seconds, self.take)
 
-    def take(self, data: bytes) -> None:
-        for payload in self.deframer.feed(data):
-            message = m.unpack(payload)
-            kind = {m.Frame: self.frames, m.Event: self.events}.get(type(message), self.others)
-            kind.append(message)
+    def sleep(self, seconds: float, after_each_turn: Callable[[], None] = lambda: None) -> None:
+        """Let time pass, from one thing that the device has to do to the next."""
+        until_ns = self.now_ns + int(seconds * 1e9)
+        while self.now_ns < until_ns:
+            due_ns = self.server.next_ns() or until_ns
+            self.now_ns = min(max(self.now_ns + 1, due_ns), until_ns)
+            self.server.turn(self.now_ns)
+            after_each_turn()
+
+    def take(self) -> None:
+        """Read until everything has come that is on the line, or the plug is out; the kernel takes its time."""
+        end_s = time.monotonic() + PATIENCE_S
+        while self.taken < self.port.written or not self.port.plugged:
+            assert time.monotonic() < end_s, f"{self.port.written - self.taken} bytes have not come"
+            self.port.flush()
+            data = self.serial.read(max(1, self.serial.in_waiting))
+            self.taken += len(data)
+            for payload in self.deframer.feed(data):
+                message = m.unpack(payload)
+                kind = {m.Frame: self.frames, m.Event: self.events}.get(type(message), self.others)
+                kind.append(message)
 
     @property
     def sequences(self) -> list[int]:
@@ -60,20 +105,12 @@ class Skin:
 
 @contextmanager
 def skin(*faults: str) -> Iterator[Skin]:
-    clock = time.perf_counter_ns
-    device = VirtualDevice(Ramp(), configuration_for(RATE_HZ), clock())
-    with PtyPort() as port:
-        server = SkinServer(device, port, FaultPlayer([parse(text) for text in faults], seed=1))
-        thread = threading.Thread(target=server.run)
-        host = Skin(server, port)
-        thread.start()
+    with Line() as port:
+        host = Skin(faults, port)
         try:
             yield host
         finally:
             host.serial.close()
-            server.stop()
-            thread.join(5.0)
-            assert not thread.is_alive()
 
 
 def test_a_clean_stream_has_every_frame_and_no_other_byte() -> None:
@@ -142,16 +179,14 @@ def test_a_reset_cuts_a_packet_and_starts_clock_and_sequence_anew() -> None:
 def test_an_unplugged_port_vanishes_and_returns_under_its_name() -> None:
     with skin("unplug@0.1:0.2") as host:
         host.tell(m.Start(1))
-        with pytest.raises((serial.SerialException, OSError)):  # noqa: PT012 -- reading until it happens is the test
-            for _ in range(100):
-                host.listen(0.02)
+        with pytest.raises((serial.SerialException, OSError)):
+            host.listen(0.5)
         host.serial.close()
         assert not host.port.path.exists()
-        deadline = time.perf_counter() + 3.0
-        while not host.port.path.exists() and time.perf_counter() < deadline:
-            time.sleep(0.02)
+        host.sleep(0.21)
+        assert host.port.path.exists()
         before = host.sequences[-1]
-        host.serial = host.open()
+        host.open()
         host.deframer.reset()
         host.listen(0.2)
         assert host.sequences[-1] > before + 50, "the device went on scanning: the gap can be counted"
@@ -162,7 +197,7 @@ def test_a_host_may_close_and_open_the_port() -> None:
         host.tell(m.HelloRequest(1))
         host.listen(0.1)
         host.serial.close()
-        host.serial = host.open()
+        host.open()
         host.tell(m.HelloRequest(2))
         host.listen(0.1)
         assert [hello.tag for hello in host.others] == [1, 2]
@@ -171,7 +206,7 @@ def test_a_host_may_close_and_open_the_port() -> None:
 def test_a_host_that_does_not_read_makes_the_device_count_what_it_drops() -> None:
     with skin() as host:
         host.tell(m.Start(1))
-        time.sleep(0.5)  # 250 frames of 352 bytes against 18 KiB
+        host.sleep(0.5)  # 250 frames of 352 bytes against 18 KiB
         host.listen(0.1)
         assert host.port.overruns > 0
         assert host.frames[-1].device_dropped == pytest.approx(host.port.overruns, abs=2)

@@ -84,7 +84,8 @@ def test_json_is_one_object_and_sigterm_ends_it_cleanly(tmp_path: Path) -> None:
         assert 0 < before - found["clock_epoch_ns"] < 60e9, "the epoch is on this machine's perf_counter"
         hello, frames = stream(found["port"], 3)
         assert hello.rate_mHz == 100_000
-        assert frames[0].device_us * 1000 + found["clock_epoch_ns"] == pytest.approx(before, abs=2e9)
+        after = time.perf_counter_ns()
+        assert before < frames[0].device_us * 1000 + found["clock_epoch_ns"] < after
         process.send_signal(signal.SIGTERM)
         assert process.wait(60.0) == 0
         assert process.stdout.read() == ""
@@ -116,8 +117,9 @@ def test_a_scene_is_held_after_the_reference_phase(tmp_path: Path) -> None:
         _, frames = stream(port, 200)
     counts = np.array([frame.counts for frame in frames], dtype=np.float64)
     change = np.sqrt(np.mean((counts / counts[0] - 1.0) ** 2, axis=1))
-    assert change[:175].max() < 1e-4
-    assert change[185:].min() > 0.01
+    since_s = 1e-6 * np.array([frame.device_us - frames[0].device_us for frame in frames])  # scans may be skipped
+    assert change[since_s < 1.75].max() < 1e-4
+    assert change[since_s > 1.85].min() > 0.01
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,22 @@
+"""How tests publish a frame, and wait until somebody takes them."""
+
+import time
+
+
+def send(publisher, packer, number, age_us=100):
+    packer.put("n", number)
+    packer.put("seq", number)
+    packer.put("age_us", age_us)
+    packer.put("publish", time.perf_counter_ns())
+    publisher.look()
+    publisher.send(packer.message())
+
+
+def wait_until_wanted(publisher, subscribers=1):
+    """Wait for subscribers to everything."""
+    end = time.perf_counter() + 60
+    while publisher._topics.get(b"", 0) < subscribers and time.perf_counter() < end:
+        publisher.look()
+        time.sleep(0.005)
+    assert publisher.wanted
+    assert publisher._topics[b""] >= subscribers

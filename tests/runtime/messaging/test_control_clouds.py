@@ -1,0 +1,91 @@
+"""Clouds as control requests: arrays and files, checked before they are sent and again where they arrive."""
+
+import msgpack
+import numpy as np
+import pytest
+
+import eitskin
+from eitskin.messaging.control import ControlServer
+from eitskin.messaging.control_client import request
+from eitskin.messaging.endpoints import default_control
+from eitskin_proto.sensor import cloud_file
+from eitskin_proto.sensor.cloud import flat_cloud
+
+
+def test_a_cloud_with_predictions_arrives_as_it_was_sent(server, recorder):
+    rng = np.random.default_rng(0)
+    cloud, predicted, flat = (
+        flat_cloud() + 0.1 * rng.normal(size=(3, 30, 45)),
+        rng.normal(size=104),
+        rng.normal(size=104),
+    )
+    assert eitskin.send_cloud(server.endpoint, cloud, predicted, flat) == 1
+    got, got_predicted, got_flat = recorder.clouds[0]
+    assert np.array_equal(got, cloud.astype(np.float32))
+    assert np.array_equal(got_predicted, predicted)
+    assert np.array_equal(got_flat, flat)
+    assert eitskin.send_cloud(server.endpoint, cloud) == 2
+    assert recorder.clouds[1][1:] == (None, None)
+
+
+def test_bad_clouds_are_value_errors_before_anything_is_sent(server, recorder):
+    cloud = flat_cloud()
+    cloud[0, 1, 2] = np.nan
+    with pytest.raises(ValueError, match=r"cloud\[0, 1, 2\] is nan, expected a finite number"):
+        eitskin.send_cloud(server.endpoint, cloud)
+    with pytest.raises(ValueError, match=r"\(30, 45, 3\)"):
+        eitskin.send_cloud(server.endpoint, np.zeros((30, 45, 3)))
+    with pytest.raises(ValueError, match="1000 mm"):
+        eitskin.send_cloud(server.endpoint, flat_cloud() * 1e6)
+    with pytest.raises(ValueError, match=r"predicted\[3\] is inf"):
+        eitskin.send_cloud(server.endpoint, flat_cloud(), np.where(np.arange(104) == 3, np.inf, 1.0))
+    assert recorder.clouds == []
+
+
+def test_clouds_that_cannot_be_of_this_sheet_are_value_errors_and_answers_that_say_why(server, raw, recorder):
+    with pytest.raises(ValueError, match="is 300 mm along x"):
+        eitskin.send_cloud(server.endpoint, 2 * flat_cloud())
+    answer = raw(msgpack.packb({"command": "cloud", "cloud": (2 * flat_cloud()).astype("<f4").tobytes()}))
+    assert answer["ok"] is False
+    assert "is 300 mm along x and 200 mm along y, expected 127.5 to 210 and 80 to 130 mm" in answer["error"]
+    assert recorder.clouds == []
+
+
+def test_a_doubtful_cloud_is_used_and_warned_of(server, recorder):
+    one = flat_cloud()
+    one[2, 10, 10] += 1.8
+    with pytest.warns(eitskin.CloudWarning, match="mm off its neighbours"):
+        assert eitskin.send_cloud(server.endpoint, one) == 1
+    assert request(server.endpoint, "cloud", cloud=one.astype("<f4").tobytes())["warnings"]
+    assert request(server.endpoint, "cloud", cloud=flat_cloud().astype("<f4").tobytes())["warnings"] == []
+    assert len(recorder.clouds) == 3
+
+
+def test_a_cloud_file_brings_its_prediction_along(server, recorder, tmp_path):
+    predicted, flat = np.arange(104.0), np.ones(104)
+    cloud_file.save_surface(tmp_path / "cloud.npz", cloud_file.Surface(flat_cloud(), predicted, flat))
+    assert eitskin.send_cloud(server.endpoint, tmp_path / "cloud.npz") == 1
+    assert eitskin.send_cloud(server.endpoint, cloud_file.load_surface(tmp_path / "cloud.npz")) == 2
+    for got, got_predicted, got_flat in recorder.clouds:
+        assert np.array_equal(got, flat_cloud().astype(np.float32))
+        assert np.array_equal(got_predicted, predicted)
+        assert np.array_equal(got_flat, flat)
+    cloud_file.save_surface(tmp_path / "bare.npz", cloud_file.Surface(flat_cloud()))
+    eitskin.send_cloud(server.endpoint, str(tmp_path / "bare.npz"))
+    assert recorder.clouds[2][1:] == (None, None)
+    with pytest.raises(cloud_file.CloudFileError, match=r"nobody\.npz cannot be read: No such file"):
+        eitskin.send_cloud(server.endpoint, tmp_path / "nobody.npz")
+
+
+def test_without_an_endpoint_the_default_control_is_asked(recorder, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    server = ControlServer(default_control(), recorder)
+    try:
+        assert eitskin.send_cloud(flat_cloud()) == 1
+        assert request(None, "status") == {"frames": 5}
+    finally:
+        server.close()
+    with pytest.raises(ValueError, match="the endpoint ipc:///tmp/control and no cloud"):
+        eitskin.send_cloud("ipc:///tmp/control")
+    with pytest.raises(ValueError, match="endpoint is a ndarray, expected the text of the runtime's control endpoint"):
+        eitskin.send_cloud(flat_cloud(), np.ones(104))

@@ -1,0 +1,123 @@
+"""Where sockets may be bound, and with which keys: what is taken over, refused, or kept to oneself."""
+
+import stat
+import time
+
+import pytest
+
+import eitskin
+from eitskin.errors import EndpointError, NoFrame
+from eitskin.messaging.curve_keys import ServerKeys, load_client_keys, load_server_keys, make_keys
+from eitskin.messaging.endpoints import default_control, needs_keys, runtime_folder
+from eitskin.messaging.publish import Publisher
+
+from .publishing import send, wait_until_wanted
+
+
+def test_the_default_folder_is_private_and_a_shared_one_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
+    assert stat.S_IMODE(runtime_folder().stat().st_mode) == 0o700
+    assert default_control() == f"ipc://{tmp_path}/eitskin/control"
+    (tmp_path / "eitskin").chmod(0o755)
+    with pytest.raises(EndpointError, match="no folder of ours alone"):
+        runtime_folder()
+    (tmp_path / "eitskin").rmdir()
+    (tmp_path / "eitskin").symlink_to("/tmp")
+    with pytest.raises(EndpointError):
+        runtime_folder()
+
+
+def test_an_address_in_use_is_named_and_its_owner_is_not_disturbed(publisher, packer):
+    with pytest.raises(EndpointError, match=r"frames is in use: stop the program"):
+        Publisher(publisher.endpoint)
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60) as frames:
+        wait_until_wanted(publisher)
+        send(publisher, packer, 4)
+        assert next(frames).number == 4
+    first = Publisher("tcp://127.0.0.1:*")
+    assert first.endpoint.startswith("tcp://127.0.0.1:")
+    with pytest.raises(EndpointError, match="is in use"):
+        Publisher(first.endpoint)
+    first.close()
+
+
+def test_a_dead_socket_is_taken_over_and_any_other_file_is_left_alone(tmp_path):
+    import socket
+
+    path = tmp_path / "frames"
+    with socket.socket(socket.AF_UNIX) as dead:
+        dead.bind(str(path))
+    publisher = Publisher(f"ipc://{path}")
+    assert stat.S_ISSOCK(path.stat().st_mode)
+    publisher.close()
+    publisher.close()
+    assert not path.exists()
+    path.write_text("precious")
+    with pytest.raises(EndpointError, match="no socket is in the way"):
+        Publisher(f"ipc://{path}")
+    assert path.read_text() == "precious"
+    with pytest.raises(EndpointError, match="folder does not exist"):
+        Publisher(f"ipc://{tmp_path}/none/frames")
+
+
+@pytest.mark.parametrize("endpoint", ["tcp://0.0.0.0:5555", "tcp://*:5555", "tcp://192.0.2.1:5555", "tcp://eth0:5555"])
+def test_tcp_beyond_this_machine_is_refused_without_keys(endpoint):
+    with pytest.raises(EndpointError, match=r"--curve-keys DIR.*doctor --make-curve-keys"):
+        Publisher(endpoint)
+
+
+def test_which_endpoints_need_keys():
+    assert not needs_keys("ipc:///tmp/x", control=True)
+    assert not needs_keys("tcp://127.0.0.1:5555", control=False)
+    assert not needs_keys("tcp://[::1]:5555", control=False)
+    assert needs_keys("tcp://127.0.0.1:5555", control=True)
+    assert needs_keys("tcp://10.0.0.1:5555", control=False)
+    assert needs_keys("tcp://localhost:5555", control=False)  # a name may be made to point anywhere
+
+
+@pytest.mark.parametrize(
+    "endpoint",
+    ["", "frames", "inproc://x", "udp://1.2.3.4:5", "ipc://@abstract", "ipc://relative", "tcp://127.0.0.1",
+     "tcp://127.0.0.1:99999", "tcp://:5", "ipc:///" + "x" * 200],
+)  # fmt: skip
+def test_other_endpoints_are_refused(endpoint):
+    with pytest.raises(EndpointError):
+        Publisher(endpoint)
+
+
+def test_curve_lets_in_who_is_listed_and_nobody_else(tmp_path, keys, packer):
+    make_keys(tmp_path / "stranger")
+    publisher = Publisher("tcp://127.0.0.1:*", load_server_keys(keys))
+    trusted = load_client_keys(keys / "server.key", keys / "client.key_secret")
+    stranger = load_client_keys(keys / "server.key", tmp_path / "stranger" / "client.key_secret")
+    try:
+        with (
+            eitskin.subscribe(publisher.endpoint, keys=trusted, timeout_s=60) as frames,
+            eitskin.subscribe(publisher.endpoint, keys=stranger, timeout_s=0.3) as nothing,
+            eitskin.subscribe(publisher.endpoint, timeout_s=0.3) as plain,
+        ):
+            wait_until_wanted(publisher)
+            time.sleep(0.2)
+            send(publisher, packer, 9)
+            assert next(frames).number == 9
+            for outsider in (nothing, plain):
+                with pytest.raises(NoFrame):
+                    next(outsider)
+    finally:
+        publisher.close()
+
+
+def test_keys_that_others_can_read_or_that_admit_nobody_are_refused(keys):
+    assert stat.S_IMODE((keys / "server.key_secret").stat().st_mode) == 0o600
+    with pytest.raises(EndpointError, match="holds keys already"):
+        make_keys(keys)
+    (keys / "server.key_secret").chmod(0o644)
+    with pytest.raises(EndpointError, match="chmod 600"):
+        load_server_keys(keys)
+    (keys / "server.key_secret").chmod(0o600)
+    assert isinstance(load_server_keys(keys), ServerKeys)
+    (keys / "clients" / "client.key").unlink()
+    with pytest.raises(EndpointError, match="nobody could connect"):
+        load_server_keys(keys)
+    with pytest.raises(EndpointError, match="no CURVE key"):
+        load_server_keys(keys / "clients")

@@ -1,0 +1,98 @@
+"""The gate is looked after: a strong map overrules a gate that sees nothing."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import BundleError
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.gate_audit import AUDIT_FRAMES, GateAudit, audit_pixels
+from eitskin.reference.captured import Reference
+
+from .passing import go, payload
+
+
+class Blind:
+    """A gate that sees nothing."""
+
+    logit = -9.0
+
+    def touched(self):
+        return False
+
+
+class Sees:
+    """A network that shows a touch everywhere as soon as any voltage has changed."""
+
+    name = "vd2t"
+
+    def __init__(self, buffers):
+        self.buffers = buffers
+
+    def infer(self):
+        self.buffers.map[:] = np.abs(self.buffers.change).max() > 0.01
+
+
+def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
+    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9)
+    for sequence in range(1, AUDIT_FRAMES):
+        assert go(pipeline, payload(touched, sequence))
+        assert pipeline.record.solver == "none"
+    for sequence in range(AUDIT_FRAMES, AUDIT_FRAMES + 3):  # and from then on every frame
+        assert go(pipeline, payload(touched, sequence))
+        assert (pipeline.record.touched, pipeline.record.solver, pipeline.record.events) == (
+            True,
+            "vd2t",
+            ("gate_overruled",),
+        )
+        assert not pipeline.record.map_is_zero
+    assert pipeline.audit.overruled == 3
+    assert go(pipeline, payload(counts, AUDIT_FRAMES + 3))  # the touch is over: one more look, then the gate alone
+    assert (pipeline.record.touched, pipeline.record.solver, pipeline.record.skipped[0]) == (
+        False,
+        "none",
+        "map:untouched",
+    )
+    assert go(pipeline, payload(counts, AUDIT_FRAMES + 4))
+    assert pipeline.record.skipped[0] == "inference:untouched"
+
+
+def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
+    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9)
+    solvers, skipped = set(), []
+    for sequence in range(1, 2 * AUDIT_FRAMES + 1):
+        assert go(pipeline, payload(counts, sequence))
+        solvers.add(pipeline.record.solver)
+        skipped.append(pipeline.record.skipped[0])
+    assert solvers == {"none"}
+    assert skipped.count("map:untouched") == 2
+    assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
+
+
+def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
+    pipeline.audit = GateAudit(9)
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(counts, sequence), wanted=False)
+        assert not pipeline.record.inferred
+
+
+def test_a_bundle_that_does_not_say_what_is_strong_is_not_looked_after(pipeline, counts):
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(counts, sequence))
+        assert not pipeline.record.inferred
+
+
+@pytest.mark.parametrize("value", [0, 1351, 2.5, [3, 4], "many"])
+def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
+    with pytest.raises(BundleError, match=r"audit_pixels is .*, expected one whole number from 1 to 1350"):
+        audit_pixels({"audit_pixels": np.array(value)})
+    assert audit_pixels({"audit_pixels": np.array(12, np.uint16)}) == 12
+    assert audit_pixels(None) is None
+
+
+def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
+    pipeline = Pipeline(tiny, hello, solver="tikhonov")
+    pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
+    pipeline._gate, pipeline.audit = Blind(), GateAudit(9)
+    for sequence in range(1, 2 * AUDIT_FRAMES):
+        assert go(pipeline, payload(touched, sequence))
+        assert pipeline.record.solver == "none"
