@@ -1,0 +1,146 @@
+"""Where the points along one side of a sheet end: the most likely polynomial, between a step's blur and stray points.
+
+Points lie on the sheet with rho per square millimetre and each coordinate is off by about sigma, so a point at the
+distance x outwards is met with the density rho Phi((e - x) / sigma), e(a) being the side. The polynomial e that makes
+the points most likely, the empty places beyond the side included, is the greatest of ::
+
+    sum_i log(eps + (1 - eps) Phi((e(a_i) - x_i) / sigma))  -  integral rho e da  -  penalty on the bends of e
+
+It uses the few points at the step and no others: sqrt(sigma / rho) is its error for a side of 1 mm, whereas counting in
+a band of width w has sqrt(w / rho). eps, the share of stray points, keeps one of them from pulling the side out. sigma
+is the most likely of a few. The greatest of n draws lies short of the end of their interval by 1/n of it, and so does a
+likelihood's: that is added.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.special import ndtr
+
+Array = npt.NDArray[np.float64]
+
+DEGREE: Final = 5
+"""Degree of a side's polynomial."""
+
+BEND_MM: Final = (np.inf, np.inf, 3.0, 1.0, 0.4, 0.25)
+"""What each Legendre coefficient of a side is known to be within: charts of twisted, dented sheets have such sides."""
+
+STRAY: Final = 0.003
+"""eps, the density of stray points beyond the side over that on the sheet."""
+
+STRIP_MM: Final = 8.0
+"""Width of the strips that the density is taken in."""
+
+DENSITY_MM: Final = (1.0, 10.0)
+"""Between these depths inside the side the density is taken."""
+
+FILLED: Final = 0.4
+"""A strip with less than this part of the median density is a notch: the side runs through it unseen."""
+
+REACH_MM: Final = (3.0, 6.0)
+"""Points from this far inside the side to this far outside take part."""
+
+BLURS_MM: Final = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05)
+"""Values of sigma, of which the most likely is taken; each starts from the last one's side."""
+
+STEPS: Final = 5
+"""Newton steps for each sigma."""
+
+
+@dataclass(frozen=True, slots=True)
+class Edge:
+    """One side of the sheet."""
+
+    coefficients: Array
+    """Of powers of the place along the side / 100 mm."""
+    sigma_mm: float
+    """Standard deviation of the side's mean place."""
+    blur_mm: float
+    """How soft the points' end is."""
+
+
+def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array) -> Edge:
+    """Return where points end.
+
+    Args:
+        along: (n,) place along the side in mm.
+        out: (n,) distance outwards in mm, from any line.
+        span: Where along the side the sheet begins and ends.
+        start: Coefficients of a first guess, as in :class:`Edge`.
+
+    Raises:
+        ValueError: The side is nowhere seen.
+    """
+    low, high = span
+    depth = np.polynomial.polynomial.polyval(along / 100.0, start) - out
+    n = max(int((high - low) / STRIP_MM), 4)
+    width = (high - low) / n
+    place = (along - low) / width
+    on = (place >= 0.0) & (place < n) & (depth > -REACH_MM[1]) & (depth < DENSITY_MM[1])
+    place, depth, along, out = place[on], depth[on], along[on], out[on]
+    strip = place.astype(np.intp)
+    density = np.bincount(strip[depth > DENSITY_MM[0]], minlength=n) / (width * (DENSITY_MM[1] - DENSITY_MM[0]))
+    filled = density > FILLED * float(np.median(density))
+    if filled.sum() < n // 2 or not density.any():
+        raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
+    near = (depth < REACH_MM[0]) & filled[strip]
+    at, out = 2.0 * (along[near] - low) / (high - low) - 1.0, out[near]
+    middle = (2.0 * np.arange(n) + 1.0) / n - 1.0
+    mass = np.where(filled, density * width, 0.0) @ _legendre(middle)
+    powers = np.polynomial.polynomial.polyval((low + (middle + 1.0) / 2.0 * (high - low)) / 100.0, start)
+    guess = np.linalg.lstsq(_legendre(middle)[:, :4], powers, rcond=None)[0]
+    guess = np.concatenate([guess, np.zeros(DEGREE + 1 - len(guess))])
+    found = []
+    for blur in BLURS_MM:
+        guess, value, information = _most_likely(_legendre(at), out, mass, guess, blur)
+        found.append((value, blur, guess, information))
+    _, blur, guess, information = max(found, key=lambda item: item[0])
+    per_mm = float(mass[0])  # points in a strip of 1 mm along the whole side
+    stiff = 1.0 / np.square(BEND_MM)
+    free = float(np.trace(np.linalg.solve(information + np.diag(stiff), information)))
+    crowd = blur * per_mm / free
+    guess = guess.copy()
+    guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * crowd))
+    sigma = float(np.sqrt(np.linalg.inv(information + np.diag(stiff + 1e-12))[0, 0]))
+    legendre = np.polynomial.Legendre(guess, domain=(low / 100.0, high / 100.0))
+    coefficients = np.zeros(DEGREE + 1)
+    power = legendre.convert(kind=np.polynomial.Polynomial, domain=(-1.0, 1.0)).coef
+    coefficients[: len(power)] = power
+    return Edge(coefficients, sigma, blur)
+
+
+def _legendre(at: Array) -> Array:
+    return np.asarray(np.polynomial.legendre.legvander(at, DEGREE))
+
+
+def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[Array, float, Array]:
+    """Coefficients, the logarithm of their likelihood, and its second derivatives."""
+    stiff = np.diag(1.0 / np.square(BEND_MM))
+    best, best_value, best_information, step = guess, -np.inf, stiff, np.zeros(len(guess))
+    for _ in range(STEPS + 6):
+        value, slope, information = _likelihood(design, out, mass, best + step, blur)
+        value -= 0.5 * float((best + step) @ stiff @ (best + step))
+        if value < best_value:
+            step = 0.5 * step
+            if np.abs(step).sum() < 1e-4:
+                break
+            continue
+        rise = value - best_value
+        best, best_value, best_information = best + step, value, information
+        if rise < 1e-3:
+            break
+        step = np.linalg.solve(information + stiff + 1e-6 * np.eye(len(guess)), slope - stiff @ best)
+        step *= min(1.0, 2.0 * blur / max(float(np.abs(step).sum()), 1e-12)) if blur > 0.4 else 1.0
+    return best, best_value, best_information
+
+
+def _likelihood(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[float, Array, Array]:
+    z = (design @ guess - out) / blur
+    here = STRAY + (1.0 - STRAY) * ndtr(z)
+    hazard = (1.0 - STRAY) * np.exp(-0.5 * z * z) / (np.sqrt(2.0 * np.pi) * here)
+    curve = np.maximum(hazard * (z + hazard), 0.0)
+    value = float(np.log(here).sum() - mass @ guess)
+    slope = design.T @ hazard / blur - mass
+    return value, slope, (design * (curve / blur**2)[:, None]).T @ design
