@@ -24,8 +24,9 @@ Array = npt.NDArray[np.float64]
 DEGREE: Final = 5
 """Degree of a side's polynomial."""
 
-BEND_MM: Final = (np.inf, np.inf, 3.0, 1.0, 0.4, 0.25)
-"""What each Legendre coefficient of a side is known to be within: charts of twisted, dented sheets have such sides."""
+BEND_MM: Final = (1e3, 1e3, 0.2, 0.1, 0.04, 0.03)
+"""Usual size of a side's Legendre coefficients; charts of twisted, dented sheets have larger ones, so it is a Cauchy's
+law that they are drawn from."""
 
 STRAY: Final = 0.003
 """eps, the density of stray points beyond the side over that on the sheet."""
@@ -43,7 +44,8 @@ REACH_MM: Final = (3.0, 6.0)
 """Points from this far inside the side to this far outside take part."""
 
 BLURS_MM: Final = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05)
-"""Values of sigma, of which the most likely is taken; each starts from the last one's side."""
+"""Values of sigma, of which the most likely that is no less than the points' noise is taken; each starts from the last
+one's side."""
 
 STEPS: Final = 5
 """Newton steps for each sigma."""
@@ -61,7 +63,7 @@ class Edge:
     """How soft the points' end is."""
 
 
-def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array) -> Edge:
+def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, noise_mm: float) -> Edge:
     """Return where points end.
 
     Args:
@@ -69,6 +71,7 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array) 
         out: (n,) distance outwards in mm, from any line.
         span: Where along the side the sheet begins and ends.
         start: Coefficients of a first guess, as in :class:`Edge`.
+        noise_mm: Standard deviation of the points.
 
     Raises:
         ValueError: The side is nowhere seen.
@@ -93,22 +96,27 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array) 
     guess = np.linalg.lstsq(_legendre(middle)[:, :4], powers, rcond=None)[0]
     guess = np.concatenate([guess, np.zeros(DEGREE + 1 - len(guess))])
     found = []
-    for blur in BLURS_MM:
+    for blur in (*(blur for blur in BLURS_MM if blur > 1.3 * noise_mm), max(noise_mm, 0.5 * BLURS_MM[-1])):
         guess, value, information = _most_likely(_legendre(at), out, mass, guess, blur)
         found.append((value, blur, guess, information))
     _, blur, guess, information = max(found, key=lambda item: item[0])
     per_mm = float(mass[0])  # points in a strip of 1 mm along the whole side
-    stiff = 1.0 / np.square(BEND_MM)
-    free = float(np.trace(np.linalg.solve(information + np.diag(stiff), information)))
+    whole = information + np.diag(_stiffness(guess))
+    free = float(np.trace(np.linalg.solve(whole, information)))
     crowd = blur * per_mm / free
     guess = guess.copy()
     guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * crowd))
-    sigma = float(np.sqrt(np.linalg.inv(information + np.diag(stiff + 1e-12))[0, 0]))
+    sigma = float(np.sqrt(np.linalg.inv(whole)[0, 0]))
     legendre = np.polynomial.Legendre(guess, domain=(low / 100.0, high / 100.0))
     coefficients = np.zeros(DEGREE + 1)
     power = legendre.convert(kind=np.polynomial.Polynomial, domain=(-1.0, 1.0)).coef
     coefficients[: len(power)] = power
     return Edge(coefficients, sigma, blur)
+
+
+def _stiffness(guess: Array) -> Array:
+    """(DEGREE + 1,) second derivatives of a parabola that lies under the logarithm of Cauchy's law and touches it."""
+    return np.asarray(2.0 / (np.square(BEND_MM) + guess**2))
 
 
 def _legendre(at: Array) -> Array:
@@ -117,11 +125,10 @@ def _legendre(at: Array) -> Array:
 
 def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[Array, float, Array]:
     """Coefficients, the logarithm of their likelihood, and its second derivatives."""
-    stiff = np.diag(1.0 / np.square(BEND_MM))
-    best, best_value, best_information, step = guess, -np.inf, stiff, np.zeros(len(guess))
+    best, best_value, best_information, step = guess, -np.inf, np.zeros((len(guess),) * 2), np.zeros(len(guess))
     for _ in range(STEPS + 6):
         value, slope, information = _likelihood(design, out, mass, best + step, blur)
-        value -= 0.5 * float((best + step) @ stiff @ (best + step))
+        value -= float(np.log1p(np.square((best + step) / BEND_MM)).sum())
         if value < best_value:
             step = 0.5 * step
             if np.abs(step).sum() < 1e-4:
@@ -131,7 +138,8 @@ def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: flo
         best, best_value, best_information = best + step, value, information
         if rise < 1e-3:
             break
-        step = np.linalg.solve(information + stiff + 1e-6 * np.eye(len(guess)), slope - stiff @ best)
+        stiff = _stiffness(best)
+        step = np.linalg.solve(information + np.diag(stiff), slope - stiff * best)
         step *= min(1.0, 2.0 * blur / max(float(np.abs(step).sum()), 1e-12)) if blur > 0.4 else 1.0
     return best, best_value, best_information
 

@@ -85,7 +85,7 @@ def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | N
     points = _check_points(points_mm)
     try:
         chart = unroll(points)
-        outline = find_outline(chart.uv_mm)
+        outline = find_outline(chart.uv_mm, chart.noise_mm)
     except ValueError as error:
         raise PointCloudError(f"the points do not show the sheet: {error}") from error
     _check_size(outline.size_mm)

@@ -60,11 +60,12 @@ class Outline:
         return np.stack([(u - low_u) / (_at(right, v) - low_u), (v - low_v) / (_at(top, u) - low_v)])
 
 
-def find_outline(uv_mm: Array) -> Outline:
+def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
     """Return the four sides of a charted sheet.
 
     Args:
         uv_mm: (2, n) points on the chart.
+        noise_mm: Standard deviation of the points.
 
     Raises:
         ValueError: A side has too few points.
@@ -79,7 +80,7 @@ def find_outline(uv_mm: Array) -> Outline:
         edges = []
         for (across, along, sign), side, ends in zip(_SIDES, guess, _ENDS, strict=True):
             span = (float(corners[ends[0]][along]), float(corners[ends[1]][along]))
-            edges.append(fit_edge(box[along], sign * box[across], span, sign * side))
+            edges.append(fit_edge(box[along], sign * box[across], span, sign * side, noise_mm))
         guess = [sign * edge.coefficients for (_, _, sign), edge in zip(_SIDES, edges, strict=True)]
     left, right, bottom, top = guess
     corners = _corners(guess)
