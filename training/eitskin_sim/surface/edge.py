@@ -19,12 +19,14 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
+from eitskin_sim.surface.rows import find_rows
+
 Array = npt.NDArray[np.float64]
 
 DEGREE: Final = 5
 """Degree of a side's polynomial."""
 
-BEND_MM: Final = (1e3, 1e3, 0.2, 0.1, 0.04, 0.03)
+BEND_MM: Final = (1e3, 1e3, 0.2, 0.1, 0.08, 0.06)
 """Usual size of a side's Legendre coefficients; charts of twisted, dented sheets have larger ones, so it is a Cauchy's
 law that they are drawn from."""
 
@@ -47,7 +49,13 @@ BLURS_MM: Final = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05)
 """Values of sigma, of which the most likely that is no less than the points' noise is taken; each starts from the last
 one's side."""
 
-STEPS: Final = 5
+SHARP: Final = 0.05
+"""No sigma is less than this part of the points' mean distance."""
+
+LARGEST_STEP_MM: Final = 0.3
+"""A Newton step is cut to this, or to two sigma."""
+
+STEPS: Final = 11
 """Newton steps for each sigma."""
 
 
@@ -61,6 +69,8 @@ class Edge:
     """Standard deviation of the side's mean place."""
     blur_mm: float
     """How soft the points' end is."""
+    rows_mm: float
+    """Distance of the points' rows, if they lie in rows along the side, which then is their outermost; else 0."""
 
 
 def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, noise_mm: float) -> Edge:
@@ -89,6 +99,7 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, 
     if filled.sum() < n // 2 or not density.any():
         raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
     near = (depth < REACH_MM[0]) & filled[strip]
+    out_all = out
     at, out = 2.0 * (along[near] - low) / (high - low) - 1.0, out[near]
     middle = (2.0 * np.arange(n) + 1.0) / n - 1.0
     mass = np.where(filled, density * width, 0.0) @ _legendre(middle)
@@ -96,22 +107,28 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, 
     guess = np.linalg.lstsq(_legendre(middle)[:, :4], powers, rcond=None)[0]
     guess = np.concatenate([guess, np.zeros(DEGREE + 1 - len(guess))])
     found = []
-    for blur in (*(blur for blur in BLURS_MM if blur > 1.3 * noise_mm), max(noise_mm, 0.5 * BLURS_MM[-1])):
+    least = max(noise_mm, SHARP / float(np.sqrt(np.median(density))))
+    for blur in (*(blur for blur in BLURS_MM if blur > 1.3 * least), least):
         guess, value, information = _most_likely(_legendre(at), out, mass, guess, blur)
         found.append((value, blur, guess, information))
     _, blur, guess, information = max(found, key=lambda item: item[0])
-    per_mm = float(mass[0])  # points in a strip of 1 mm along the whole side
-    whole = information + np.diag(_stiffness(guess))
-    free = float(np.trace(np.linalg.solve(whole, information)))
-    crowd = blur * per_mm / free
     guess = guess.copy()
-    guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * crowd))
+    whole = information + np.diag(_stiffness(guess))
     sigma = float(np.sqrt(np.linalg.inv(whole)[0, 0]))
+    design = _legendre(2.0 * place / n - 1.0)
+    rows = find_rows(design @ guess - out_all, float(np.median(density)))
+    if rows is None:
+        per_mm = float(mass[0])  # points in a strip of 1 mm along the whole side
+        free = max(float(np.trace(np.linalg.solve(whole, information))), 1.0)
+        crowd = blur * per_mm / free
+        guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * crowd))
+    else:
+        guess[0] -= rows[0]
     legendre = np.polynomial.Legendre(guess, domain=(low / 100.0, high / 100.0))
     coefficients = np.zeros(DEGREE + 1)
     power = legendre.convert(kind=np.polynomial.Polynomial, domain=(-1.0, 1.0)).coef
     coefficients[: len(power)] = power
-    return Edge(coefficients, sigma, blur)
+    return Edge(coefficients, sigma, blur, 0.0 if rows is None else rows[1])
 
 
 def _stiffness(guess: Array) -> Array:
@@ -126,7 +143,7 @@ def _legendre(at: Array) -> Array:
 def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[Array, float, Array]:
     """Coefficients, the logarithm of their likelihood, and its second derivatives."""
     best, best_value, best_information, step = guess, -np.inf, np.zeros((len(guess),) * 2), np.zeros(len(guess))
-    for _ in range(STEPS + 6):
+    for _ in range(STEPS):
         value, slope, information = _likelihood(design, out, mass, best + step, blur)
         value -= float(np.log1p(np.square((best + step) / BEND_MM)).sum())
         if value < best_value:
@@ -140,7 +157,7 @@ def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: flo
             break
         stiff = _stiffness(best)
         step = np.linalg.solve(information + np.diag(stiff), slope - stiff * best)
-        step *= min(1.0, 2.0 * blur / max(float(np.abs(step).sum()), 1e-12)) if blur > 0.4 else 1.0
+        step *= min(1.0, max(2.0 * blur, LARGEST_STEP_MM) / max(float(np.abs(step).sum()), 1e-12))
     return best, best_value, best_information
 
 

@@ -20,6 +20,7 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_sim.surface.edge import DEGREE, Edge, fit_edge
 
 Array = npt.NDArray[np.float64]
@@ -35,6 +36,9 @@ ROUGH_DEGREE: Final = 3
 
 ROUNDS: Final = 2
 """How often the sides are found anew between the corners of the last."""
+
+SAME_SIZE_MM: Final = 0.4
+"""A grid of points that spans the flat sheet within this is one of the unstretched sheet."""
 
 PIXEL_POINTS: Final = 6.0
 """Holes are looked for on pixels that hold this many points on average: two or more nearly always."""
@@ -82,13 +86,41 @@ def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
             span = (float(corners[ends[0]][along]), float(corners[ends[1]][along]))
             edges.append(fit_edge(box[along], sign * box[across], span, sign * side, noise_mm))
         guess = [sign * edge.coefficients for (_, _, sign), edge in zip(_SIDES, edges, strict=True)]
+    guess = _beyond_rows(guess, edges)
     left, right, bottom, top = guess
-    corners = _corners(guess)
+    return Outline(rotation, (left, right, bottom, top), _spans(guess))
+
+
+def _spans(sides: list[Array]) -> tuple[float, float]:
+    """Mean length and mean width between four sides."""
+    left, right, bottom, top = sides
+    corners = _corners(sides)
     at = np.linspace(0.0, 1.0, 21)
     v = corners[0][1] + at * (corners[2][1] - corners[0][1])
     u = corners[0][0] + at * (corners[1][0] - corners[0][0])
-    spans = float(np.mean(_at(right, v) - _at(left, v))), float(np.mean(_at(top, u) - _at(bottom, u)))
-    return Outline(rotation, (left, right, bottom, top), spans)
+    return float(np.mean(_at(right, v) - _at(left, v))), float(np.mean(_at(top, u) - _at(bottom, u)))
+
+
+def _beyond_rows(sides: list[Array], edges: list[Edge]) -> list[Array]:
+    """Sides moved from the outermost rows of a regular grid to where the border is.
+
+    That is half a row's distance farther out if the points are the middles of cells, and no farther if the grid ends on
+    the border. A sheet of the size of the flat one tells; of any other, the middle of the two is taken.
+    """
+    if not any(edge.rows_mm for edge in edges):
+        return sides
+
+    def moved(part: float) -> list[Array]:
+        shift = np.eye(DEGREE + 1)[0]
+        return [
+            side + sign * part * 0.5 * edge.rows_mm * shift
+            for side, edge, (_, _, sign) in zip(sides, edges, _SIDES, strict=True)
+        ]
+
+    for part in (0.0, 1.0):
+        if np.allclose(_spans(moved(part)), SHEET_MM, rtol=0.0, atol=SAME_SIZE_MM):
+            return moved(part)
+    return moved(0.5)
 
 
 def _rough_side(along: Array, out: Array, density: float) -> Array:
