@@ -66,7 +66,7 @@ class Edge:
     coefficients: Array
     """Of powers of the place along the side / 100 mm."""
     sigma_mm: float
-    """Standard deviation of the side's mean place."""
+    """Root mean square, along the side, of what its place is uncertain by."""
     blur_mm: float
     """How soft the points' end is."""
     rows_mm: float
@@ -87,48 +87,51 @@ def fit_edge(along: Array, out: Array, span: tuple[float, float], start: Array, 
         ValueError: The side is nowhere seen.
     """
     low, high = span
-    depth = np.polynomial.polynomial.polyval(along / 100.0, start) - out
+    depth = np.asarray(np.polynomial.polynomial.polyval(along / 100.0, start) - out)
+    on = (along >= low) & (along < high) & (depth > -REACH_MM[1]) & (depth < DENSITY_MM[1])
+    depth, out = depth[on], out[on]
+    at = 2.0 * (along[on] - low) / (high - low) - 1.0
     n = max(int((high - low) / STRIP_MM), 4)
+    strip = ((at + 1.0) * (0.5 * n)).astype(np.intp)
     width = (high - low) / n
-    place = (along - low) / width
-    on = (place >= 0.0) & (place < n) & (depth > -REACH_MM[1]) & (depth < DENSITY_MM[1])
-    place, depth, along, out = place[on], depth[on], along[on], out[on]
-    strip = place.astype(np.intp)
     density = np.bincount(strip[depth > DENSITY_MM[0]], minlength=n) / (width * (DENSITY_MM[1] - DENSITY_MM[0]))
-    filled = density > FILLED * float(np.median(density))
-    if filled.sum() < n // 2 or not density.any():
+    usual = float(np.median(density))
+    filled = density > FILLED * usual
+    if filled.sum() < n // 2 or usual == 0.0:
         raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
     near = (depth < REACH_MM[0]) & filled[strip]
-    out_all = out
-    at, out = 2.0 * (along[near] - low) / (high - low) - 1.0, out[near]
     middle = (2.0 * np.arange(n) + 1.0) / n - 1.0
     mass = np.where(filled, density * width, 0.0) @ _legendre(middle)
-    powers = np.polynomial.polynomial.polyval((low + (middle + 1.0) / 2.0 * (high - low)) / 100.0, start)
-    guess = np.linalg.lstsq(_legendre(middle)[:, :4], powers, rcond=None)[0]
-    guess = np.concatenate([guess, np.zeros(DEGREE + 1 - len(guess))])
+    design = _legendre(at)
+    guess = np.zeros(DEGREE + 1)
+    guess[:4] = np.linalg.lstsq(
+        _legendre(middle)[:, :4], np.polynomial.polynomial.polyval(_along(middle, span), start), rcond=None
+    )[0]
+    least = max(noise_mm, SHARP / float(np.sqrt(usual)))
     found = []
-    least = max(noise_mm, SHARP / float(np.sqrt(np.median(density))))
     for blur in (*(blur for blur in BLURS_MM if blur > 1.3 * least), least):
-        guess, value, information = _most_likely(_legendre(at), out, mass, guess, blur)
+        guess, value, information = _most_likely(design[near], out[near], mass, guess, blur)
         found.append((value, blur, guess, information))
     _, blur, guess, information = max(found, key=lambda item: item[0])
     guess = guess.copy()
     whole = information + np.diag(_stiffness(guess))
-    sigma = float(np.sqrt(np.linalg.inv(whole)[0, 0]))
-    design = _legendre(2.0 * place / n - 1.0)
-    rows = find_rows(design @ guess - out_all, float(np.median(density)))
+    variance = np.diag(np.linalg.inv(whole))
+    rows = find_rows(design @ guess - out, usual)
     if rows is None:
         per_mm = float(mass[0])  # points in a strip of 1 mm along the whole side
         free = max(float(np.trace(np.linalg.solve(whole, information))), 1.0)
-        crowd = blur * per_mm / free
-        guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * crowd))
+        guess[0] += free / per_mm * (0.37 + 0.63 / (1.0 + 4.0 * blur * per_mm / free))
     else:
         guess[0] -= rows[0]
-    legendre = np.polynomial.Legendre(guess, domain=(low / 100.0, high / 100.0))
-    coefficients = np.zeros(DEGREE + 1)
-    power = legendre.convert(kind=np.polynomial.Polynomial, domain=(-1.0, 1.0)).coef
-    coefficients[: len(power)] = power
-    return Edge(coefficients, sigma, blur, 0.0 if rows is None else rows[1])
+    places = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    powers = np.linalg.solve(np.vander(_along(places, span), increasing=True), _legendre(places) @ guess)
+    sigma = float(np.sqrt(np.sum(variance / (2.0 * np.arange(DEGREE + 1) + 1.0))))
+    return Edge(np.asarray(powers, dtype=np.float64), sigma, blur, 0.0 if rows is None else rows[1])
+
+
+def _along(at: Array, span: tuple[float, float]) -> Array:
+    """Places along the side / 100 mm of places from -1 to 1."""
+    return np.asarray((span[0] + (at + 1.0) * (0.5 * (span[1] - span[0]))) / 100.0)
 
 
 def _stiffness(guess: Array) -> Array:
@@ -142,7 +145,8 @@ def _legendre(at: Array) -> Array:
 
 def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: float) -> tuple[Array, float, Array]:
     """Coefficients, the logarithm of their likelihood, and its second derivatives."""
-    best, best_value, best_information, step = guess, -np.inf, np.zeros((len(guess),) * 2), np.zeros(len(guess))
+    best, best_value, best_information = guess, -np.inf, np.zeros((len(guess),) * 2)
+    step: Array = np.zeros(len(guess))
     for _ in range(STEPS):
         value, slope, information = _likelihood(design, out, mass, best + step, blur)
         value -= float(np.log1p(np.square((best + step) / BEND_MM)).sum())
@@ -156,7 +160,7 @@ def _most_likely(design: Array, out: Array, mass: Array, guess: Array, blur: flo
         if rise < 1e-3:
             break
         stiff = _stiffness(best)
-        step = np.linalg.solve(information + np.diag(stiff), slope - stiff * best)
+        step = np.asarray(np.linalg.solve(information + np.diag(stiff), slope - stiff * best), dtype=np.float64)
         step *= min(1.0, max(2.0 * blur, LARGEST_STEP_MM) / max(float(np.abs(step).sum()), 1e-12))
     return best, best_value, best_information
 

@@ -44,7 +44,6 @@ PIXEL_POINTS: Final = 6.0
 """Holes are looked for on pixels that hold this many points on average: two or more nearly always."""
 
 
-
 @dataclass(frozen=True, slots=True)
 class Outline:
     """The sides of the sheet on its chart."""
@@ -55,6 +54,10 @@ class Outline:
     """Left, right, bottom, top: coefficients of the distance as a polynomial of the place along the side / 100 mm."""
     size_mm: tuple[float, float]
     """Mean length and mean width."""
+    sigma_mm: float
+    """Root mean square of what the sides' places are uncertain by, from place to place."""
+    shift_mm: float
+    """The same of whole sides: a regular grid shows only roughly where the border is."""
 
     def to_square(self, uv_mm: Array) -> Array:
         """Return (2, n) places a, b in the unit square of chart points (2, n)."""
@@ -86,9 +89,13 @@ def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
             span = (float(corners[ends[0]][along]), float(corners[ends[1]][along]))
             edges.append(fit_edge(box[along], sign * box[across], span, sign * side, noise_mm))
         guess = [sign * edge.coefficients for (_, _, sign), edge in zip(_SIDES, edges, strict=True)]
-    guess = _beyond_rows(guess, edges)
+    guess, doubt = _beyond_rows(guess, edges)
+    sigma, shift = (
+        float(np.sqrt(np.mean(np.square(values))))
+        for values in ([edge.sigma_mm for edge in edges], [doubt * edge.rows_mm for edge in edges])
+    )
     left, right, bottom, top = guess
-    return Outline(rotation, (left, right, bottom, top), _spans(guess))
+    return Outline(rotation, (left, right, bottom, top), _spans(guess), sigma, shift)
 
 
 def _spans(sides: list[Array]) -> tuple[float, float]:
@@ -101,14 +108,15 @@ def _spans(sides: list[Array]) -> tuple[float, float]:
     return float(np.mean(_at(right, v) - _at(left, v))), float(np.mean(_at(top, u) - _at(bottom, u)))
 
 
-def _beyond_rows(sides: list[Array], edges: list[Edge]) -> list[Array]:
+def _beyond_rows(sides: list[Array], edges: list[Edge]) -> tuple[list[Array], float]:
     """Sides moved from the outermost rows of a regular grid to where the border is.
 
     That is half a row's distance farther out if the points are the middles of cells, and no farther if the grid ends on
-    the border. A sheet of the size of the flat one tells; of any other, the middle of the two is taken.
+    the border. A sheet of the size of the flat one tells; of any other, the middle of the two is taken. Returned
+    beside: what the border is uncertain by, in distances of the rows.
     """
     if not any(edge.rows_mm for edge in edges):
-        return sides
+        return sides, 0.0
 
     def moved(part: float) -> list[Array]:
         shift = np.eye(DEGREE + 1)[0]
@@ -119,8 +127,8 @@ def _beyond_rows(sides: list[Array], edges: list[Edge]) -> list[Array]:
 
     for part in (0.0, 1.0):
         if np.allclose(_spans(moved(part)), SHEET_MM, rtol=0.0, atol=SAME_SIZE_MM):
-            return moved(part)
-    return moved(0.5)
+            return moved(part), 0.0
+    return moved(0.5), 0.25
 
 
 def _rough_side(along: Array, out: Array, density: float) -> Array:
@@ -138,7 +146,7 @@ def _rough_side(along: Array, out: Array, density: float) -> Array:
     if seen.sum() < 2 * ROUGH_DEGREE:
         raise ValueError(f"a side of the sheet has points in only {seen.sum()} of {n} strips along it")
     measured = out[order][last[seen] - 3] + 2.5 / (density * width)
-    centre = (low + (np.arange(n) + 0.5) * width)[seen]
+    centre = np.asarray((low + (np.arange(n) + 0.5) * width)[seen], dtype=np.float64)
     return np.concatenate([_robust(centre / 100.0, measured), np.zeros(DEGREE - ROUGH_DEGREE)])
 
 
@@ -149,7 +157,7 @@ def _corners(sides: list[Array]) -> list[tuple[float, float]]:
         for upright in (sides[0], sides[1]):
             u = v = 0.0
             for _ in range(12):  # the sides are nearly at right angles: each round leaves a tenth of the distance
-                u, v = float(_at(upright, np.float64(v))), float(_at(across, np.float64(u)))
+                u, v = float(_at(upright, np.array(v))), float(_at(across, np.array(u)))
             found.append((u, v))
     return found
 

@@ -14,8 +14,11 @@ Array = npt.NDArray[np.float64]
 DEPTH_ROWS: Final = 8.0
 """How deep under the side rows are looked for, in mean distances of the points."""
 
-DISTANCES: Final = np.geomspace(0.6, 1.7, 120)
+DISTANCES: Final = np.geomspace(0.6, 1.7, 100)
 """Distances of rows that are tried, in mean distances of the points."""
+
+BINS: Final = 12
+"""Bins of depth in a mean distance."""
 
 COHERENT: Final = 0.6
 """A Fourier sum of this part of the points means rows: in a grid that is jittered by a fifth of its distance it is
@@ -34,7 +37,10 @@ def find_rows(depth_mm: Array, density: float) -> tuple[float, float] | None:
     if len(depth) < 2.0 * DEPTH_ROWS:
         return None
     distances = DISTANCES * spacing
-    sums = np.exp(2j * np.pi * depth[:, None] / distances).mean(axis=0)
+    bins = np.floor((depth / spacing + 1.0) * BINS).astype(np.intp)
+    weight = np.bincount(bins) / len(depth)
+    middle = ((np.arange(len(weight)) + 0.5) / BINS - 1.0) * spacing
+    sums = weight @ np.exp(2j * np.pi * middle[:, None] / distances)
     best = int(np.argmax(np.abs(sums)))
     if np.abs(sums[best]) < COHERENT:
         return None

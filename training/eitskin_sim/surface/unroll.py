@@ -37,10 +37,10 @@ EXTENT_MM: Final = 260.0
 SPARSE_CUBE: Final = 0.15
 """A cube with less than this part of the median count is no part of the graph."""
 
-LEAST_MEAN: Final = 2.5
-"""With fewer points in a cube on average the cubes are made larger; points 2 mm apart have 2.7."""
+LEAST_MEAN: Final = 4.0
+"""With fewer points in a cube on average the cubes are made larger; points 2 mm apart have 3.4."""
 
-ENOUGH_MEAN: Final = 4.0
+ENOUGH_MEAN: Final = 5.0
 """So many points an average larger cube shall hold."""
 
 LINK_CELLS: Final = 1.6
@@ -106,7 +106,9 @@ def unroll(points_mm: Array) -> Chart:
     uv = _integrate(nodes, frame, close[:, 0], close[:, 1]) if _connected(close, len(nodes)) else None
     if uv is None:
         uv = _integrate(nodes, frame, pairs[:, 0], pairs[:, 1])
-    return _place(axes, _node_of_cube(centroid, keep, 2.0 * cell_mm)[cube], nodes, frame, curvature, uv, total=len(points_mm))
+    return _place(
+        axes, _node_of_cube(centroid, keep, 2.0 * cell_mm)[cube], nodes, frame, curvature, uv, total=len(points_mm)
+    )
 
 
 def _bin(axes: Array, cell_mm: float) -> tuple[npt.NDArray[np.intp], Array]:
