@@ -37,6 +37,9 @@ ROUGH_DEGREE: Final = 3
 ROUNDS: Final = 2
 """How often the sides are found anew between the corners of the last."""
 
+FARTHEST_MM: Final = 1e4
+"""No corner lies farther from the chart's origin."""
+
 SAME_SIZE_MM: Final = 0.4
 """A grid of points that spans the flat sheet within this is one of the unstretched sheet."""
 
@@ -151,13 +154,19 @@ def _rough_side(along: Array, out: Array, density: float) -> Array:
 
 
 def _corners(sides: list[Array]) -> list[tuple[float, float]]:
-    """(u, v) of left-bottom, right-bottom, left-top and right-top."""
+    """(u, v) of left-bottom, right-bottom, left-top and right-top.
+
+    Raises:
+        ValueError: Two sides do not meet.
+    """
     found = []
     for across in (sides[2], sides[3]):
         for upright in (sides[0], sides[1]):
             u = v = 0.0
             for _ in range(12):  # the sides are nearly at right angles: each round leaves a tenth of the distance
                 u, v = float(_at(upright, np.array(v))), float(_at(across, np.array(u)))
+                if max(abs(u), abs(v)) > FARTHEST_MM:
+                    raise ValueError("two sides do not meet in a corner; expected four sides, nearly at right angles")
             found.append((u, v))
     return found
 
