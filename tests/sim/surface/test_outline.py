@@ -1,5 +1,6 @@
 """The sheet's border from raw points: as sharp as they allow, on regular grids too, and its doubt is told."""
 
+import json
 from functools import lru_cache
 from itertools import pairwise
 
@@ -14,6 +15,7 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise
 from eitskin_sim.surface.predict import predict
 from eitskin_sim.surface.rows import find_rows
+from eitskin_tools import cli
 
 SHEET = Sheet()
 FLAT = Bend()
@@ -117,13 +119,13 @@ def test_prediction_from_points_is_as_good_over_many_draws():
 
 
 def test_prediction_gets_better_with_density():
-    draws = draw("A", 5, 5)
+    draws = draw("A", 5, 20262)
     by_spacing = [median_off(spacing, 0.1, draws) for spacing in (3.0, 1.5, 0.75)]
     assert all(sparse > 1.2 * dense for sparse, dense in pairwise(by_spacing)), by_spacing
 
 
 def test_prediction_gets_better_with_less_noise():
-    draws = draw("A", 5, 5)
+    draws = draw("A", 5, 20262)
     assert median_off(1.0, 0.8, draws) > 1.5 * median_off(1.0, 0.1, draws)
 
 
@@ -190,3 +192,17 @@ def test_points_that_carry_no_sheet_are_refused_in_words(name):
     with pytest.raises(PointCloudError, match=r"expected|do not show the sheet") as caught:
         organise(points)
     assert "ingular" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("spacing", "noise", "doubtful"), [(1.0, 0.1, False), (3.0, 0.3, True)])
+def test_command_warns_where_the_prediction_is_likely_worse_than_none(tmp_path, capsys, spacing, noise, doubtful):
+    rng = np.random.default_rng(3)
+    points, corner = in_a_pose(STRETCHED, even_places(STRETCHED, spacing, rng), noise, rng)
+    np.save(tmp_path / "points.npy", points)
+    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
+    assert cli.main([*words, "--corner", *(f"{value:.3f}" for value in corner)]) == 0
+    output = capsys.readouterr()
+    report = json.loads(output.out)
+    assert (report["prediction_rms"] > DOUBTFUL_RMS) is doubtful
+    assert ("may be worse with it than without" in output.err) is doubtful
+    assert 0.02 < report["outline_sigma_mm"] < 0.5

@@ -45,7 +45,7 @@ FILLED: Final = 0.4
 REACH_MM: Final = (3.0, 6.0)
 """Points from this far inside the side to this far outside take part."""
 
-BLURS_MM: Final = (1.0, 0.5, 0.3, 0.2, 0.1, 0.05)
+BLURS_MM: Final = (1.0, 0.4, 0.2, 0.1, 0.05)
 """Values of sigma, of which the most likely that is no less than the points' noise is taken; each starts from the last
 one's side."""
 

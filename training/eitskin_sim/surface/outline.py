@@ -31,6 +31,9 @@ STRIP_MM: Final = 8.0
 ROUGH_MM: Final = 25.0
 """How deep under the outermost point a side may lie anywhere along it."""
 
+ROUGH_BIN_MM: Final = 0.25
+"""Bins of depth in which points are counted at first."""
+
 ROUGH_DEGREE: Final = 3
 """Degree of the first guess."""
 
@@ -142,13 +145,14 @@ def _rough_side(along: Array, out: Array, density: float) -> Array:
     n = max(int((high - low) / STRIP_MM), 3 * ROUGH_DEGREE)
     width = (high - low) / n
     strip = np.minimum(((along - low) / width).astype(np.intp), n - 1)
-    order = np.lexsort((out, strip))
-    last = np.cumsum(np.bincount(strip, minlength=n))
-    count = np.diff(last, prepend=0)
-    seen = count >= 3
+    bins = int(ROUGH_MM / ROUGH_BIN_MM) + 1
+    below = ((out.max() - out) / ROUGH_BIN_MM).astype(np.intp)
+    count = np.cumsum(np.bincount(strip * bins + below, minlength=n * bins).reshape(n, bins), axis=1)
+    seen = count[:, -1] >= 3
     if seen.sum() < 2 * ROUGH_DEGREE:
         raise ValueError(f"a side of the sheet has points in only {seen.sum()} of {n} strips along it")
-    measured = out[order][last[seen] - 3] + 2.5 / (density * width)
+    third = np.argmax(count >= 3, axis=1)[seen]
+    measured = out.max() - (third + 0.5) * ROUGH_BIN_MM + 2.5 / (density * width)
     centre = np.asarray((low + (np.arange(n) + 0.5) * width)[seen], dtype=np.float64)
     return np.concatenate([_robust(centre / 100.0, measured), np.zeros(DEGREE - ROUGH_DEGREE)])
 
