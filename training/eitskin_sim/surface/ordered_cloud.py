@@ -53,8 +53,8 @@ RMS_PER_SHIFT_MM: Final = 0.045
 """The same where whole sides are shifted: that changes lengths, but bends nothing."""
 
 DOUBTFUL_RMS: Final = 0.02
-"""With more than this V_pred is likely to harm: one sheet in ten is then off by 5 %, which makes maps worse than those
-without a prediction."""
+"""With more than this V_pred may harm: one sheet in ten is then off by 5 % or more, and a V_pred that was 5 % off made
+the sample scene's maps worse than none."""
 
 
 class PointCloudError(SkinError):

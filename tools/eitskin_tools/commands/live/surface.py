@@ -79,8 +79,8 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(
         f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
-        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm, "
-        f"outline within {result.outline_sigma_mm:.2f} mm, largest hole {result.largest_hole_mm:.1f} mm, "
+        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm "
+        f"within {result.outline_sigma_mm:.2f} mm, largest hole {result.largest_hole_mm:.1f} mm, "
         f"{elapsed_ms:.0f} ms"
     )
     if predict_ms is not None:
