@@ -1,76 +1,14 @@
 """Measured points, in any pose and without order, become the ordered cloud."""
 
-import json
-import struct
-
 import numpy as np
 import pytest
 from scipy.spatial import cKDTree
+from tests.sim.surface.raw_points import BENDS, Raw
 
-from eitskin.reference.plausible import check_prediction
 from eitskin_proto.sensor.cloud import align_cloud
-from eitskin_proto.sensor.cloud_file import load_surface
-from eitskin_proto.sensor.grid import GRID_SHAPE, pixel_centres_mm
-from eitskin_proto.sensor.sheet_cloud import check_sheet
-from eitskin_sim.scene import bend as bends
-from eitskin_sim.scene.scene import Bend, Sheet
+from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_sim.scene.scene import Bend
 from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
-from eitskin_sim.surface.point_files import PointFileError, read_points
-from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_tools import cli
-
-SHEET = Sheet()
-
-
-class Raw:
-    """Points of a bend as a scanner would give it, with the pose that nobody tells."""
-
-    def __init__(self, bend, count=20_000, *, noise_mm=0.1, outliers=0.01, holes=(), seed=0):
-        rng = np.random.default_rng(seed)
-        self.bend = bend
-        xy = rng.uniform((0.0, 0.0), SHEET.size_mm, (count, 2))
-        for x, y, radius in holes:
-            xy = xy[np.hypot(xy[:, 0] - x, xy[:, 1] - y) > radius]
-        points = bends.surface(bend, SHEET, xy) + noise_mm * rng.standard_normal((len(xy), 3))
-        stray = rng.choice(len(points), int(outliers * len(points)), replace=False)
-        points[stray] = rng.uniform(points.min(axis=0) - 20, points.max(axis=0) + 20, (len(stray), 3))
-        turn = np.linalg.qr(rng.standard_normal((3, 3)))[0]
-        self.turn = turn * np.sign(np.linalg.det(turn))
-        self.shift = rng.uniform(-300, 300, 3)
-        self.points = rng.permutation(self.to_scan(points))
-
-    def to_scan(self, points):
-        return points @ self.turn.T + self.shift
-
-    def corner(self, x=0.0, y=0.0):
-        return tuple(self.to_scan(bends.surface(self.bend, SHEET, np.array([[x, y]])))[0] + (3.0, -4.0, 2.0))
-
-    def off_and_along(self, result):
-        """(1350,) mm off the true surface, and (1350, 2) flat mm between each point's foot and its pixel's centre."""
-        in_scan = (result.cloud_mm.reshape(3, -1).T - result.translation_mm) @ result.rotation
-        points = (in_scan - self.shift) @ self.turn
-        flat = np.stack(np.meshgrid(np.linspace(0, 150, 76), np.linspace(0, 100, 51)), -1).reshape(-1, 2)
-        foot = flat[cKDTree(bends.surface(self.bend, SHEET, flat)).query(points)[1]]
-        for _ in range(4):  # Gauss-Newton to the foot of the perpendicular
-            here = bends.surface(self.bend, SHEET, foot)
-            sides = [(bends.surface(self.bend, SHEET, foot + step) - here) / 1e-4 for step in ((1e-4, 0), (0, 1e-4))]
-            slope = np.stack(sides, axis=-1)
-            gram = np.swapaxes(slope, 1, 2) @ slope
-            right = np.einsum("nij,ni->nj", slope, points - here)
-            foot = foot + np.linalg.solve(gram, right[..., None])[..., 0]
-        off = np.linalg.norm(points - bends.surface(self.bend, SHEET, foot), axis=1)
-        return off, foot - pixel_centres_mm().reshape(-1, 2)
-
-
-BENDS = {
-    "flat": Bend(),
-    "half a turn, stretched": Bend(angle_deg=180, stretch_along=1.19, stretch_across=0.957),
-    "300 degrees on a slanted axis": Bend(angle_deg=300, axis_deg=15),
-    "skewed": Bend(angle_deg=150, axis_deg=25, skew=0.6, stretch_along=1.1),
-    "twisted": Bend(angle_deg=120, axis_deg=-20, skew=-0.4, twist_deg=25, stretch_along=1.1),
-    "rolled the other way": Bend(angle_deg=90, axis_deg=90),
-    "bumps": Bend(angle_deg=90, axis_deg=10, twist_deg=-20, bumps_mm=((40, 60, 6, 15), (110, 40, -6, 12))),
-}
 
 
 @pytest.mark.parametrize("bend", BENDS.values(), ids=BENDS.keys())
@@ -209,113 +147,6 @@ def test_thin_plate_fit_reproduces_a_plane_exactly_and_a_bump_closely():
 
     raised = smooth_surface.fit_surface(places, np.stack([places[0], places[1], bump(*places)]), (150.0, 100.0))
     assert np.abs(raised[2] - bump(x, y)).max() < 0.05
-
-
-def write_ply(path, points, form):
-    header = f"ply\nformat {form} 1.0\ncomment made by hand\nelement vertex {len(points)}\n"
-    header += "property float x\nproperty double y\nproperty float z\nproperty uchar red\nelement face 1\n"
-    header += "property list uchar int vertex_indices\nend_header\n"
-    if form == "ascii":
-        body = "".join(f"{x:.6f} {y:.6f} {z:.6f} 200\n" for x, y, z in points) + "3 0 1 2\n"
-        path.write_bytes((header + body).encode())
-        return
-    order = "<" if "little" in form else ">"
-    rows = b"".join(struct.pack(f"{order}fdfB", x, y, z, 200) for x, y, z in points)
-    path.write_bytes(header.encode() + rows + struct.pack(f"{order}B3i", 3, 0, 1, 2))
-
-
-@pytest.mark.parametrize("form", ["ascii", "binary_little_endian", "binary_big_endian"])
-def test_ply_files_of_all_three_forms_hold_the_same_points(tmp_path, form):
-    points = np.random.default_rng(0).uniform(-200, 200, (50, 3))
-    write_ply(tmp_path / "points.ply", points, form)
-    assert np.allclose(read_points(tmp_path / "points.ply"), points, atol=2e-5)  # float32 of 200 mm
-
-
-def test_text_and_array_files_are_read(tmp_path):
-    points = np.random.default_rng(0).uniform(-200, 200, (50, 6))
-    np.save(tmp_path / "points.npy", points.astype(np.float32))
-    assert np.allclose(read_points(tmp_path / "points.npy"), points[:, :3], atol=2e-5)
-    np.savetxt(tmp_path / "points.xyz", points, delimiter=",", header="x y z nx ny nz")
-    assert np.allclose(read_points(tmp_path / "points.xyz"), points[:, :3])
-
-
-BROKEN = {
-    "empty.ply": b"",
-    "no_end.ply": b"ply\nformat ascii 1.0\nelement vertex 3\n",
-    "short.ply": b"ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
-    b"end_header\n1 2 3\n",
-    "cut.ply": b"ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\n"
-    b"property float z\nend_header\n\0\0\0\0",
-    "no_z.ply": b"ply\nformat ascii 1.0\nelement vertex 1\nproperty float x\nproperty float y\nend_header\n1 2\n",
-    "words.xyz": b"1 2 3\nfour five six\n",
-    "ragged.xyz": b"1 2 3\n4 5\n",
-    "binary.xyz": b"\xff\xfe\x00\x01",
-    "pickle.npy": b"\x93NUMPY\x01\x00v\x00",
-    "points.obj": b"v 1 2 3\n",
-}
-
-
-@pytest.mark.parametrize("name", BROKEN)
-def test_unreadable_file_is_named_and_nothing_is_written(tmp_path, name, capsys):
-    (tmp_path / name).write_bytes(BROKEN[name])
-    with pytest.raises(PointFileError, match=name.replace(".", r"\.")):
-        read_points(tmp_path / name)
-    assert cli.main(["surface", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
-    captured = capsys.readouterr()
-    assert captured.out == ""
-    assert len(captured.err.strip().splitlines()) == 1
-    assert not (tmp_path / "cloud.npz").exists()
-
-
-def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "points.npy", raw.points)
-    corner = [f"{value:.2f}" for value in raw.corner()]
-    files = [str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
-    words = ["surface", *files, "--json", "--corner", *corner]
-    assert cli.main(words) == 0
-    report = json.loads(capsys.readouterr().out)
-    surface = load_surface(tmp_path / "cloud.npz")
-    assert surface.predicted_V is None
-    cloud = surface.cloud_mm
-    assert cloud.shape == (3, *GRID_SHAPE)
-    assert report["points"] == 8_000
-    assert report["corner"] == "given"
-    assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)
-
-
-def test_command_adds_the_prediction_that_it_is_asked_for(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "points.npy", raw.points)
-    corner = [f"{value:.2f}" for value in raw.corner()]
-    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz"), "--predict", "--json"]
-    assert cli.main([*words, "--corner", *corner]) == 0
-    report = json.loads(capsys.readouterr().out)
-    assert report["predicted"]
-    surface = load_surface(tmp_path / "cloud.npz")
-    assert np.array_equal(surface.predicted_V, predict(surface.cloud_mm))
-    assert np.array_equal(surface.predicted_flat_V, flat_voltages())
-    check_prediction(check_sheet(surface.cloud_mm)[0], surface.predicted_V, surface.predicted_flat_V, None)
-
-
-def test_command_names_the_file_that_is_missing_or_has_too_few_points(tmp_path, capsys):
-    np.save(tmp_path / "few.npy", np.random.default_rng(0).uniform(0, 100, (20, 3)))
-    for name, text in (("nobody.ply", "no file"), ("few.npy", "found 20 finite points")):
-        assert cli.main(["surface", str(tmp_path / name), "--out", str(tmp_path / "cloud.npz")]) == 1
-        error = capsys.readouterr().err
-        assert name in error
-        assert text in error
-        assert error.count("\n") == 1
-    assert not (tmp_path / "cloud.npz").exists()
-
-
-def test_command_says_who_did_not_answer(tmp_path, capsys):
-    raw = Raw(BENDS["half a turn, stretched"], 8_000)
-    np.save(tmp_path / "points.npy", raw.points)
-    words = ["surface", str(tmp_path / "points.npy"), "--out", str(tmp_path / "cloud.npz")]
-    assert cli.main([*words, "--send", "somewhere"]) == 1
-    assert "somewhere" in capsys.readouterr().err
-    assert (tmp_path / "cloud.npz").exists()
 
 
 # A closed form loses half of the digits only where two eigenvalues meet, which a sheet's neighbourhoods never do.

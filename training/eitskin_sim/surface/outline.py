@@ -12,7 +12,6 @@ rides over notches. ::
           +------------------ u
 """
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -21,28 +20,34 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
+from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_sim.surface.edge import DEGREE, Edge, fit_edge
+
 Array = npt.NDArray[np.float64]
 
-STRIP_MM: Final = 5.0
-"""Width of the strips in which a side is looked for."""
+STRIP_MM: Final = 8.0
+"""Width of the strips in which a side is looked for at first."""
 
-STRIP_POINTS: Final = 12.0
-"""A cloud of few points has wider strips, so that this many points give each its density."""
+ROUGH_MM: Final = 25.0
+"""How deep under the outermost point a side may lie anywhere along it."""
 
-SEARCH_MM: Final = 4.0
-"""How far a side may lie from the box's: cubes and curvature of the chart, not the sheet's shape."""
+ROUGH_BIN_MM: Final = 0.25
+"""Bins of depth in which points are counted at first."""
 
-BAND_MM: Final = 3.0
-"""Depth of the inner band that gives a strip's density."""
+ROUGH_DEGREE: Final = 3
+"""Degree of the first guess."""
 
-EDGE_MM: Final = 1.0
-"""How far inside the side the counting starts: well over the noise, and short, so that few points are counted."""
+ROUNDS: Final = 2
+"""How often the sides are found anew between the corners of the last."""
+
+FARTHEST_MM: Final = 1e4
+"""No corner lies farther from the chart's origin."""
+
+SAME_SIZE_MM: Final = 0.4
+"""A grid of points that spans the flat sheet within this is one of the unstretched sheet."""
 
 PIXEL_POINTS: Final = 6.0
 """Holes are looked for on pixels that hold this many points on average: two or more nearly always."""
-
-DEGREE: Final = 3
-"""Degree of a side's polynomial."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +60,10 @@ class Outline:
     """Left, right, bottom, top: coefficients of the distance as a polynomial of the place along the side / 100 mm."""
     size_mm: tuple[float, float]
     """Mean length and mean width."""
+    sigma_mm: float
+    """Root mean square of what the sides' places are uncertain by, from place to place."""
+    shift_mm: float
+    """The same of whole sides: a regular grid shows only roughly where the border is."""
 
     def to_square(self, uv_mm: Array) -> Array:
         """Return (2, n) places a, b in the unit square of chart points (2, n)."""
@@ -64,24 +73,106 @@ class Outline:
         return np.stack([(u - low_u) / (_at(right, v) - low_u), (v - low_v) / (_at(top, u) - low_v)])
 
 
-def find_outline(uv_mm: Array) -> Outline:
+def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
     """Return the four sides of a charted sheet.
 
     Args:
         uv_mm: (2, n) points on the chart.
+        noise_mm: Standard deviation of the points.
 
     Raises:
         ValueError: A side has too few points.
     """
     rotation = _box_axes(uv_mm)
     box = rotation @ uv_mm
-    sides = tuple(_side(box[along], sign * box[across], sign) for across, along, sign in _SIDES)
+    density = box.shape[1] / float(np.prod(np.ptp(box, axis=1)))
+    guess = [sign * _rough_side(box[along], sign * box[across], density) for across, along, sign in _SIDES]
+    edges: list[Edge] = []
+    for _ in range(ROUNDS):
+        corners = _corners(guess)
+        edges = []
+        for (across, along, sign), side, ends in zip(_SIDES, guess, _ENDS, strict=True):
+            span = (float(corners[ends[0]][along]), float(corners[ends[1]][along]))
+            edges.append(fit_edge(box[along], sign * box[across], span, sign * side, noise_mm))
+        guess = [sign * edge.coefficients for (_, _, sign), edge in zip(_SIDES, edges, strict=True)]
+    guess, doubt = _beyond_rows(guess, edges)
+    sigma, shift = (
+        float(np.sqrt(np.mean(np.square(values))))
+        for values in ([edge.sigma_mm for edge in edges], [doubt * edge.rows_mm for edge in edges])
+    )
+    left, right, bottom, top = guess
+    return Outline(rotation, (left, right, bottom, top), _spans(guess), sigma, shift)
+
+
+def _spans(sides: list[Array]) -> tuple[float, float]:
+    """Mean length and mean width between four sides."""
+    left, right, bottom, top = sides
+    corners = _corners(sides)
     at = np.linspace(0.0, 1.0, 21)
-    spans = []
-    for low, high, along in ((sides[0], sides[1], box[1]), (sides[2], sides[3], box[0])):
-        place = along.min() + at * np.ptp(along)
-        spans.append(float(np.mean(_at(high, place) - _at(low, place))))
-    return Outline(rotation, (sides[0], sides[1], sides[2], sides[3]), (spans[0], spans[1]))
+    v = corners[0][1] + at * (corners[2][1] - corners[0][1])
+    u = corners[0][0] + at * (corners[1][0] - corners[0][0])
+    return float(np.mean(_at(right, v) - _at(left, v))), float(np.mean(_at(top, u) - _at(bottom, u)))
+
+
+def _beyond_rows(sides: list[Array], edges: list[Edge]) -> tuple[list[Array], float]:
+    """Sides moved from the outermost rows of a regular grid to where the border is.
+
+    That is half a row's distance farther out if the points are the middles of cells, and no farther if the grid ends on
+    the border. A sheet of the size of the flat one tells; of any other, the middle of the two is taken. Returned
+    beside: what the border is uncertain by, in distances of the rows.
+    """
+    if not any(edge.rows_mm for edge in edges):
+        return sides, 0.0
+
+    def moved(part: float) -> list[Array]:
+        shift = np.eye(DEGREE + 1)[0]
+        return [
+            side + sign * part * 0.5 * edge.rows_mm * shift
+            for side, edge, (_, _, sign) in zip(sides, edges, _SIDES, strict=True)
+        ]
+
+    for part in (0.0, 1.0):
+        if np.allclose(_spans(moved(part)), SHEET_MM, rtol=0.0, atol=SAME_SIZE_MM):
+            return moved(part), 0.0
+    return moved(0.5), 0.25
+
+
+def _rough_side(along: Array, out: Array, density: float) -> Array:
+    """Cubic through the third outermost point of each strip: a stray point or two leave it where it is."""
+    near = out > out.max() - ROUGH_MM
+    along, out = along[near], out[near]
+    low, high = float(along.min()), float(along.max())
+    n = max(int((high - low) / STRIP_MM), 3 * ROUGH_DEGREE)
+    width = (high - low) / n
+    strip = np.minimum(((along - low) / width).astype(np.intp), n - 1)
+    bins = int(ROUGH_MM / ROUGH_BIN_MM) + 1
+    below = ((out.max() - out) / ROUGH_BIN_MM).astype(np.intp)
+    count = np.cumsum(np.bincount(strip * bins + below, minlength=n * bins).reshape(n, bins), axis=1)
+    seen = count[:, -1] >= 3
+    if seen.sum() < 2 * ROUGH_DEGREE:
+        raise ValueError(f"a side of the sheet has points in only {seen.sum()} of {n} strips along it")
+    third = np.argmax(count >= 3, axis=1)[seen]
+    measured = out.max() - (third + 0.5) * ROUGH_BIN_MM + 2.5 / (density * width)
+    centre = np.asarray((low + (np.arange(n) + 0.5) * width)[seen], dtype=np.float64)
+    return np.concatenate([_robust(centre / 100.0, measured), np.zeros(DEGREE - ROUGH_DEGREE)])
+
+
+def _corners(sides: list[Array]) -> list[tuple[float, float]]:
+    """(u, v) of left-bottom, right-bottom, left-top and right-top.
+
+    Raises:
+        ValueError: Two sides do not meet.
+    """
+    found = []
+    for across in (sides[2], sides[3]):
+        for upright in (sides[0], sides[1]):
+            u = v = 0.0
+            for _ in range(12):  # the sides are nearly at right angles: each round leaves a tenth of the distance
+                u, v = float(_at(upright, np.array(v))), float(_at(across, np.array(u)))
+                if max(abs(u), abs(v)) > FARTHEST_MM:
+                    raise ValueError("two sides do not meet in a corner; expected four sides, nearly at right angles")
+            found.append((u, v))
+    return found
 
 
 def largest_hole_mm(square: Array, size_mm: tuple[float, float]) -> float:
@@ -101,6 +192,9 @@ def largest_hole_mm(square: Array, size_mm: tuple[float, float]) -> float:
     reach = ndimage.distance_transform_edt(~seen, sampling=(size_mm[0] / shape[0], size_mm[1] / shape[1]))
     return float(2.0 * reach.max())  # to the centres of pixels that the rim cuts: about a fifth of a pixel inside it
 
+
+_ENDS: Final = ((0, 2), (1, 3), (0, 1), (2, 3))
+"""The corners between which left, right, bottom and top run."""
 
 _SIDES: Final = ((0, 1, -1.0), (0, 1, 1.0), (1, 0, -1.0), (1, 0, 1.0))
 """Left, right, bottom, top: the axis across the side, the axis along it, and which way is out."""
@@ -136,54 +230,13 @@ def _thin(uv_mm: Array) -> Array:
     return np.asarray(np.stack([column[ends], row[ends]]) * 1.5 + low)
 
 
-def _side(along: Array, out: Array, sign: float) -> Array:
-    """Polynomial of one side's distance, from the points' density in strips along it."""
-    guess = _outermost(out)
-    near = out > guess - SEARCH_MM - BAND_MM - EDGE_MM
-    along, out = along[near], out[near]
-    low, high = float(along.min()), float(along.max())
-    per_strip = BAND_MM / (SEARCH_MM + BAND_MM + EDGE_MM) * len(out) * STRIP_MM / (high - low)
-    n = max(int((high - low) / STRIP_MM * min(1.0, per_strip / STRIP_POINTS)), 3 * DEGREE)
-    strip = np.minimum(((along - low) / (high - low) * n).astype(np.intp), n - 1)
-    centre = low + (np.arange(n) + 0.5) * (high - low) / n
-    edge = np.full(n, guess)
-    for _ in range(3):  # each round counts nearer to the side that the last one found
-        start = (edge - EDGE_MM)[strip]
-        inner = np.bincount(strip[(out > start - BAND_MM) & (out <= start)], minlength=n)
-        beyond = np.bincount(strip[(out > start) & (out <= start + EDGE_MM + SEARCH_MM)], minlength=n)
-        filled = inner >= max(3.0, 0.4 * float(np.median(inner)))
-        if filled.sum() < 2 * DEGREE:
-            raise ValueError(f"a side of the sheet has points in only {filled.sum()} of {n} strips along it")
-        measured = edge - EDGE_MM + beyond * BAND_MM / np.maximum(inner, 1)
-        good = filled & (beyond > 0)
-        design, coefficients = _smooth(centre, measured, good)
-        edge = design @ coefficients
-    return sign * _about_zero(coefficients, -centre.mean() / 100.0)
-
-
-def _outermost(out: Array) -> float:
-    """Where the points' histogram falls under half of its inner level."""
-    bins = np.bincount(((out.max() - out) / 0.5).astype(np.intp))
-    level = float(np.median(bins))
-    return float(out.max()) - 0.5 * int(np.argmax(bins > 0.5 * level))
-
-
-def _smooth(centre: Array, measured: Array, good: npt.NDArray[np.bool_]) -> tuple[Array, Array]:
-    """Robust polynomial through the strips that saw a side, about their middle: its design matrix and coefficients."""
-    design = np.polynomial.polynomial.polyvander((centre - centre.mean()) / 100.0, DEGREE)
-    weight = good.astype(np.float64)
-    for _ in range(3):
-        weighted = design * weight[:, None]
-        coefficients = np.linalg.solve(weighted.T @ design, weighted.T @ measured)
+def _robust(at: Array, measured: Array) -> Array:
+    """Coefficients of the polynomial that most of the values lie on."""
+    design = np.polynomial.polynomial.polyvander(at, ROUGH_DEGREE)
+    weight = np.ones(len(at))
+    for _ in range(6):
+        coefficients = np.linalg.lstsq(design * weight[:, None], measured * weight, rcond=None)[0]
         residual = np.abs(measured - design @ coefficients)
-        near = residual[good]
-        scale = max(1.4826 * float(np.partition(near, len(near) // 2)[len(near) // 2]), 0.02)
-        weight = good * np.minimum(1.0, 1.5 * scale / np.maximum(residual, 1e-12)) * (residual < 6.0 * scale)
-    return np.asarray(design), np.asarray(coefficients)
-
-
-def _about_zero(coefficients: Array, shift: float) -> Array:
-    """Coefficients of p(x + shift) from those of p(x)."""
-    n = len(coefficients)
-    powers = [[math.comb(k, j) * shift ** (k - j) if j <= k else 0.0 for k in range(n)] for j in range(n)]
-    return np.array(powers) @ coefficients
+        scale = max(1.4826 * float(np.median(residual)), 0.1)
+        weight = np.sqrt(np.minimum(1.0, 1.5 * scale / np.maximum(residual, 1e-12)))
+    return np.asarray(coefficients)

@@ -37,6 +37,12 @@ EXTENT_MM: Final = 260.0
 SPARSE_CUBE: Final = 0.15
 """A cube with less than this part of the median count is no part of the graph."""
 
+LEAST_MEAN: Final = 4.0
+"""With fewer points in a cube on average the cubes are made larger; points 2 mm apart have 3.4."""
+
+ENOUGH_MEAN: Final = 5.0
+"""So many points an average larger cube shall hold."""
+
 LINK_CELLS: Final = 1.6
 """The chart's least squares need only the nearer neighbours, in cells: a sparser matrix."""
 
@@ -67,12 +73,11 @@ class Chart:
     """Points left out."""
 
 
-def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
+def unroll(points_mm: Array) -> Chart:
     """Return a flat chart of unordered points, without its outliers.
 
     Args:
         points_mm: (n, 3) points in any pose.
-        cell_mm: Side of the cubes that the points are binned into.
 
     Raises:
         ValueError: The points do not form one surface.
@@ -81,7 +86,11 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     middle = np.median(axes[:, :: len(points_mm) // 5000 + 1], axis=1, keepdims=True)
     near = np.all(np.abs(axes - middle) < EXTENT_MM, axis=0)
     axes = axes if near.all() else np.ascontiguousarray(axes[:, near])
+    cell_mm = CELL_MM
     cube, count = _bin(axes, cell_mm)
+    if count.mean() < LEAST_MEAN:
+        cell_mm *= float(np.sqrt(ENOUGH_MEAN / count.mean()))
+        cube, count = _bin(axes, cell_mm)
     centroid = np.stack([np.bincount(cube, weights=axis) for axis in axes], axis=-1) / count[:, None]
     solid = count >= max(2.0, SPARSE_CUBE * float(np.median(count[cube])))
     keep = _largest_piece(centroid, solid, REACH_CELLS * cell_mm)
@@ -97,7 +106,9 @@ def unroll(points_mm: Array, cell_mm: float = CELL_MM) -> Chart:
     uv = _integrate(nodes, frame, close[:, 0], close[:, 1]) if _connected(close, len(nodes)) else None
     if uv is None:
         uv = _integrate(nodes, frame, pairs[:, 0], pairs[:, 1])
-    return _place(axes, _node_of_cube(centroid, keep)[cube], nodes, frame, curvature, uv, total=len(points_mm))
+    return _place(
+        axes, _node_of_cube(centroid, keep, 2.0 * cell_mm)[cube], nodes, frame, curvature, uv, total=len(points_mm)
+    )
 
 
 def _bin(axes: Array, cell_mm: float) -> tuple[npt.NDArray[np.intp], Array]:
@@ -231,12 +242,12 @@ def _solve_banded(matrix: sparse.csr_matrix, values: Array) -> Array:
     return np.asarray(solved[place])
 
 
-def _node_of_cube(centroid: Array, keep: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
-    """The graph's node that places a cube's points: its own, the nearest within two cells, or none (-1)."""
+def _node_of_cube(centroid: Array, keep: npt.NDArray[np.intp], reach_mm: float) -> npt.NDArray[np.intp]:
+    """The graph's node that places a cube's points: its own, the nearest within reach, or none (-1)."""
     node = np.full(len(centroid), -1, dtype=np.intp)
     node[keep] = np.arange(len(keep))
     unplaced = np.flatnonzero(node < 0)
-    distance, nearest = cKDTree(centroid[keep]).query(centroid[unplaced], distance_upper_bound=2.0 * CELL_MM)
+    distance, nearest = cKDTree(centroid[keep]).query(centroid[unplaced], distance_upper_bound=reach_mm)
     node[unplaced] = np.where(np.isfinite(distance), nearest, -1)
     return node
 

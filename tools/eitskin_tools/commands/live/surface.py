@@ -47,7 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Order the points, write the cloud, and predict and send it where that is asked for."""
-    from eitskin_sim.surface.ordered_cloud import PointCloudError, organise, save_cloud
+    from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
     points = read_points(files.find(arguments.file, files.POINTS))
@@ -65,6 +65,13 @@ def run(arguments: argparse.Namespace) -> int:
         start = time.perf_counter()
         predicted = predict(result.cloud_mm), flat_voltages()
         predict_ms = 1e3 * (time.perf_counter() - start)
+        if result.prediction_rms > DOUBTFUL_RMS:
+            print(
+                f"eitskin surface: the sheet's outline is sure within {result.outline_sigma_mm:.2f} mm only; V_pred is "
+                f"likely off by {100 * result.prediction_rms:.1f} %, not {100 * DOUBTFUL_RMS:g} %, and maps "
+                "may be worse with it than without: measure more densely, or leave --predict out",
+                file=sys.stderr,
+            )
     save_cloud(arguments.out, result, predicted)
     sent = None if arguments.send is None else _send(arguments.send, arguments.out)
     if arguments.json:
@@ -72,11 +79,12 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     print(
         f"{Path(arguments.out).name}: {result.points} points, {result.outliers} outliers, "
-        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm, "
-        f"largest hole {result.largest_hole_mm:.1f} mm, {elapsed_ms:.0f} ms"
+        f"noise {result.noise_mm:.3f} mm, {result.size_mm[0]:.1f} x {result.size_mm[1]:.1f} mm "
+        f"within {result.outline_sigma_mm:.2f} mm, largest hole {result.largest_hole_mm:.1f} mm, "
+        f"{elapsed_ms:.0f} ms"
     )
     if predict_ms is not None:
-        print(f"V_pred added, {predict_ms:.0f} ms")
+        print(f"V_pred added, likely off by {100 * result.prediction_rms:.1f} %, {predict_ms:.0f} ms")
     if sent is not None:
         print(f"in use as cloud {sent}")
     if result.corner != "given":
@@ -117,6 +125,8 @@ def _report(
         "outliers": result.outliers,
         "noise_mm": result.noise_mm,
         "size_mm": list(result.size_mm),
+        "outline_sigma_mm": result.outline_sigma_mm,
+        "prediction_rms": result.prediction_rms,
         "largest_hole_mm": result.largest_hole_mm,
         "corner": result.corner,
         "rotation": result.rotation.tolist(),
