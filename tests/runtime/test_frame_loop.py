@@ -1,14 +1,9 @@
-"""The order of a frame's way: who does what before what, one record for all frames, and who may write where."""
-
-import ast
-from pathlib import Path
+"""The order of a frame's way: who does what before what, and one record for all frames."""
 
 import pytest
 
 from eitskin.messaging.frame import STAGES, unpack_frame
 from eitskin.skin import Skin
-
-RUNTIME = Path(__file__).parents[2] / "runtime" / "eitskin"
 
 
 class Taker:
@@ -61,36 +56,3 @@ def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming)
     taker.wanted, taker.skin = True, streaming
     next(iter(streaming.publish(taker)))
     assert unpack_frame(taker.got[0][0], 0).number == 1
-
-
-def written_from_outside(source):
-    """Return the attributes of something called ``pipeline`` that a module sets."""
-    found = []
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Assign):
-            targets = node.targets
-        else:
-            targets = [node.target] if isinstance(node, ast.AugAssign | ast.AnnAssign) else []
-        for target in targets:
-            owner = getattr(target, "value", None)
-            if isinstance(target, ast.Attribute) and getattr(owner, "attr", getattr(owner, "id", "")).endswith(
-                "pipeline"
-            ):
-                found.append(target.attr)
-    return found
-
-
-def test_nobody_outside_writes_the_pipelines_state():
-    modules = [path for path in RUNTIME.rglob("*.py") if path.parent.name != "pipeline"]
-    assert len(modules) > 30
-    assert {path.name: names for path in modules if (names := written_from_outside(path.read_text()))} == {}
-
-
-def test_a_hand_on_the_pipelines_state_is_found():
-    assert written_from_outside(
-        "self.pipeline.health = 1\nskin._pipeline.events += ('x',)\npipeline.idle: bool = True"
-    ) == [
-        "health",
-        "events",
-        "idle",
-    ]

@@ -1,19 +1,13 @@
 """A session of ONNX Runtime is made without telemetry: nothing is written into the user's folders, nobody is called."""
 
-import ast
 import os
 import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
 
 pytestmark = pytest.mark.process
-
-ROOT = Path(__file__).parents[3]
-
-DOOR = ROOT / "runtime" / "eitskin" / "model" / "session.py"
 
 SESSION = """
 import time
@@ -72,39 +66,3 @@ def test_a_session_calls_nobody(tmp_path, tiny_path):
 @pytest.mark.skipif(shutil.which("strace") is None, reason="needs strace")
 def test_a_call_would_be_seen(tmp_path, tiny_path):
     assert calls(tmp_path, tiny_path, CALL)
-
-
-def loads_the_library_alone(source):
-    """Return the lines of a module that import onnxruntime before the door was gone through."""
-    tree = ast.parse(source)
-    door, found = 1 << 30, []
-    for node in ast.walk(tree):
-        if isinstance(node, ast.Import):
-            names = [alias.name for alias in node.names]
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            names = [node.module]
-        else:
-            continue
-        if "eitskin.model.session" in names:
-            door = min(door, node.lineno)
-        if any(name.split(".")[0] == "onnxruntime" for name in names):
-            found.append(node.lineno)
-    return [line for line in found if line < door]
-
-
-def test_every_module_goes_through_the_one_door():
-    folders = ("runtime", "training", "export", "tools", "firmware_proto", "tests")
-    modules = [path for folder in folders for path in sorted((ROOT / folder).rglob("*.py")) if path != DOOR]
-    assert len(modules) > 100
-    assert {str(path): lines for path in modules if (lines := loads_the_library_alone(path.read_text()))} == {}
-
-
-@pytest.mark.parametrize(
-    "source",
-    [
-        "import onnxruntime",
-        "def late():\n    from onnxruntime.quantization import QuantType\nimport eitskin.model.session",
-    ],
-)
-def test_a_module_that_does_not_is_found(source):
-    assert loads_the_library_alone(source)
