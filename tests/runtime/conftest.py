@@ -38,7 +38,7 @@ def _virtual_skin(**options):
     finally:
         process.terminate()  # it then takes its port's folder along
         try:
-            process.wait(30)
+            process.wait(120)
         except subprocess.TimeoutExpired:
             process.kill()
             process.wait()

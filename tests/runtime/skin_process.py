@@ -46,15 +46,17 @@ class MadeUp:
 class PatientPort(PtyPort):
     """A line with room for every frame, sooner or later: what a busy host reads late is not lost."""
 
+    stopping = False
+
     def write(self, data):
         while not super().write(data):
-            if not self.plugged or not select.select([], [self.fileno()], [], 60.0)[1]:
+            if self.stopping or not self.plugged:
                 return False
+            select.select([], [self.fileno()], [], 0.1)
         return True
 
 
 def main(options):
-    signal.signal(signal.SIGTERM, lambda number, frame: sys.exit(0))
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
     source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
     configuration = configuration_for(options.get("rate_hz", 100.0), options.get("configuration", "paper"))
@@ -67,9 +69,17 @@ def main(options):
     port = PatientPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
+    skin = server.SkinServer(device, port, player)
+
+    def stop(number, frame):
+        # No exception: one that is raised within a callback of somebody's C code is lost, and the stop with it.
+        port.stopping = True
+        skin.stop()
+
+    signal.signal(signal.SIGTERM, stop)
     try:
         print(port.path, flush=True)
-        server.SkinServer(device, port, player).run(perf_counter_ns() + int(300e9))
+        skin.run(perf_counter_ns() + int(300e9))
     finally:
         port.close()
 
