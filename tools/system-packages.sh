@@ -1,5 +1,5 @@
 #!/bin/sh
-# Installs the Debian packages that the C tests, the emulated board, the mocked USB bus and the look at system calls need.
+# Installs the Debian packages for the C tests, the emulated board, the mocked USB bus and the look at system calls.
 # Only root can; anyone else is told what will be skipped. Tests that need a missing tool skip themselves and say which.
 set -u
 board="gcc libc6-dev make gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck"
