@@ -4,11 +4,11 @@
 
     read -> accept -> capture -> compute -> mode -> pack -> publish -> finish
      ^       |  withheld                |  withheld
-     |<------+--------------------------+            silence, a reset, a port that returned: greet the device anew
+     |<------+--------------------------+            and on with the next
 
-The loop blocks in the transport's ``read`` and nowhere else. Each step is somebody else's: the device reads, the
-pipeline accepts and computes, messages are packed and handed to a taker. Between them goes one
-:class:`eitskin.messaging.frame_record.FrameRecord`.
+The loop blocks in the transport's ``read`` and nowhere else; silence and resets are the business of
+:mod:`eitskin.frame_source`. Each step is somebody else's: the source reads, the pipeline accepts and computes, messages
+are packed and handed to a taker. Between them goes one :class:`eitskin.messaging.frame_record.FrameRecord`.
 """
 
 import time

@@ -1,10 +1,12 @@
 """Fixtures of the runtime's tests: a virtual skin in its own process, the tiny bundle, and a runtime around them."""
 
 import json
+import shutil
+import signal
 import subprocess
 import sys
 import threading
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
@@ -33,15 +35,20 @@ def _virtual_skin(**options):
     process = subprocess.Popen(
         [sys.executable, str(HERE / "skin_process.py"), json.dumps(options)], stdout=subprocess.PIPE, text=True
     )
+    port = process.stdout.readline().strip()
     try:
-        yield process.stdout.readline().strip()
+        yield port
     finally:
         process.terminate()  # it then takes its port's folder along
         try:
-            process.wait(120)
+            process.wait(30)
         except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGUSR1)  # its stack goes to stderr, which pytest shows with a failure
+            with suppress(subprocess.TimeoutExpired):
+                process.wait(1)
             process.kill()
             process.wait()
+            shutil.rmtree(Path(port).parent, ignore_errors=True)  # it could not
         process.stdout.close()
 
 

@@ -4,6 +4,7 @@ physics.
 Takes one JSON object as its argument, prints the port's path, serves until it is terminated.
 """
 
+import faulthandler
 import json
 import select
 import signal
@@ -77,6 +78,7 @@ def main(options):
         skin.stop()
 
     signal.signal(signal.SIGTERM, stop)
+    faulthandler.register(signal.SIGUSR1)  # whoever waits in vain for the end is told where it hangs
     try:
         print(port.path, flush=True)
         skin.run(perf_counter_ns() + int(300e9))

@@ -1,6 +1,10 @@
 """A whole skin, with the faults that lines, cables and devices have."""
 
+import os
+import sys
+import termios
 import time
+from fcntl import ioctl
 
 import numpy as np
 import pytest
@@ -16,6 +20,19 @@ def opened(port, tiny_path, **options):
     skin = Skin(port, bundle=tiny_path, **options)
     skin.capture_reference(10)
     return skin
+
+
+def wait_for_bytes(port, wanted):
+    """Wait until so many bytes wait in the line of a port, at most a minute."""
+    line = os.open(port, os.O_RDONLY | os.O_NOCTTY | os.O_NONBLOCK)
+    try:
+        waiting, until = 0, time.monotonic() + 60.0
+        while waiting < wanted and time.monotonic() < until:
+            waiting = int.from_bytes(ioctl(line, termios.FIONREAD, bytes(4)), sys.byteorder)
+            time.sleep(0.02)
+    finally:
+        os.close(line)
+    assert waiting >= wanted
 
 
 def collect(skin, seconds):
@@ -46,9 +63,9 @@ def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin,
 def test_the_first_frame_is_not_one_that_waited_since_before_anybody_asked(virtual_skin, tiny_path):
     with virtual_skin() as port, opened(port, tiny_path) as skin:
         last, stale = skin.pipeline.record.sequence, skin.pipeline.withheld["stale"]
-        time.sleep(0.4)  # 40 frames wait in the line
+        wait_for_bytes(port, 4095)  # all that the kernel counts of a pseudo-terminal: eleven frames, and more behind
         first = next(skin.frames())
-        assert first.sequence > last + 20
+        assert first.sequence > last + 10
         assert skin.pipeline.withheld["stale"] - stale == first.sequence - last - 1
         assert skin.pipeline.withheld["stale"] == first.counts["withheld"]
         assert first.counts["lost"] == 0

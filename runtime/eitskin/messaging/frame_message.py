@@ -14,7 +14,8 @@ from eitskin.messaging.frame import TOUCHED
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.frame_record import PACK, PUBLISH, FrameRecord
 
-MAP_UNCHANGED: Final = "map:unchanged"
+MAP_UNCHANGED: Final = ("map:unchanged",)
+"""What is skipped in a message without its map."""
 
 
 class FrameMessages:
@@ -50,7 +51,7 @@ class FrameMessages:
         self._short = short and record.map_sequence == self._sent_map
         self._sent_map = record.map_sequence
         if self._short:
-            record.skipped += (MAP_UNCHANGED,)
+            record.skipped += MAP_UNCHANGED
         else:
             packed = -1 if record.solver == "none" else record.map_sequence
             if packed != self._packed_map:

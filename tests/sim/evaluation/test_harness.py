@@ -9,26 +9,8 @@ import pytest
 from eitskin_proto.sensor.grid import GRID_SHAPE, map_from_units
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
-from eitskin_sim.scene.scene import parse_phantoms
 
 pytestmark = pytest.mark.heavy
-
-BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
-FILE = [
-    {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},
-    {"name": "disc", "truth": "area", "scene": {"bend": BENT, "touches": [{"disc_mm": [70, 45, 6]}]}},
-]
-
-
-@pytest.fixture(scope="module")
-def phantoms():
-    return parse_phantoms(FILE)
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch):
-    # The harness's logic does not depend on the mesh; its accuracy is the business of the forward model's tests.
-    monkeypatch.setattr(harness, "DATA_MM", 3.0)
 
 
 def test_truth_of_units_is_hard_and_of_areas_a_share(phantoms):

@@ -12,24 +12,6 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.scene import check_scene, parse_phantoms
 from eitskin_sim.scene.shift import shifted
 
-BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
-FILE = [
-    {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},
-    {"name": "disc", "truth": "area", "scene": {"bend": BENT, "touches": [{"disc_mm": [70, 45, 6]}]}},
-]
-
-
-@pytest.fixture(scope="module")
-def phantoms():
-    return parse_phantoms(FILE)
-
-
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch):
-    # The harness's logic does not depend on the mesh; its accuracy is the business of the forward model's tests.
-    monkeypatch.setattr(harness, "DATA_MM", 3.0)
-
-
 L_OF_TWO_BARS = [
     {
         "name": "L",

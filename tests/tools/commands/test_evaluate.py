@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.sim.evaluation.two_phantoms import FILE
 
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation import report as reports
@@ -15,12 +16,6 @@ from eitskin_tools.evaluation.paper import TABLE_2
 
 pytestmark = pytest.mark.heavy
 
-BENT = {"angle_deg": 90, "stretch_along": 1.06, "stretch_across": 0.985}
-FILE = [
-    {"name": "two", "truth": "units", "scene": {"bend": BENT, "touches": [{"units": [[3, 2], [10, 6]]}]}},
-    {"name": "disc", "truth": "area", "scene": {"bend": BENT, "touches": [{"disc_mm": [70, 45, 6]}]}},
-]
-
 
 @pytest.fixture(scope="module")
 def phantoms():
@@ -29,7 +24,6 @@ def phantoms():
 
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
-    # The harness's logic does not depend on the mesh; its accuracy is the business of the forward model's tests.
     monkeypatch.setattr(harness, "DATA_MM", 3.0)
 
 
