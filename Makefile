@@ -6,6 +6,7 @@
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
+# make attack                              everything at once, for long; how much of it was withstood, as one JSON line last
 #
 # Every target makes its own virtual environment. PYTHON names the interpreter to start from.
 
@@ -21,7 +22,7 @@ OTHER_PYTHONS ?= 3.11 3.12 3.13
 .DEFAULT_GOAL := help
 .PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test \
         wheel-test-others firmware-test system-packages bench clean \
-        firmware qemu powercut fuzz hotplug soak
+        firmware qemu powercut fuzz hotplug soak attack
 
 help:
 	@sed -n '1,/^$$/s/^# \{0,1\}//p' Makefile
@@ -111,6 +112,10 @@ firmware qemu: $(VENV)/.dev system-packages
 
 powercut fuzz hotplug: $(VENV)/.dev system-packages
 	$(BIN)/python -m eitskin_tools.fault_injection.$@
+
+# ATTACK names what is passed on, such as `make attack ATTACK="--only connections --seed 7"`.
+attack: $(VENV)/.dev system-packages
+	$(BIN)/python -m tests.attack $(ATTACK)
 
 SECONDS ?= 1200
 soak: $(VENV)/.dev system-packages
