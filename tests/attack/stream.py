@@ -10,6 +10,7 @@ import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -98,16 +99,17 @@ def attacked(
     with tempfile.TemporaryDirectory(prefix="a") as name:
         folder = Path(name)
         stderr = folder / "stderr"
+        limited = None if files is None else partial(resource.setrlimit, resource.RLIMIT_NOFILE, (files, files))
         where = list(endpoints) or ["--publish", f"ipc://{folder}/f", "--control", f"ipc://{folder}/c"]
+        common = ("--bundle", str(TINY), "--reference-frames", "20")
         with _port(port, options) as used, stderr.open("w") as out:
             runtime = subprocess.Popen(
-                [sys.executable, "-m", "eitskin_tools.cli", "run", "--port", used, "--bundle", str(TINY)]
-                + ["--reference-frames", "20", *where, *arguments],
+                [sys.executable, "-m", "eitskin_tools.cli", "run", *common, "--port", used, *where, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
-                preexec_fn=None if files is None else lambda: resource.setrlimit(resource.RLIMIT_NOFILE, (files,) * 2),
+                preexec_fn=limited,  # noqa: PLW1509 -- one system call, and no thread runs
             )
             stream = None
             try:
