@@ -169,18 +169,44 @@ def event_table() -> str:
 
 
 def config_table() -> str:
-    """Return SPEC.md's table of the stored configuration."""
+    """Return SPEC.md's table of the stored configuration; what can have one value only is given with it."""
+    fixed = {"magic": config.BLOB_MAGIC.decode(), "format": config.FORMAT, "size": config.BLOB_BYTES, "reserved": 0}
     rows, at = [], 0
     for field, kind in config.BLOB_FIELDS:
-        rows.append(f"| {at} | {WIDTH[kind]} | {field} | {kind} |")
+        rows.append(f"| {at} | {WIDTH[kind]} | {field} | {kind} | {fixed.get(field, '')} |".replace("|  |", "| |"))
         at += WIDTH[kind]
-    return "| at | bytes | field | kind |\n|---|---|---|---|\n" + "\n".join(rows) + "\n"
+    return "| at | bytes | field | kind | always |\n|---|---|---|---|---|\n" + "\n".join(rows) + "\n"
+
+
+def hardware_table() -> str:
+    """Return SPEC.md's table of what the electronics can do."""
+    kinds = list(hardware.KNOWN.values())
+    rows = [
+        ("hardware_id", [f"0x{can.id:08x}" for can in kinds]),
+        ("frequency_Hz", [f"{can.min_frequency_hz} to {can.max_frequency_hz}" for can in kinds]),
+        ("current_uA", [f"1 to {can.max_current_ua}" for can in kinds]),
+        ("gain", [", ".join(map(str, can.gains)) for can in kinds]),
+        ("settle_us", [f"at least {can.min_settle_us}" for can in kinds]),
+    ]
+    head = f"| | {' | '.join(can.name for can in kinds)} |\n|---|{'---|' * len(kinds)}\n"
+    return head + "\n".join(f"| {name} | {' | '.join(values)} |" for name, values in rows) + "\n"
+
+
+def id_table() -> str:
+    """Return SPEC.md's table of what both sides of the wire must agree on."""
+    rows = [
+        ("protocol", f"{codes.PROTOCOL_MAJOR}.{codes.PROTOCOL_MINOR}"),
+        ("protocol_id", ids.PROTOCOL_ID),
+        ("grid_id", ids.GRID_ID),
+    ]
+    return "| | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows) + "\n"
 
 
 def spec(text: str) -> str:
     """Return SPEC.md with its generated tables renewed."""
     tables = {
         "messages": message_tables(), "codes": code_table(), "events": event_table(), "configuration": config_table(),
+        "hardware": hardware_table(), "ids": id_table(),
     }  # fmt: skip
     for name, table in tables.items():
         begin = BEGIN.format(name)

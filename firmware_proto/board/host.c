@@ -7,13 +7,19 @@
 
 #define SLOT_WORDS ((EIT_SLOT_BYTES + 3u) / 4u)
 #define LINE_BYTES 65536u
+#define MOST_OUTCOMES 32u
+
+/* Both slots as they lie in storage. */
+struct image {
+    uint32_t slots[2][SLOT_WORDS];
+};
 
 struct eit_host {
     struct eit_device device;
     struct eit_port port;
     struct eit_identity identity;
     uint32_t now_us;
-    uint32_t slots[2][SLOT_WORDS];
+    struct image storage;
     uint32_t changes;
     uint32_t cut_at;
     uint32_t seed;
@@ -27,6 +33,10 @@ struct eit_host {
     size_t line_capacity;
     size_t sent;
     uint8_t line[LINE_BYTES];
+    uint32_t watching; /* state of the noise that tears words; 0: nobody watches */
+    uint32_t images;
+    size_t outcome_count;
+    struct eit_host_outcome outcomes[MOST_OUTCOMES];
 };
 
 static uint32_t now_us(void *ctx)
@@ -76,27 +86,128 @@ static uint32_t happens(struct eit_host *host)
     return noise(&state);
 }
 
-static void storage_read(void *ctx, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
+static void image_read(const struct image *image, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
 {
-    const struct eit_host *host = ctx;
-
     for (size_t i = 0; i < length; i++) {
         const size_t at = offset + i;
 
-        out[i] = (uint8_t)((host->slots[slot][at / 4u] >> (8u * (at % 4u))) & 0xffu);
+        out[i] = (uint8_t)((image->slots[slot][at / 4u] >> (8u * (at % 4u))) & 0xffu);
     }
 }
 
+static void scratch_read(void *ctx, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
+{
+    image_read(ctx, slot, offset, out, length);
+}
+
+static enum eit_status scratch_erase(void *ctx, uint8_t slot)
+{
+    memset(((struct image *)ctx)->slots[slot], 0xff, sizeof((struct image *)ctx)->slots[slot]);
+    return EIT_OK;
+}
+
+static enum eit_status scratch_program(void *ctx, uint8_t slot, uint32_t offset, uint32_t word)
+{
+    ((struct image *)ctx)->slots[slot][offset / 4u] &= word;
+    return EIT_OK;
+}
+
+/* What a device with this storage runs, and what it runs once every trial is over. Changes the image. */
+static void outcome_of(struct image *image, struct eit_host_outcome *out)
+{
+    struct eit_port port;
+    struct eit_store store;
+    struct eit_config config;
+
+    memset(&port, 0, sizeof port);
+    port.ctx = image;
+    port.storage_read = scratch_read;
+    port.storage_erase = scratch_erase;
+    port.storage_program = scratch_program;
+    eit_store_boot(&store, &port, &config);
+    out->generation = store.generation;
+    out->digest = config.digest;
+    out->trial = store.trial ? 1u : 0u;
+    for (unsigned i = 0; i < 2u && store.trial; i++) {
+        eit_store_boot(&store, &port, &config);
+    }
+    out->settled_generation = store.generation;
+    out->settled_digest = config.digest;
+}
+
+static void note_outcome(struct eit_host *host, const struct image *found)
+{
+    struct image image = *found;
+    struct eit_host_outcome outcome;
+
+    outcome_of(&image, &outcome);
+    host->images++;
+    for (size_t i = 0; i < host->outcome_count; i++) {
+        if (memcmp(&host->outcomes[i], &outcome, sizeof outcome) == 0) {
+            return;
+        }
+    }
+    if (host->outcome_count < MOST_OUTCOMES) {
+        host->outcomes[host->outcome_count] = outcome;
+        host->outcome_count++;
+    }
+}
+
+/* If somebody watches: what would boot if power failed within this change, and just after it. */
+static void look(struct eit_host *host, uint8_t slot, size_t word, uint32_t after)
+{
+    struct image image;
+    uint32_t mask;
+
+    if (host->watching == 0) {
+        return;
+    }
+    image = host->storage;
+    mask = noise(&host->watching);
+    image.slots[slot][word] = (image.slots[slot][word] & ~mask) | (after & mask);
+    note_outcome(host, &image);
+    image.slots[slot][word] = after;
+    note_outcome(host, &image);
+}
+
+/* The same for an erase that is cut short everywhere at once: any bit of the slot may be set already. */
+static void look_at_erase(struct eit_host *host, uint8_t slot)
+{
+    struct image image;
+
+    if (host->watching == 0) {
+        return;
+    }
+    image = host->storage;
+    for (size_t i = 0; i < SLOT_WORDS; i++) {
+        image.slots[slot][i] |= noise(&host->watching);
+    }
+    note_outcome(host, &image);
+}
+
+static void storage_read(void *ctx, uint8_t slot, uint32_t offset, uint8_t *out, size_t length)
+{
+    image_read(&((const struct eit_host *)ctx)->storage, slot, offset, out, length);
+}
+
+/* No order of the words is promised by real storage: even seeds go up, odd ones down; with bit 1 of the seed set, the
+ * words that the erase did not come to are half erased too. */
 static enum eit_status storage_erase(void *ctx, uint8_t slot)
 {
     struct eit_host *host = ctx;
+    uint32_t *words = host->storage.slots[slot];
+    uint32_t state = host->seed | 1u;
 
-    /* No order of the words is promised by real storage: even seeds go up, odd ones down. */
+    look_at_erase(host, slot);
     for (size_t i = 0; i < SLOT_WORDS; i++) {
-        if (host->dead) {
-            return EIT_STORAGE;
+        const size_t word = host->seed % 2u == 0 ? i : SLOT_WORDS - 1u - i;
+
+        if (!host->dead) {
+            look(host, slot, word, 0xffffffffu);
+            words[word] |= happens(host);
+        } else if (host->seed > 1u && (host->seed & 2u) != 0) {
+            words[word] |= noise(&state);
         }
-        host->slots[slot][host->seed % 2u == 0 ? i : SLOT_WORDS - 1u - i] |= happens(host);
     }
     return host->dead ? EIT_STORAGE : EIT_OK;
 }
@@ -104,11 +215,13 @@ static enum eit_status storage_erase(void *ctx, uint8_t slot)
 static enum eit_status storage_program(void *ctx, uint8_t slot, uint32_t offset, uint32_t word)
 {
     struct eit_host *host = ctx;
+    uint32_t *at = &host->storage.slots[slot][offset / 4u];
 
     if (host->dead) {
         return EIT_STORAGE;
     }
-    host->slots[slot][offset / 4u] &= word | ~happens(host);
+    look(host, slot, offset / 4u, *at & word);
+    *at &= word | ~happens(host);
     return host->dead ? EIT_STORAGE : EIT_OK;
 }
 
@@ -153,7 +266,7 @@ void eit_host_init(struct eit_host *host)
     static const uint8_t serial[16] = "HOST-0001";
 
     memset(host, 0, sizeof *host);
-    memset(host->slots, 0xff, sizeof host->slots);
+    memset(&host->storage, 0xff, sizeof host->storage);
     memcpy(host->identity.serial_number, serial, sizeof serial);
     host->identity.firmware_version[0] = 1;
     host->identity.line_bytes_per_s = 92160;
@@ -228,6 +341,39 @@ void eit_host_cut(struct eit_host *host, uint32_t at, uint32_t seed)
 {
     host->cut_at = at == 0 ? 0 : host->changes + at;
     host->seed = seed;
+}
+
+void eit_host_watch(struct eit_host *host, uint32_t seed)
+{
+    host->watching = seed;
+    host->images = 0;
+    host->outcome_count = 0;
+}
+
+size_t eit_host_outcomes(struct eit_host *host, struct eit_host_outcome *out, size_t capacity)
+{
+    const size_t taken = host->outcome_count < capacity ? host->outcome_count : capacity;
+
+    memcpy(out, host->outcomes, taken * sizeof *out);
+    host->outcome_count = 0;
+    return taken;
+}
+
+uint32_t eit_host_images(const struct eit_host *host)
+{
+    return host->images;
+}
+
+void eit_host_outcome_of(const uint8_t slots[2][EIT_SLOT_BYTES], struct eit_host_outcome *out)
+{
+    struct image image;
+
+    for (uint8_t slot = 0; slot < 2u; slot++) {
+        for (size_t word = 0; word < SLOT_WORDS; word++) {
+            image.slots[slot][word] = eit_get32(slots[slot] + 4u * word);
+        }
+    }
+    outcome_of(&image, out);
 }
 
 uint32_t eit_host_changes(const struct eit_host *host)

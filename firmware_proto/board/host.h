@@ -9,8 +9,19 @@
 #include <stddef.h>
 #include <stdint.h>
 
+#include "eit_store.h"
+
 struct eit_deframer;
 struct eit_host;
+
+/* What a device runs after a boot, and what once every trial is over; generation 0 is the built-in configuration. */
+struct eit_host_outcome {
+    uint32_t generation;
+    uint32_t digest;
+    uint32_t trial; /* 1: it runs on trial */
+    uint32_t settled_generation;
+    uint32_t settled_digest;
+};
 
 size_t eit_host_bytes(void);
 
@@ -30,8 +41,22 @@ size_t eit_host_take(struct eit_host *host, uint8_t *out, size_t capacity);
 /* Bytes that the line holds before it refuses packets; at most 65536. */
 void eit_host_set_line(struct eit_host *host, size_t capacity);
 
-/* Cut the power at change `at` (1 is the next one; 0: never). `seed` chooses which bits of a torn word were changed. */
+/* Cut the power at change `at` (1 is the next one; 0: never). `seed` chooses which bits of a torn word were changed, the
+ * order in which an erase goes, and (bit 1) whether it is cut short in all words at once. */
 void eit_host_cut(struct eit_host *host, uint32_t at, uint32_t seed);
+
+/* From now on, find out at every change of storage what would boot if power failed within it (torn by `seed`) and after
+ * it; 0: no more. Counting starts anew. */
+void eit_host_watch(struct eit_host *host, uint32_t seed);
+
+/* Take what was found since the last call, each once, at most capacity of it; returns how many. */
+size_t eit_host_outcomes(struct eit_host *host, struct eit_host_outcome *out, size_t capacity);
+
+/* How many states of storage were booted to find that out. */
+uint32_t eit_host_images(const struct eit_host *host);
+
+/* What a device would boot with this storage. */
+void eit_host_outcome_of(const uint8_t slots[2][EIT_SLOT_BYTES], struct eit_host_outcome *out);
 
 /* Changes of storage since eit_host_init(): one a programmed word, one a word of an erase. */
 uint32_t eit_host_changes(const struct eit_host *host);

@@ -87,7 +87,7 @@ struct eit_answer eit_flash_begin(struct eit_device *device, const uint8_t *payl
         eit_same(payload + EIT_CONFIG_BEGIN_NAME, active->name, sizeof active->name)) {
         return eit_answer(EIT_CODE_DOWNGRADE, active->revision);
     }
-    if (device->store.trial) {
+    if (!eit_store_may_begin(&device->store)) {
         return eit_answer(EIT_CODE_NOT_CONFIRMED, device->store.generation);
     }
     lock = take_lock(device, eit_get32(payload + EIT_CONFIG_BEGIN_TOKEN), now_us);
@@ -174,6 +174,9 @@ struct eit_answer eit_flash_confirm(struct eit_device *device, const uint8_t *pa
     if (eit_get32(payload + EIT_CONFIG_CONFIRM_GENERATION) != device->store.generation ||
         eit_get32(payload + EIT_CONFIG_CONFIRM_DIGEST) != device->config.digest) {
         return eit_answer(EIT_CODE_WRONG_GENERATION, device->store.generation);
+    }
+    if (eit_store_is_revoked(&device->store)) { /* the next boot does not run it, whatever is said now */
+        return eit_answer(EIT_CODE_NOT_CONFIRMED, device->store.generation);
     }
     return eit_answer(eit_flash_code(eit_store_confirm(&device->store)), device->store.generation);
 }

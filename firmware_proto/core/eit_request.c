@@ -32,7 +32,7 @@ static struct eit_answer set_mode(struct eit_device *device, const uint8_t *payl
 }
 
 /* Answers with CONFIG_DATA itself and returns OK, or an error for the ACK. */
-static struct eit_answer config_read(struct eit_device *device, const uint8_t *payload)
+static struct eit_answer config_read(struct eit_device *device, const uint8_t *payload, uint32_t now_us)
 {
     const uint8_t slot = payload[EIT_CONFIG_READ_SLOT];
     const uint16_t offset = eit_get16(payload + EIT_CONFIG_READ_OFFSET);
@@ -46,6 +46,7 @@ static struct eit_answer config_read(struct eit_device *device, const uint8_t *p
         length > EIT_CONFIG_BYTES - offset) {
         return eit_answer(EIT_CODE_BAD_VALUE, EIT_CONFIG_BYTES);
     }
+    (void)eit_flash_lock_ms(device, now_us); /* a session that has expired is over */
     if (slot == EIT_SLOT_OTHER && device->begun) {
         generation = device->committed_generation; /* 0 while it is being written */
         device->port->storage_read(device->port->ctx, other, 0, blob, sizeof blob);
@@ -55,6 +56,9 @@ static struct eit_answer config_read(struct eit_device *device, const uint8_t *p
         eit_copy(blob, eit_config_factory_blob(), sizeof blob);
     } else { /* it runs, even if a rollback has revoked it for the next boot */
         device->port->storage_read(device->port->ctx, device->store.active, 0, blob, sizeof blob);
+        if (eit_store_is_revoked(&device->store)) {
+            generation = 0;
+        }
     }
     if (status != EIT_OK) {
         return eit_answer(eit_flash_code(status), 0);
@@ -112,7 +116,7 @@ void eit_request_handle(struct eit_device *device, const uint8_t *payload, size_
         eit_reply_time(device, payload[1], now_us);
         return;
     case EIT_TYPE_CONFIG_READ:
-        made = config_read(device, payload);
+        made = config_read(device, payload, now_us);
         if (made.code == EIT_CODE_OK) {
             return; /* answered with the data */
         }

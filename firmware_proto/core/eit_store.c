@@ -113,6 +113,30 @@ uint8_t eit_store_other(const struct eit_store *store)
     return store->active == 0 ? 1 : 0;
 }
 
+bool eit_store_is_revoked(const struct eit_store *store)
+{
+    return store->active != EIT_NO_SLOT && read_word(store->port, store->active, EIT_SLOT_REVOKED) != ERASED;
+}
+
+/* Storage is asked, not memory: what runs may have been revoked, or its slot may have decayed, since the boot. */
+bool eit_store_may_begin(const struct eit_store *store)
+{
+    struct slot slot;
+
+    if (store->trial) {
+        return false;
+    }
+    inspect(store->port, eit_store_other(store), &slot);
+    if (!slot.confirmed) {
+        return true; /* there is nothing to lose */
+    }
+    if (store->active == EIT_NO_SLOT) {
+        return false;
+    }
+    inspect(store->port, store->active, &slot);
+    return slot.confirmed;
+}
+
 enum eit_status eit_store_begin(struct eit_store *store)
 {
     const uint8_t other = eit_store_other(store);
@@ -199,6 +223,9 @@ enum eit_status eit_store_revoke(struct eit_store *store)
     inspect(store->port, eit_store_other(store), &slot);
     if (store->active == EIT_NO_SLOT || !slot.confirmed) {
         return EIT_EMPTY;
+    }
+    if (eit_store_is_revoked(store)) {
+        return EIT_OK;
     }
     return program(store->port, store->active, EIT_SLOT_REVOKED, 0);
 }

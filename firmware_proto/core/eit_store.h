@@ -5,7 +5,9 @@
  *     blob       generation   commit    attempt   confirm   revoked
  *
  * One word decides each step: commit makes a slot count, attempt says that its trial began, confirm ends the trial,
- * revoked takes it out. A word is programmed once after an erase; programming clears bits. */
+ * revoked takes it out. A word is programmed once after an erase; programming clears bits.
+ *
+ * Once a slot was confirmed, one is at every instant: the only confirmed slot is neither erased nor revoked. */
 #ifndef EIT_STORE_H
 #define EIT_STORE_H
 
@@ -40,7 +42,14 @@ void eit_store_boot(struct eit_store *store, const struct eit_port *port, struct
 /* The slot that does not run. */
 uint8_t eit_store_other(const struct eit_store *store);
 
-/* Empty the other slot for a new blob. EIT_STORAGE if the storage did not obey. */
+/* Whether the other slot may be erased: a trial is not under way, and it is not the only confirmed one, as it is once
+ * the active one was revoked. */
+bool eit_store_may_begin(const struct eit_store *store);
+
+/* Whether the active slot was revoked, so that the next boot runs the other one. */
+bool eit_store_is_revoked(const struct eit_store *store);
+
+/* Empty the other slot for a new blob; ask eit_store_may_begin() before. EIT_STORAGE if the storage did not obey. */
 enum eit_status eit_store_begin(struct eit_store *store);
 
 /* Append to the new blob. EIT_VALUE unless length is a multiple of 4 that fits; EIT_STORAGE if a word does not read
@@ -53,10 +62,10 @@ enum eit_status eit_store_verify(const struct eit_store *store, struct eit_confi
 /* Make the new blob the one that the next boot tries. EIT_STORAGE if a word does not read back. */
 enum eit_status eit_store_commit(struct eit_store *store, uint32_t digest, uint32_t *generation);
 
-/* End the trial of the active slot. EIT_OK also if there is none. */
+/* End the trial of the active slot. EIT_OK also if there is none. Not for one that was revoked. */
 enum eit_status eit_store_confirm(struct eit_store *store);
 
-/* Revoke the active slot. EIT_EMPTY if the other one is not confirmed. */
+/* Revoke the active slot. EIT_EMPTY if the other one is not confirmed; EIT_OK also if it is revoked already. */
 enum eit_status eit_store_revoke(struct eit_store *store);
 
 /* Read the configuration of a slot that is valid; EIT_EMPTY otherwise. */

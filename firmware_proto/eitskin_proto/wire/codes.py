@@ -87,7 +87,7 @@ CODE_TEXT: Final[dict[Code, str]] = {
     Code.INVALID_CONFIGURATION: "the configuration's check or one of its values is wrong",
     Code.STORAGE_FAILED: "the device's storage did not take the write",
     Code.NO_PREVIOUS: "there is no earlier configuration to roll back to",
-    Code.NOT_CONFIRMED: "the active configuration is on trial; confirm it or roll it back first",
+    Code.NOT_CONFIRMED: "what runs is on trial or was rolled back; confirm it, or restart the device, first",
     Code.WRONG_GENERATION: "another generation of configuration is active",
     Code.STREAMING: "the device is streaming; stop it first",
     Code.FRONT_END_FAILED: "the analogue front end did not answer",

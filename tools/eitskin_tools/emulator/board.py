@@ -111,6 +111,11 @@ class Board:
     def _set_power(self, *words: int) -> None:
         self._memory[POWER_AT : POWER_AT + 16] = struct.pack("<4I", *words)
 
+    def cut_power_at(self, change: int, seed: int) -> None:
+        """Stop at a change of storage from now, half done; 0 for never. The board must not be changing storage."""
+        self._memory[POWER_AT + 8 : POWER_AT + 12] = struct.pack("<I", seed)
+        self._memory[POWER_AT : POWER_AT + 4] = struct.pack("<I", self.changes + change if change else 0)
+
     @property
     def changes(self) -> int:
         """Changes of storage since this board was started."""

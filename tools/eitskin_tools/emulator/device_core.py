@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from eitskin.errors import PortLost
 from eitskin_tools.emulator.firmware import build
+from eitskin_tools.emulator.outcome import MOST_OUTCOMES, Outcome
 
 OK: Final = 0
 """``EIT_OK``."""
@@ -81,6 +82,10 @@ def load(path: Path) -> ctypes.CDLL:
         ("eit_host_set_counts", None, [pointer, pointer, pointer]),
         ("eit_host_set_front_end", None, [pointer, ctypes.c_int]),
         ("eit_host_set_clock", None, [pointer, u32]),
+        ("eit_host_watch", None, [pointer, u32]),
+        ("eit_host_outcomes", size, [pointer, pointer, size]),
+        ("eit_host_images", u32, [pointer]),
+        ("eit_host_outcome_of", None, [ctypes.c_char_p, pointer]),
     ):
         function = getattr(core, name)
         function.restype, function.argtypes = result, arguments
@@ -137,13 +142,18 @@ class CoreDeframer:
 
 
 class HostDevice:
-    """A device made of the C core, in this process, with a clock that only ``read`` and ``run`` move."""
+    """A device made of the C core, in this process, with a clock that only ``read`` and ``run`` move.
 
-    def __init__(self) -> None:
-        self._core = library()
+    Args:
+        core: The core's library; by default the one that is built from the sources.
+    """
+
+    def __init__(self, core: ctypes.CDLL | None = None) -> None:
+        self._core = core or library()
         self._memory = ctypes.create_string_buffer(self._core.eit_host_bytes())
         self._core.eit_host_init(self._memory)
         self._out = ctypes.create_string_buffer(65536)
+        self._outcomes = (ctypes.c_uint32 * (5 * MOST_OUTCOMES))()
         self.cut_line = False
         """True: bytes to the device are lost, as with a pulled plug."""
 
@@ -191,7 +201,7 @@ class HostDevice:
     def take(self) -> bytes:
         """Return what the device has sent, without letting time pass."""
         count = self._core.eit_host_take(self._memory, self._out, len(self._out))
-        return self._out.raw[:count]
+        return ctypes.string_at(self._out, count)
 
     def run(self, duration_us: int, step_us: int = 50) -> None:
         """Let time pass."""
@@ -225,6 +235,25 @@ class HostDevice:
     def restarts(self) -> int:
         """Times that the device restarted on request."""
         return int(self._core.eit_host_restarts(self._memory))
+
+    def watch(self, seed: int) -> None:
+        """Find out at every change of storage what would boot if power failed then; 0: no more.
+
+        Args:
+            seed: Of the bits that a torn word got.
+        """
+        self._core.eit_host_watch(self._memory, seed)
+
+    def outcomes(self) -> list[Outcome]:
+        """Return what was found since the last call, each outcome once; at most 32 of them."""
+        found = self._outcomes
+        count = self._core.eit_host_outcomes(self._memory, found, MOST_OUTCOMES)
+        return [Outcome(*found[5 * i : 5 * i + 5]) for i in range(count)]
+
+    @property
+    def images(self) -> int:
+        """States of storage that were booted to find that out, since ``watch``."""
+        return int(self._core.eit_host_images(self._memory))
 
     def limit_line(self, capacity: int) -> None:
         """Let the line hold so many bytes until they are taken."""

@@ -215,7 +215,7 @@ class VirtualDevice:
             case messages.TimeRequest():
                 return [messages.Time(self.device_us(now_ns), tag)]
             case messages.ConfigRead():
-                found = self.store.read(request)
+                found = self.store.read(request, now_ns)
                 return [found if isinstance(found, messages.ConfigData) else Ack(kind, found[0], found[1], tag)]
         code, detail = self._do(request, now_ns)
         return [Ack(kind, code, detail, tag)]

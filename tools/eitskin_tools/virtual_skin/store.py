@@ -75,6 +75,11 @@ class ConfigurationStore:
         """Whether the running configuration waits for its confirmation."""
         return self._running is not None and not self._slots[self._running].confirmed
 
+    @property
+    def revoked(self) -> bool:
+        """Whether the running configuration was rolled back, so that the next boot runs the other one."""
+        return self._running is not None and self._slots[self._running].revoked
+
     def boot(self) -> None:
         """Choose what runs: the newest usable slot, unless its one trial is over."""
         self._session = None
@@ -95,14 +100,15 @@ class ConfigurationStore:
     def _newest(self, usable: list[int]) -> int:
         return max(usable, key=lambda index: self._slots[index].generation)
 
-    def read(self, request: messages.ConfigRead) -> messages.ConfigData | Answer:
+    def read(self, request: messages.ConfigRead, now_ns: int) -> messages.ConfigData | Answer:
         """Return a piece of a stored configuration."""
+        self._left_ms(now_ns)  # a session that has expired is over
         fits = 1 <= request.length <= messages.CHUNK_BYTES and request.offset + request.length <= BLOB_BYTES
         if request.slot not in (Slot.ACTIVE, Slot.OTHER) or not fits:
             return Code.BAD_VALUE, BLOB_BYTES
         other, session = self._slots[self._other()], self._session
         if request.slot == Slot.ACTIVE:
-            blob, generation = self.configuration.to_blob(), self.generation
+            blob, generation = self.configuration.to_blob(), 0 if self.revoked else self.generation
         elif session is not None and session.begin is not None:
             blob, generation = other.blob.ljust(BLOB_BYTES, b"\xff"), session.committed  # as the storage holds it
         elif other.configuration() is not None:
@@ -123,7 +129,7 @@ class ConfigurationStore:
             return Code.TOO_LARGE, BLOB_BYTES
         if not request.allow_downgrade and request.revision < active.revision and request.name == active.name:
             return Code.DOWNGRADE, active.revision
-        if self.on_trial:
+        if self.on_trial or self.revoked:  # the other slot is what boots next, and the only one that is confirmed
             return Code.NOT_CONFIRMED, self.generation
         refused = self._take(request.token, now_ns)
         if refused is not None:
@@ -186,6 +192,8 @@ class ConfigurationStore:
         """End the trial of the running configuration."""
         if (request.generation, request.digest) != (self.generation, self.configuration.digest):
             return Code.WRONG_GENERATION, self.generation
+        if self.revoked:
+            return Code.NOT_CONFIRMED, self.generation
         if self._running is not None:
             self._slots[self._running].confirmed = True
         return Code.OK, self.generation

@@ -1,0 +1,214 @@
+"""SPEC.md, section 6, as a state machine of values. It shares nothing with the C core and the virtual skin.
+
+::
+
+    answer(state, request) -> (state afterwards, what the device says)
+
+Storage that a power cut left half done is either as it was before the request or as after it (that is what SPEC.md
+promises), so whoever cuts the power goes on with both states and drops the one that the device's answers refute.
+"""
+
+from typing import Any, Final
+
+from eitskin_proto.wire.codes import Code, HelloFlag
+from eitskin_proto.wire.framing import crc32c
+from eitskin_tools.fault_injection.request_sequences.state import Session, Slot, State, digest_of, slot_of
+
+BLOB_BYTES: Final = 64
+CHUNK_BYTES: Final = 32
+HARDWARE_ID: Final = 0x45533136
+FORMAT: Final = 1
+MAGIC: Final = b"EITC"
+
+Request = tuple[Any, ...]
+"""Its name, and its fields in the order of SPEC.md, tag left out."""
+
+Reply = tuple[Any, ...]
+"""("ack", code, detail), ("hello", generation, digest, flags), or ("data", slot, generation, offset, data).
+
+A detail of None is not foretold."""
+
+
+def answer(state: State, request: Request) -> tuple[State, Reply]:
+    """Return the device after a request, and what it says; RESTART's boot is the caller's."""
+    name, *fields = request
+    made: tuple[State, Reply] = _ANSWERS[name](state, *fields)
+    return made
+
+
+def _ack(code: Code, detail: int = 0) -> Reply:
+    return ("ack", int(code), detail)
+
+
+def _hello(state: State) -> tuple[State, Reply]:
+    flags = (
+        (HelloFlag.FULL if state.blob[5] == 208 else 0)
+        | (HelloFlag.TRIAL if state.trial else 0)
+        | (HelloFlag.FACTORY if state.running is None else 0)
+        | (HelloFlag.ROLLED_BACK if state.gave_up else 0)
+        | (HelloFlag.STREAMING if state.streaming else 0)
+    )
+    return state, ("hello", state.generation, digest_of(state.blob), int(flags))
+
+
+def _start(state: State) -> tuple[State, Reply]:
+    return state._replace(streaming=True), ("ack", int(Code.OK), None)  # its detail counts scans
+
+
+def _stop(state: State) -> tuple[State, Reply]:
+    return state._replace(streaming=False), ("ack", int(Code.OK), None)
+
+
+def _read(state: State, slot: int, offset: int, length: int) -> tuple[State, Reply]:
+    if slot > 1 or not 1 <= length <= CHUNK_BYTES or offset + length > BLOB_BYTES:
+        return state, _ack(Code.BAD_VALUE, BLOB_BYTES)
+    blob, generation = state.blob, 0 if state.revoked else state.generation
+    if slot == 1 and state.session is not None and state.session.announced is not None:
+        blob, generation = state.session.written.ljust(BLOB_BYTES, b"\xff"), state.session.committed
+    elif slot == 1:
+        other = state.slots[state.other]
+        if other is None or other.revoked:
+            return state, _ack(Code.NO_PREVIOUS)
+        blob, generation = other.blob, other.generation
+    return state, ("data", slot, generation, offset, blob[offset : offset + length])
+
+
+def _begin(
+    state: State, token: int, size: int, digest: int, hardware_id: int, revision: int, form: int, allow: int, name: bytes
+) -> tuple[State, Reply]:
+    active_revision = int.from_bytes(state.blob[12:16], "little")
+    if state.streaming:
+        return state, _ack(Code.STREAMING)
+    if hardware_id != HARDWARE_ID:
+        return state, _ack(Code.WRONG_HARDWARE, HARDWARE_ID)
+    if form != FORMAT:
+        return state, _ack(Code.BAD_FORMAT, FORMAT)
+    if size != BLOB_BYTES:
+        return state, _ack(Code.TOO_LARGE, BLOB_BYTES)
+    if not allow and revision < active_revision and name.ljust(16, b"\0") == state.blob[16:32]:
+        return state, _ack(Code.DOWNGRADE, active_revision)
+    if state.trial or state.revoked:
+        return state, _ack(Code.NOT_CONFIRMED, state.generation)
+    if token == 0:
+        return state, _ack(Code.BAD_VALUE)
+    if state.session is not None and state.session.token != token:
+        return state, _ack(Code.BUSY, None)
+    begun = state.with_slot(state.other, None)
+    return begun._replace(session=Session(token, digest)), _ack(Code.OK, BLOB_BYTES)
+
+
+def _held(state: State, token: int) -> Reply | None:
+    """Return why this token has no open session; None if it has."""
+    if state.session is not None and state.session.token != token:
+        return _ack(Code.BUSY, None)
+    if state.session is None or state.session.announced is None:
+        return _ack(Code.NO_SESSION)
+    return None
+
+
+def _heard(state: State, **changes: Any) -> State:
+    assert state.session is not None
+    return state._replace(session=state.session._replace(silent_s=0, **changes))
+
+
+def _write(state: State, token: int, offset: int, data: bytes) -> tuple[State, Reply]:
+    refused = _held(state, token)
+    if refused is not None:
+        return state, refused
+    assert state.session is not None
+    state, written = _heard(state), state.session.written
+    if not data or len(data) % 4:
+        return state, _ack(Code.BAD_VALUE, len(data))
+    if offset + len(data) == len(written) and written.endswith(data):
+        return state, _ack(Code.OK, len(written))
+    if offset != len(written) or offset + len(data) > BLOB_BYTES:
+        return state, _ack(Code.BAD_OFFSET, len(written))
+    return _heard(state, written=written + data), _ack(Code.OK, len(written) + len(data))
+
+
+def _judged(session: Session) -> Reply:
+    blob = session.written
+    if len(blob) != BLOB_BYTES:
+        return _ack(Code.INCOMPLETE, len(blob))
+    if blob[:4] != MAGIC or crc32c(blob[:60]) != digest_of(blob):
+        return _ack(Code.DIGEST_MISMATCH)
+    return _ack(Code.OK if digest_of(blob) == session.announced else Code.DIGEST_MISMATCH, digest_of(blob))
+
+
+def _verify(state: State, token: int) -> tuple[State, Reply]:
+    refused = _held(state, token)
+    if refused is not None:
+        return state, refused
+    state = _heard(state)
+    assert state.session is not None
+    return state, _judged(state.session)
+
+
+def _commit(state: State, token: int, digest: int) -> tuple[State, Reply]:
+    refused = _held(state, token)
+    if refused is not None:
+        return state, refused
+    state = _heard(state)
+    session = state.session
+    assert session is not None
+    if session.committed and digest == session.announced:
+        return state, _ack(Code.OK, session.committed)
+    judged = _judged(session)
+    if judged[1] != Code.OK:
+        return state, judged
+    if judged[2] != digest:
+        return state, ("ack", int(Code.DIGEST_MISMATCH), judged[2])
+    number = state.next_generation
+    state = state.with_slot(state.other, Slot(session.written, number))._replace(next_generation=number + 1)
+    return _heard(state, committed=number), _ack(Code.OK, number)
+
+
+def _confirm(state: State, generation: int, digest: int) -> tuple[State, Reply]:
+    if (generation, digest) != (state.generation, digest_of(state.blob)):
+        return state, _ack(Code.WRONG_GENERATION, state.generation)
+    if state.revoked:
+        return state, _ack(Code.NOT_CONFIRMED, state.generation)
+    if state.running is not None:
+        state = state.with_slot(state.running, slot_of(state, state.running)._replace(confirmed=True))
+    return state._replace(trial=False), _ack(Code.OK, state.generation)
+
+
+def _rollback(state: State, token: int, generation: int) -> tuple[State, Reply]:
+    if state.streaming:
+        return state, _ack(Code.STREAMING)
+    if generation != state.generation:
+        return state, _ack(Code.WRONG_GENERATION, state.generation)
+    if token == 0:
+        return state, _ack(Code.BAD_VALUE)
+    if state.session is not None and state.session.token != token:
+        return state, _ack(Code.BUSY, None)
+    other = state.slots[state.other]
+    if state.running is None or other is None or other.revoked or not other.confirmed:
+        return state._replace(session=None), _ack(Code.NO_PREVIOUS, state.generation)
+    revoked = state.with_slot(state.running, slot_of(state, state.running)._replace(revoked=True))
+    return revoked._replace(session=Session(token)), _ack(Code.OK, state.generation)
+
+
+def _abort(state: State, token: int) -> tuple[State, Reply]:
+    refused = _held(state, token)
+    return (state, refused) if refused is not None else (state._replace(session=None), _ack(Code.OK))
+
+
+def _restart(state: State, token: int) -> tuple[State, Reply]:
+    if state.session is not None and state.session.token != token:
+        return state, _ack(Code.BUSY, None)
+    if state.session is None and token:
+        return state, _ack(Code.NO_SESSION)
+    return state._replace(streaming=False), _ack(Code.OK)
+
+
+def _malformed(state: State, kind: int, length: int) -> tuple[State, Reply]:
+    known = kind in (0x01, 0x02, 0x03, 0x04, 0x05, *range(0x10, 0x19))
+    return state, _ack(Code.BAD_LENGTH if known else Code.UNKNOWN_TYPE, length)
+
+
+_ANSWERS: Final[dict[str, Any]] = {
+    "hello": _hello, "start": _start, "stop": _stop, "read": _read, "begin": _begin, "write": _write,
+    "verify": _verify, "commit": _commit, "confirm": _confirm, "rollback": _rollback, "abort": _abort,
+    "restart": _restart, "malformed": _malformed,
+}  # fmt: skip
