@@ -170,13 +170,19 @@ static void look(struct eit_host *host, uint8_t slot, size_t word, uint32_t afte
     note_outcome(host, &image);
 }
 
-/* The same for an erase that is cut short everywhere at once: any bit of the slot may be set already. */
+/* The same for an erase, whose words have no promised order: any one of them may be the first, and the power may fail
+ * while all of them have some bits set. */
 static void look_at_erase(struct eit_host *host, uint8_t slot)
 {
     struct image image;
 
     if (host->watching == 0) {
         return;
+    }
+    for (size_t i = 0; i < SLOT_WORDS; i++) {
+        image = host->storage;
+        image.slots[slot][i] = 0xffffffffu;
+        note_outcome(host, &image);
     }
     image = host->storage;
     for (size_t i = 0; i < SLOT_WORDS; i++) {

@@ -7,7 +7,7 @@ MOST_OUTCOMES: Final = 32
 
 
 class Outcome(NamedTuple):
-    """What a device runs after a boot, and what once every trial is over: generation 0 is the built-in configuration."""
+    """What a device runs after a boot, and what once every trial is over; generation 0 is what is built in."""
 
     generation: int
     digest: int

@@ -1,8 +1,9 @@
 """Power cut at every write of a flash: the device must come back with the old or the new configuration, never neither.
 
-``python -m eitskin_tools.fault_injection.powercut [--seeds N] [--board-steps N]`` first runs the host model, where the
-word that was being written may be torn in any way, then the real firmware under QEMU, which is killed. One JSON line
-comes last; exit status 1 if a device was lost.
+``python -m eitskin_tools.fault_injection.powercut [--seeds N] [--board-steps N] [--sequences N]`` first runs the host
+model, where the word that was being written may be torn in any way, then the real firmware under QEMU, which is killed;
+then random sequences of requests, boots and cuts on both (request_sequences). One JSON line comes last; exit status 1
+if a device was lost.
 """
 
 import argparse
@@ -23,7 +24,9 @@ from eitskin_tools.emulator.board import Board, new_storage
 from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.emulator.firmware import missing_tools
 from eitskin_tools.emulator.patience import UntilStopped, patient
-from eitskin_tools.flash import procedure
+from eitskin_tools.fault_injection.request_sequences.lines import BoardLine, CoreLine
+from eitskin_tools.fault_injection.request_sequences.search import Figures, search
+from eitskin_tools.flash import procedure, stored
 from eitskin_tools.flash.exchange import Exchange
 
 OLD: Final = "full208"
@@ -66,7 +69,7 @@ def count_changes(kind: str) -> int:
 
 def _name(device: HostDevice) -> str:
     device.take()
-    shown = procedure.show(Exchange(device, timeout_s=0.1, attempts=2))
+    shown = stored.show(Exchange(device, timeout_s=0.1, attempts=2))
     if config_toml.named(shown.active.configuration.name) != shown.active.configuration:
         return "neither"
     return shown.active.configuration.name
@@ -121,7 +124,7 @@ def _board_name(storage: Path) -> Configuration:
     with Board(storage) as board:
         port = SerialPort(board.port)
         try:
-            return procedure.show(patient(port)).active.configuration
+            return stored.show(patient(port)).active.configuration
         finally:
             port.close()
 
@@ -174,23 +177,44 @@ def cut_board(steps: int) -> dict[str, object]:
     return {"cut_points": total, "cuts": len(cuts), "booted": dict(outcome), "lost": lost}
 
 
+def cut_sequences(count: int, seed: int) -> Figures:
+    """Play random sequences on the core in memory, and look at every change of storage; return the figures."""
+    return search(CoreLine, count, seed)
+
+
+def cut_board_sequences(count: int, seed: int) -> Figures:
+    """Play random sequences on the emulated board; return the figures."""
+    with tempfile.TemporaryDirectory() as folder:
+        storage = Path(folder) / "storage.bin"
+        return search(lambda _: BoardLine(storage), count, seed, waits=False)
+
+
 def main(argv: list[str] | None = None) -> int:
     """Run it and print the figures."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--seeds", type=int, default=12, help="ways to tear each word; 0 and 1 cut before and after it")
     parser.add_argument("--board-steps", type=int, default=0, help="kills of the emulator; 0 for one at every change")
+    parser.add_argument("--sequences", type=int, default=20_000, help="random sequences of requests on the host model")
+    parser.add_argument("--board-sequences", type=int, default=24, help="the same on the emulated board")
+    parser.add_argument("--seed", type=int, default=0, help="of the sequences")
     parser.add_argument("--no-board", action="store_true", help="host model only")
     arguments = parser.parse_args(argv)
     report: dict[str, object] = {"model": cut_model(arguments.seeds)}
+    figures = [cut_sequences(arguments.sequences, arguments.seed)]
+    report["sequences"] = figures[0].as_dict()
     missing = missing_tools("qemu")
     if arguments.no_board or missing:
         report["board"] = f"not run: {', '.join(missing)} not found" if missing else "not run"
+        report["board_sequences"] = report["board"]
     else:
         report["board"] = cut_board(arguments.board_steps)
+        figures.append(cut_board_sequences(arguments.board_sequences, arguments.seed))
+        report["board_sequences"] = figures[1].as_dict()
     lost = [line for part in report.values() if isinstance(part, dict) for line in part["lost"]]
     for line in lost:
         print(line, file=sys.stderr)
-    print(json.dumps({"powercut": report, "lost": len(lost)}))
+    untold = sum(found.breaches + found.differing for found in figures) - sum(len(found.lost) for found in figures)
+    print(json.dumps({"powercut": report, "lost": len(lost) + untold}))
     return 1 if lost else 0
 
 

@@ -5,6 +5,7 @@ twice without harm (SPEC.md, section 6), so that a lost answer costs time and no
 """
 
 import time
+from collections import deque
 from typing import Any, Final
 
 from eitskin.acquisition.transport import Transport
@@ -12,6 +13,7 @@ from eitskin.errors import HandshakeError
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import framing, messages
 from eitskin_proto.wire.codes import Code, MessageType
+from eitskin_proto.wire.config import BLOB_BYTES
 
 ANSWER_TIMEOUT_S: Final = 0.6
 """A device answers within 0.5 s (SPEC.md, section 3)."""
@@ -21,6 +23,9 @@ KNOWN_TYPES: Final = frozenset(int(kind) for kind in MessageType)
 
 ATTEMPTS: Final = 4
 """How often a request is sent before the device counts as silent."""
+
+EVENTS_KEPT: Final = 64
+"""The newest; a device may report without end."""
 
 
 class Refused(HandshakeError):  # noqa: N818 - a refusal is called one
@@ -58,8 +63,8 @@ class Exchange:
         self._deframer = framing.Deframer()
         self.late = 0
         """Answers that came late or twice, and were dropped."""
-        self.events: list[messages.Event] = []
-        """What the device reported by itself."""
+        self.events: deque[messages.Event] = deque(maxlen=EVENTS_KEPT)
+        """What the device reported by itself, lately."""
 
     def replace(self, transport: Transport) -> None:
         """Go on over another line, after the old one vanished."""
@@ -96,18 +101,27 @@ class Exchange:
         return answer
 
     def read(self, slot: int, offset: int, length: int) -> messages.ConfigData:
-        """Return a piece of a stored configuration.
+        """Return a piece of a stored configuration: all of it that was asked for, or it is an error.
 
         Raises:
             Refused: There is none in this slot.
             Silent: No answer.
+            ProtocolError: The answer is not of this piece.
         """
-        request = messages.ConfigRead(slot=slot, offset=offset, length=length)
         answer = self._ask(
             lambda tag: messages.ConfigRead(tag=tag, slot=slot, offset=offset, length=length), "CONFIG_READ"
         )
-        if not isinstance(answer, messages.ConfigData) or answer.offset != request.offset:
-            raise ProtocolError(f"the device answered CONFIG_READ with {answer}")
+        if not isinstance(answer, messages.ConfigData):
+            raise ProtocolError(f"the device answered CONFIG_READ with {type(answer).__name__}, expected ConfigData")
+        for what, found, expected in (
+            ("slot", answer.slot, slot), ("offset", answer.offset, offset), ("total", answer.total, BLOB_BYTES),
+            ("so many bytes:", len(answer.data), length),
+        ):  # fmt: skip
+            if found != expected:
+                raise ProtocolError(
+                    f"the device answered CONFIG_READ with {what} {found}, expected {expected}: its firmware does not "
+                    "keep to the protocol"
+                )
         return answer
 
     def _ask(self, make: Any, name: str, attempts: int | None = None) -> messages.Message:
@@ -119,8 +133,14 @@ class Exchange:
             answer = self._answer(self._tag, time.perf_counter() + self._timeout_s)
             if answer is None:
                 continue
-            if isinstance(answer, messages.Ack) and answer.code != Code.OK:
-                raise Refused(answer, name)
+            if isinstance(answer, messages.Ack):
+                if answer.request != MessageType[name]:
+                    raise ProtocolError(
+                        f"the device answered {name} with an ACK of request 0x{answer.request:02x}, expected "
+                        f"0x{MessageType[name]:02x}"
+                    )
+                if answer.code != Code.OK:
+                    raise Refused(answer, name)
             return answer
         raise Silent(
             f"{self.transport.name} did not answer {name} in {tried} attempts: is it an eitskin device, is its "

@@ -12,68 +12,25 @@ import secrets
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import dataclass
 from typing import Final
 
 from eitskin.acquisition.transport import Transport
 from eitskin.errors import SkinError, TransportError
 from eitskin_proto.wire import messages
 from eitskin_proto.wire.codes import Code, HelloFlag, Slot
-from eitskin_proto.wire.config import BLOB_BYTES, FORMAT, Configuration
+from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.hardware import KNOWN
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
+from eitskin_tools.flash.stored import FlashError, Stored, read_stored, show
 
 BOOT_TIMEOUT_S: Final = 10.0
 """A device that has not come back by then is reported; it goes back to the old configuration by itself."""
 
+BOOT_TRIES: Final = 200
+"""One in 0.05 s; a device that talks without end would else be asked as fast as it answers."""
+
 Progress = Callable[[str, int, int], None]
 """Called with the step's name, the steps done and their number."""
-
-
-class FlashError(SkinError):
-    """Flashing failed; the text says which configuration the device is left with."""
-
-
-@dataclass(frozen=True, slots=True)
-class Stored:
-    """A configuration as a device holds it."""
-
-    configuration: Configuration
-    generation: int
-
-
-@dataclass(frozen=True, slots=True)
-class Shown:
-    """What a device says about itself and its configurations."""
-
-    hello: messages.Hello
-    active: Stored
-    other: Stored | None
-    """What a rollback would return to; None if there is nothing."""
-
-
-def read_stored(exchange: Exchange, slot: int) -> tuple[int, bytes]:
-    """Return generation and blob of a slot.
-
-    Raises:
-        Refused: Nothing is stored there.
-    """
-    blob, generation = b"", 0
-    while len(blob) < BLOB_BYTES:
-        piece = exchange.read(slot, len(blob), min(messages.CHUNK_BYTES, BLOB_BYTES - len(blob)))
-        blob, generation = blob + piece.data, piece.generation
-    return generation, blob
-
-
-def show(exchange: Exchange) -> Shown:
-    """Return what the device runs, and what it could go back to."""
-    hello = exchange.hello()
-    generation, blob = read_stored(exchange, Slot.ACTIVE)
-    other = None
-    with suppress(Refused):
-        other_generation, other_blob = read_stored(exchange, Slot.OTHER)
-        other = Stored(Configuration.from_blob(other_blob), other_generation)
-    return Shown(hello, Stored(Configuration.from_blob(blob), generation), other)
 
 
 def differences(old: Configuration, new: Configuration) -> list[tuple[str, object, object]]:
@@ -139,9 +96,14 @@ def write(
     try:
         for number, at in enumerate(pieces):
             progress("write", 1 + number, total)
-            exchange.command(messages.ConfigWrite, token=token, offset=at, data=blob[at : at + messages.CHUNK_BYTES])
+            piece = blob[at : at + messages.CHUNK_BYTES]
+            written = exchange.command(messages.ConfigWrite, token=token, offset=at, data=piece).detail
+            if written != at + len(piece):
+                raise FlashError(f"the device says that it has {written} bytes, expected {at + len(piece)}")
         progress("verify", total - 5, total)
-        exchange.command(messages.ConfigVerify, token=token)
+        found = exchange.command(messages.ConfigVerify, token=token).detail
+        if found != configuration.digest:
+            raise FlashError(f"the device found digest {found:08x}, expected {configuration.digest:08x}")
         _, read_back = read_stored(exchange, Slot.OTHER)
         if read_back != blob:
             raise FlashError("what the device stored differs from what was sent")
@@ -152,7 +114,10 @@ def write(
             exchange.command(messages.ConfigAbort, token=token)
         raise FlashError(f"{error}; the device keeps its old configuration") from error
     progress("restart", total - 3, total)
-    restart(exchange, token)
+    try:
+        restart(exchange, token)
+    except SkinError as error:
+        raise FlashError(f"{error}; the next boot tries the new configuration, the one after it goes back") from error
     _confirm(exchange, generation, configuration.digest, progress, total, reopen)
     return Stored(configuration, generation)
 
@@ -202,7 +167,9 @@ def wait_for_boot(exchange: Exchange, generation: int, reopen: Callable[[], Tran
     """
     deadline_s = time.perf_counter() + BOOT_TIMEOUT_S
     last: messages.Hello | None = None
-    while time.perf_counter() < deadline_s:
+    for _ in range(BOOT_TRIES):
+        if time.perf_counter() >= deadline_s:
+            break
         try:
             last = exchange.hello(attempts=1)
         except Silent:

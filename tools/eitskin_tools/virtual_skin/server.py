@@ -10,6 +10,7 @@ the wire: the moment from which latency is counted. The call itself (about 10 us
 counted too. The time is negative where the line had no room for the whole frame.
 """
 
+import math
 import os
 import select
 from collections.abc import Callable
@@ -104,7 +105,7 @@ class SkinServer:
         moments = [self._release_ns, self._replug_ns, self.device.next_ns]
         moments += [due for due, _ in self._late[:1]]
         if self.device.streaming:
-            moments.append(max(int(self._deadline_ns), self._resume_ns))
+            moments.append(max(math.ceil(self._deadline_ns), self._resume_ns))  # rounded down, it would be too early
         return min((moment for moment in moments if moment), default=0)
 
     def _wait(self, until_ns: int | None) -> None:

@@ -79,7 +79,7 @@ def _configuration(port: str, baud: int) -> dict[str, Any]:
 
     from eitskin.acquisition.ports import open_line
     from eitskin_tools.flash.exchange import Exchange
-    from eitskin_tools.flash.procedure import show
+    from eitskin_tools.flash.stored import show
 
     line = open_line(port, baud)
     try:

@@ -13,7 +13,7 @@ from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
-from eitskin_tools.flash import procedure
+from eitskin_tools.flash import procedure, stored
 from eitskin_tools.flash.exchange import Exchange
 
 ACTIONS = ("show", "diff", "write", "verify", "rollback")
@@ -58,11 +58,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Configuration | None, opened: Any) -> int:
     if arguments.action == "show":
-        shown = procedure.show(exchange)
+        shown = stored.show(exchange)
         return _print(arguments, {"action": "show", **_device(shown)})
     if arguments.action == "rollback":
         if arguments.dry_run:
-            return _print(arguments, {"action": "rollback", "dry_run": True, **_device(procedure.show(exchange))})
+            return _print(arguments, {"action": "rollback", "dry_run": True, **_device(stored.show(exchange))})
         hello = procedure.rollback(exchange, opened)
         return _print(
             arguments,
@@ -70,10 +70,10 @@ def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Confi
         )
     assert configuration is not None
     if arguments.action == "write" and not arguments.dry_run:
-        stored = procedure.write(
+        written = procedure.write(
             exchange, configuration, allow_downgrade=arguments.allow_downgrade, progress=_progress, reopen=opened
         )
-        return _print(arguments, {"action": "write", "generation": stored.generation, **_describe(configuration)})
+        return _print(arguments, {"action": "write", "generation": written.generation, **_describe(configuration)})
     found = procedure.verify(exchange, configuration)
     listed = [{"field": name, "device": old, "file": new} for name, old, new in found]
     report = {"action": arguments.action, "differences": listed, **_describe(configuration)}
@@ -88,8 +88,8 @@ def _describe(configuration: Configuration) -> dict[str, Any]:
     return {"configuration": configuration.name, "digest": f"{configuration.digest:08x}"}
 
 
-def _device(shown: procedure.Shown) -> dict[str, Any]:
-    def stored(one: procedure.Stored | None) -> dict[str, Any] | None:
+def _device(shown: stored.Shown) -> dict[str, Any]:
+    def described(one: stored.Stored | None) -> dict[str, Any] | None:
         if one is None:
             return None
         return {
@@ -103,8 +103,10 @@ def _device(shown: procedure.Shown) -> dict[str, Any]:
         "serial_number": hello.serial_number,
         "firmware": ".".join(map(str, hello.firmware_version)),
         "flags": [flag.name for flag in HelloFlag if hello.flags & flag],
-        "active": stored(shown.active),
-        "other": stored(shown.other),
+        "active_state": shown.active_state,
+        "active": described(shown.active),
+        "other_state": shown.other_state,
+        "other": described(shown.other),
     }
 
 

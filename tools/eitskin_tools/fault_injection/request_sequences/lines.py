@@ -1,6 +1,7 @@
 """The two devices that sequences are played on: the C core in this process, and the firmware on the emulated board."""
 
 import ctypes
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
@@ -11,10 +12,11 @@ from eitskin.errors import PortLost
 from eitskin_proto.errors import SkinError
 from eitskin_proto.wire import framing
 from eitskin_proto.wire.codes import EventCode, MessageType
-from eitskin_tools.emulator.board import Board
+from eitskin_tools.emulator.board import Board, new_storage
 from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.emulator.outcome import Outcome
 from eitskin_tools.emulator.patience import UntilStopped
+from eitskin_tools.fault_injection.request_sequences.state import LOCK_S
 
 SILENCE_S: Final = 60.0
 """A board that says nothing for so long is gone; a busy machine may starve it for seconds."""
@@ -46,6 +48,17 @@ class Line(Protocol):
     @property
     def dead(self) -> bool:
         """Whether the power is cut."""
+
+    @property
+    def timely(self) -> bool:
+        """Whether no limit of time was near that a sequence did not ask for."""
+
+    @property
+    def images(self) -> int:
+        """States of storage that were booted for ``outcomes``."""
+
+    def close(self) -> None:
+        """Switch off for good."""
 
 
 class CoreLine:
@@ -101,17 +114,32 @@ class CoreLine:
         """Whether the power is cut."""
         return self.device.dead
 
+    @property
+    def timely(self) -> bool:
+        """Always: its clock is turned by hand."""
+        return True
+
+    @property
+    def images(self) -> int:
+        """States of storage that were booted for ``outcomes``."""
+        return self.device.images
+
+    def close(self) -> None:
+        """Nothing to give back."""
+
 
 class BoardLine:
     """The firmware under QEMU; killing it is the power cut. Its clock cannot be turned on.
 
     Args:
-        storage: Its storage file.
+        storage: Its storage file, which is made anew.
     """
 
     def __init__(self, storage: Path) -> None:
+        new_storage(storage)
         self._storage = storage
         self._cut = (0, 0)
+        self._began_s = time.monotonic()
         self._switch_on()
 
     def _switch_on(self) -> None:
@@ -174,6 +202,16 @@ class BoardLine:
     def dead(self) -> bool:
         """Whether the power is cut."""
         return self._board.stopped
+
+    @property
+    def timely(self) -> bool:
+        """Whether it all took less than a session's silence; a starved board may lose its lock or its trial."""
+        return time.monotonic() - self._began_s < LOCK_S - 1
+
+    @property
+    def images(self) -> int:
+        """None."""
+        return 0
 
 
 def _is_answer(payload: bytes) -> bool:

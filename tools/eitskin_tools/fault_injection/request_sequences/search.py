@@ -23,15 +23,19 @@ class Figures:
     """Sequences in which something was confirmed."""
     requests: int = 0
     cuts: int = 0
+    """Power cuts after which it went on."""
     images: int = 0
     """States of storage that were booted: torn and whole, at every change."""
-    lost: int = 0
+    breaches: int = 0
     """Sequences with a moment that left no bootable confirmed configuration."""
     differing: int = 0
     """Sequences with an answer or a boot that is not SPEC.md's."""
+    late: int = 0
+    """Sequences that count for nothing, since the machine was too busy to keep the device's times."""
     seconds: float = 0.0
-    failures: list[str] = field(default_factory=list)
-    """The first few, each with its number and its shortest form."""
+    seed: int = 0
+    lost: list[str] = field(default_factory=list)
+    """The first few that broke the promise or SPEC.md, each with its number and its shortest form."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it for one JSON object."""
@@ -44,9 +48,12 @@ def sequence(seed: int, number: int, waits: bool = True) -> list[Step]:
 
 
 def play(fresh: Fresh, steps: list[Step], seed: int = 1) -> tuple[Verdict, Line]:
-    """Play a sequence on a fresh device."""
+    """Play a sequence on a fresh device; return what came of it, and the device, switched off."""
     line = fresh(seed)
-    return Player(line).play(steps), line
+    try:
+        return Player(line).play(steps), line
+    finally:
+        line.close()
 
 
 def shorten(fails: Callable[[list[Step]], bool], steps: list[Step]) -> list[Step]:
@@ -74,30 +81,34 @@ def search(fresh: Fresh, count: int, seed: int = 0, keep: int = 3, waits: bool =
         keep: How many failing ones are shortened and told.
         waits: Whether time passes in them.
     """
-    figures, began_s = Figures(), time.perf_counter()
+    figures, began_s = Figures(seed=seed), time.perf_counter()
     for number in range(count):
         steps = sequence(seed, number, waits)
         verdict, line = play(fresh, steps, number)
         figures.sequences += 1
+        if not line.timely:
+            figures.late += 1
+            continue
         figures.with_confirmed += verdict.confirmed
         figures.requests += verdict.requests
         figures.cuts += verdict.cuts
-        figures.images += getattr(getattr(line, "device", None), "images", 0)
-        figures.lost += bool(verdict.lost)
+        figures.images += line.images
+        figures.breaches += bool(verdict.lost)
         figures.differing += bool(verdict.differs)
         for kind in ("lost", "differs"):
-            if getattr(verdict, kind) and len(figures.failures) < keep:
-                figures.failures.append(_told(fresh, kind, steps, seed, number))
+            if getattr(verdict, kind) and len(figures.lost) < keep:
+                figures.lost.append(_told(fresh, kind, steps, seed, number))
     figures.seconds = time.perf_counter() - began_s
     return figures
 
 
 def _told(fresh: Fresh, kind: str, steps: list[Step], seed: int, number: int) -> str:
-    def fails(part: list[Step]) -> bool:
-        return bool(getattr(play(fresh, part, number)[0], kind))
+    def what(part: list[Step]) -> str:
+        verdict, line = play(fresh, part, number)
+        return str(getattr(verdict, kind)) if line.timely else ""
 
-    short = shorten(fails, steps)
-    what = getattr(play(fresh, short, number)[0], kind)
-    return f"seed {seed}, sequence {number}: {what}; shortest: {short}"
-
-
+    said = what(steps)
+    if not said:
+        return f"seed {seed}, sequence {number}: failed once and not again: {steps}"
+    short = shorten(lambda part: bool(what(part)), steps)
+    return f"seed {seed}, sequence {number}: {what(short) or said}; shortest: {short}"

@@ -36,7 +36,7 @@ def answer(state: State, request: Request) -> tuple[State, Reply]:
     return made
 
 
-def _ack(code: Code, detail: int = 0) -> Reply:
+def _ack(code: Code, detail: int | None = 0) -> Reply:
     return ("ack", int(code), detail)
 
 
@@ -74,7 +74,15 @@ def _read(state: State, slot: int, offset: int, length: int) -> tuple[State, Rep
 
 
 def _begin(
-    state: State, token: int, size: int, digest: int, hardware_id: int, revision: int, form: int, allow: int, name: bytes
+    state: State,
+    token: int,
+    size: int,
+    digest: int,
+    hardware_id: int,
+    revision: int,
+    form: int,
+    allow_downgrade: int,
+    name: bytes,
 ) -> tuple[State, Reply]:
     active_revision = int.from_bytes(state.blob[12:16], "little")
     if state.streaming:
@@ -85,7 +93,7 @@ def _begin(
         return state, _ack(Code.BAD_FORMAT, FORMAT)
     if size != BLOB_BYTES:
         return state, _ack(Code.TOO_LARGE, BLOB_BYTES)
-    if not allow and revision < active_revision and name.ljust(16, b"\0") == state.blob[16:32]:
+    if not allow_downgrade and revision < active_revision and name.ljust(16, b"\0") == state.blob[16:32]:
         return state, _ack(Code.DOWNGRADE, active_revision)
     if state.trial or state.revoked:
         return state, _ack(Code.NOT_CONFIRMED, state.generation)
@@ -115,8 +123,7 @@ def _write(state: State, token: int, offset: int, data: bytes) -> tuple[State, R
     refused = _held(state, token)
     if refused is not None:
         return state, refused
-    assert state.session is not None
-    state, written = _heard(state), state.session.written
+    state, written = _heard(state), state.session.written if state.session else b""
     if not data or len(data) % 4:
         return state, _ack(Code.BAD_VALUE, len(data))
     if offset + len(data) == len(written) and written.endswith(data):

@@ -1,4 +1,4 @@
-"""What a device is, as a value: two slots, a session, a trial; and which of it a boot and silence leave (SPEC.md, 6)."""
+"""What a device is, as a value: two slots, a session, a trial; and what a boot and silence leave of it (SPEC.md, 6)."""
 
 from typing import Final, NamedTuple
 

@@ -131,7 +131,8 @@ def payload(request: Request, tag: int) -> bytes:
     if name == "start":
         return head + struct.pack("<I", 0)
     if name == "write":
-        return head + struct.pack("<IH", *fields[:2]) + fields[2]
+        token, offset, data = fields
+        return head + struct.pack("<IH", token, offset) + bytes(data)
     return head + struct.pack(FORMATS[name], *fields)
 
 

@@ -1,0 +1,131 @@
+"""Random requests with power cuts between and within them: the C core, the virtual skin and the emulated board."""
+
+import os
+import shutil
+import subprocess
+
+import pytest
+
+from eitskin_proto.wire import framing
+from eitskin_tools.emulator import device_core, firmware
+from eitskin_tools.fault_injection import powercut
+from eitskin_tools.fault_injection.request_sequences.lines import UNASKED, CoreLine
+from eitskin_tools.fault_injection.request_sequences.search import search
+
+from .asked import VirtualAsked
+
+SEED = int(os.environ.get("EITSKIN_SEED", "0"))
+
+
+class VirtualLine:
+    """The virtual skin: its storage has no changes at which the power could fail."""
+
+    dead, timely, images = False, True, 0
+
+    def __init__(self, seed):
+        self.asked = VirtualAsked(None)
+
+    def ask(self, packet, answers=True):
+        self.asked.send(b"\0" + packet)
+        return [found for found in self.asked.deframer.feed(self.asked.wait(0.001)) if found[0] not in UNASKED]
+
+    def await_restart(self):
+        self.asked.wait(0.025)
+
+    def wait(self, seconds):
+        for _ in range(seconds):
+            self.asked.wait(1.0)
+
+    def boot(self):
+        self.asked.power_cycle()
+        self.asked.wait(0.0)
+
+    def cut(self, change, seed):
+        pass
+
+    def outcomes(self):
+        return []
+
+    def close(self):
+        pass
+
+
+def built(folder, file, right, wrong):
+    """Return the core with one mistake in it."""
+    for name in ("core", "board"):
+        shutil.copytree(firmware.FOLDER / name, folder / name)
+    source = folder / "core" / file
+    text = source.read_text()
+    assert text.count(right) == 1, f"{file} no longer says {right!r}"
+    source.write_text(text.replace(right, wrong))
+    made = folder / "libeit.so"
+    subprocess.run(
+        ["cc", "-std=c11", "-O1", "-fPIC", "-shared", f"-I{folder}/core", f"-I{folder}/board",
+         *sorted(str(path) for path in (folder / "core").glob("*.c")), f"{folder}/board/host.c", "-o", str(made)],
+        check=True,
+    )  # fmt: skip
+    return device_core.load(made)
+
+
+@pytest.mark.heavy
+def test_whatever_is_asked_and_cut_a_confirmed_configuration_stays_bootable(core):
+    found = search(CoreLine, 1500, SEED)
+    assert (found.breaches, found.differing) == (0, 0), found.lost
+    assert found.with_confirmed > 700, "without a confirmed one there is nothing to keep"
+    assert found.cuts > 700
+    assert found.images > 100_000
+
+
+IS_VALID = "read_word(port, index, EIT_SLOT_REVOKED) == ERASED"
+MISTAKES = {
+    "a rollback leaves the only confirmed slot to the next BEGIN":
+        ("eit_store.c", "if (!slot.confirmed) {\n        return true;", "if (true) {\n        return true;"),
+    "a revoked configuration can be confirmed":
+        ("eit_flash.c", "if (eit_store_is_revoked(&device->store)) {", "if (false) {"),
+    "an erase that is cut short revives a revoked slot":
+        ("eit_store.c", "status = program(store->port, other, EIT_SLOT_COMMIT, 0);", "status = EIT_OK;"),
+    "a rollback to what was never confirmed":
+        ("eit_store.c", "== EIT_NO_SLOT || !slot.confirmed) {", "== EIT_NO_SLOT || !slot.valid) {"),
+    "a trial that a power cut does not end":
+        ("eit_store.c", "program(port, newer, EIT_SLOT_ATTEMPT, 0) == EIT_OK", "port != 0"),
+    "the older slot runs":
+        ("eit_store.c", "slots[1].generation > slots[0].generation);", "slots[1].generation < slots[0].generation);"),
+    "a torn revocation does not count":
+        ("eit_store.c", IS_VALID, IS_VALID.replace("== ERASED", "!= 0")),
+}  # fmt: skip
+
+
+@pytest.mark.heavy
+@pytest.mark.parametrize("mistake", MISTAKES)
+def test_a_mistake_in_the_core_is_found_and_told_in_few_steps(core, tmp_path, mistake):
+    wrong = built(tmp_path, *MISTAKES[mistake])
+    found = search(lambda seed: CoreLine(seed, wrong), 400, SEED, keep=1)
+    assert found.breaches + found.differing > 0
+    shortest = found.lost[0].split("shortest: ")[1]
+    assert shortest.count("('") <= 20, found.lost
+
+
+def test_the_virtual_skin_answers_the_same_sequences_as_the_specification():
+    found = search(VirtualLine, 120, SEED)
+    assert (found.breaches, found.differing) == (0, 0), found.lost
+    assert found.with_confirmed > 50
+
+
+@pytest.mark.process
+def test_the_emulated_board_keeps_a_confirmed_configuration_through_sequences_and_kills():
+    missing = firmware.missing_tools("qemu")
+    if missing:
+        pytest.skip(f"{', '.join(missing)} not found: apt-get install gcc-arm-none-eabi qemu-system-arm")
+    found = powercut.cut_board_sequences(8, SEED)
+    assert (found.breaches, found.differing) == (0, 0), found.lost
+    assert found.cuts >= 1 or found.late
+
+
+def test_the_same_seed_plays_the_same_sequences(core):
+    first, second = (search(CoreLine, 20, 3).as_dict() for _ in range(2))
+    assert {**first, "seconds": 0} == {**second, "seconds": 0}
+
+
+def test_a_damaged_packet_is_not_answered(core):
+    line = CoreLine()
+    assert line.ask(framing.encode(b"\x01\x07EITS\x01\x00")[:-2] + b"\x01\0", answers=False) == []
