@@ -4,7 +4,11 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "requests": "requests.sequences:requests",
+    "board_requests": "requests.sequences:board_requests",
+    "flashing": "requests.flashing:flashing",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 

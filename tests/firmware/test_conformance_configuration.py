@@ -79,6 +79,50 @@ def test_rolling_back_runs_the_slot_before(asked):
     assert asked.ask(m.ConfigRead(slot=Slot.OTHER)).code == Code.NO_PREVIOUS, "the revoked one counts for nothing"
 
 
+def two_confirmed(asked):
+    """Flash and confirm fast, then full208, which runs as generation 2."""
+    for generation, wanted in ((1, FAST), (2, FULL)):
+        asked.flash(wanted)
+        asked.restart(9)
+        assert asked.ask(m.ConfigConfirm(generation, wanted.digest)).code == Code.OK
+
+
+def test_until_the_restart_nothing_erases_the_slot_that_a_rollback_goes_back_to(asked):
+    two_confirmed(asked)
+    assert asked.ask(m.ConfigRead(slot=Slot.ACTIVE)).generation == 2
+    assert asked.ask(m.ConfigRollback(9, 2)).code == Code.OK
+    refused = m.Ack(request=0x11, code=Code.NOT_CONFIRMED, detail=2, tag=3)
+    assert asked.ask(begin(PAPER, token=9)) == refused
+    assert asked.ask(begin(PAPER, token=8)) == refused, "before the lock is looked at"
+    assert asked.ask(m.ConfigConfirm(2, FULL.digest)) == m.Ack(request=0x15, code=Code.NOT_CONFIRMED, detail=2)
+    running, other = (asked.ask(m.ConfigRead(slot=slot, length=32)) for slot in (Slot.ACTIVE, Slot.OTHER))
+    assert (running.generation, running.data) == (0, FULL.to_blob()[:32]), "it runs, and no boot will run it"
+    assert other.generation == 1
+    asked.power_cycle()
+    hello = asked.ask(m.HelloRequest())
+    assert (hello.generation, hello.configuration_name, hello.flags) == (1, "fast", 0)
+    assert asked.ask(begin(PAPER)).code == Code.OK, "after the restart the revoked slot is free"
+    asked.power_cycle()
+    assert asked.ask(m.HelloRequest()).generation == 1
+
+
+def test_a_rollback_ends_a_trial_for_good(asked):
+    two_confirmed(asked)
+    asked.flash(PAPER)
+    assert asked.restart(9).flags == HelloFlag.TRIAL
+    assert asked.ask(m.ConfigRollback(9, 3)).code == Code.OK
+    assert asked.ask(m.ConfigConfirm(3, PAPER.digest)).code == Code.NOT_CONFIRMED
+    assert asked.ask(begin()).code == Code.NOT_CONFIRMED
+    assert asked.restart(9).generation == 2
+
+
+def test_an_expired_session_no_longer_shows_what_it_wrote(clocked):
+    clocked.ask(begin(token=5))
+    assert clocked.ask(m.ConfigRead(slot=Slot.OTHER)).data[:4] == b"\xff\xff\xff\xff"
+    clocked.listen(10.1)
+    assert clocked.ask(m.ConfigRead(slot=Slot.OTHER)).code == Code.NO_PREVIOUS
+
+
 def test_nothing_is_changed_while_streaming(asked):
     asked.ask(m.Start(1))
     for request in (begin(), m.ConfigRollback(9, 0)):

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from eitskin_proto.wire import config_toml
+from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_tools import cli
 from eitskin_tools.commands.live import flash
 from eitskin_tools.emulator.device_core import HostDevice
@@ -55,6 +55,43 @@ def test_show_write_verify_diff_and_rollback_tell_one_story(device, capsys):
     assert {"field": "rows", "device": 104, "file": 208} in compared["differences"]
     assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
     assert report(capsys, "show")[1]["active"]["name"] == "full208"
+
+
+def test_show_says_what_becomes_of_either_slot(device, capsys):
+    def states():
+        found = report(capsys, "show")[1]
+        return found["active_state"], found["other_state"]
+
+    def ask(request):
+        device.write(framing.encode(request.pack()))
+        device.run(1000)
+        device.take()
+
+    nothing = "nothing to go back to: empty, rolled back or not intact"
+    assert states() == ("running, built in", nothing)
+    assert report(capsys, "write", "full208")[0] == 0
+    assert states() == ("running, confirmed", nothing)
+    assert report(capsys, "write", "fast")[0] == 0
+    assert states() == ("running, confirmed", "confirmed: a rollback returns to it")
+    ask(messages.ConfigRollback(7, 2))
+    assert states() == ("running, rolled back: the next boot runs the other", "confirmed: the next boot runs it")
+    status, out, err = run(capsys, "write", "idle", "--port", "host")
+    assert (status, out) == (1, "")
+    assert "NOT_CONFIRMED: what runs is on trial or was rolled back; confirm it, or restart the device" in err
+    device.run(10_000_000, step_us=10_000)  # until the lock of whoever asked for it expires
+    assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
+    assert states() == ("running, confirmed", nothing)
+    paper = config_toml.named("paper")
+    ask(messages.ConfigBegin(7, 64, paper.digest, paper.hardware_id, paper.revision, 1, 0, paper.name))
+    assert states() == ("running, confirmed", "being written")
+    for at in (0, 32):
+        ask(messages.ConfigWrite(7, at, paper.to_blob()[at : at + 32]))
+    ask(messages.ConfigCommit(7, paper.digest))
+    assert states() == ("running, confirmed", "not confirmed: the next boot tries it")
+    device.boot()
+    assert states() == ("running, on trial", "confirmed: a rollback returns to it")
+    device.boot()
+    assert states()[1] == "not confirmed: its trial was given up, or the next boot tries it"
 
 
 def test_a_dry_run_changes_nothing_with_or_without_a_device(device, capsys):

@@ -1,0 +1,28 @@
+"""Random requests with power cuts at every write: on the C core in memory, and on the emulated board."""
+
+from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.fault_injection import powercut
+from eitskin_tools.fault_injection.request_sequences.search import Figures
+
+from ..outcome import Effort, Outcome
+
+
+def _outcome(name: str, found: Figures) -> Outcome:
+    outcome = Outcome(name, tried=found.sequences)
+    outcome.figures = {key: value for key, value in found.as_dict().items() if key not in ("lost", "sequences")}
+    outcome.withstood = found.sequences - max(found.breaches, found.differing)
+    outcome.broken = found.lost
+    return outcome
+
+
+def requests(effort: Effort) -> Outcome:
+    """Play sequences on the core, and boot what every change of storage would leave behind, torn and whole."""
+    return _outcome("requests", powercut.cut_sequences(effort.count(1000, 100_000), effort.seed))
+
+
+def board_requests(effort: Effort) -> Outcome:
+    """Play some on the firmware under QEMU, and kill it at changes of storage; nothing where there is no QEMU."""
+    missing = missing_tools("qemu")
+    if missing:
+        return Outcome("board_requests", 1, 1, figures={"skipped": f"{', '.join(missing)} not found"})
+    return _outcome("board_requests", powercut.cut_board_sequences(effort.count(3, 60), effort.seed))
