@@ -8,9 +8,9 @@ from ..outcome import Effort, Outcome
 
 
 def _outcome(name: str, found: Figures) -> Outcome:
-    outcome = Outcome(name, tried=found.sequences)
+    outcome = Outcome(name, tried=found.sequences - found.late)
     outcome.figures = {key: value for key, value in found.as_dict().items() if key not in ("lost", "sequences")}
-    outcome.withstood = found.sequences - max(found.breaches, found.differing)
+    outcome.withstood = outcome.tried - max(found.breaches, found.differing)
     outcome.broken = found.lost
     return outcome
 

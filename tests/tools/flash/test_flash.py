@@ -82,7 +82,10 @@ def test_show_says_what_becomes_of_either_slot(device, capsys):
     assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
     assert states() == ("running, confirmed", nothing)
     paper = config_toml.named("paper")
-    ask(messages.ConfigBegin(7, 64, paper.digest, paper.hardware_id, paper.revision, 1, 0, paper.name))
+    ask(
+        messages.ConfigBegin(token=7, size=64, digest=paper.digest, hardware_id=paper.hardware_id, revision=1, format=1,
+                             name="paper")
+    )  # fmt: skip
     assert states() == ("running, confirmed", "being written")
     for at in (0, 32):
         ask(messages.ConfigWrite(7, at, paper.to_blob()[at : at + 32]))

@@ -139,7 +139,7 @@ class BoardLine:
         new_storage(storage)
         self._storage = storage
         self._cut = (0, 0)
-        self._began_s = time.monotonic()
+        self._timely = True
         self._switch_on()
 
     def _switch_on(self) -> None:
@@ -147,6 +147,7 @@ class BoardLine:
         self._port = SerialPort(self._board.port)
         self._line = UntilStopped(self._port, lambda: self._board.stopped)
         self._deframer = framing.Deframer()
+        self._booted_s = time.monotonic()
 
     def close(self) -> None:
         """Switch off for good."""
@@ -172,6 +173,7 @@ class BoardLine:
                 if not data:
                     raise SkinError(f"the emulated board said nothing for {SILENCE_S:g} s")
                 said += self._deframer.feed(data)
+        self._timely &= time.monotonic() - self._booted_s < LOCK_S - 1
         return [] if self.dead else said
 
     def wait(self, seconds: int) -> None:
@@ -205,8 +207,8 @@ class BoardLine:
 
     @property
     def timely(self) -> bool:
-        """Whether it all took less than a session's silence; a starved board may lose its lock or its trial."""
-        return time.monotonic() - self._began_s < LOCK_S - 1
+        """Whether nothing took as long after a boot as a lock or a trial lasts; a starved board may lose either."""
+        return self._timely
 
     @property
     def images(self) -> int:
