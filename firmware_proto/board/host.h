@@ -41,12 +41,12 @@ size_t eit_host_take(struct eit_host *host, uint8_t *out, size_t capacity);
 /* Bytes that the line holds before it refuses packets; at most 65536. */
 void eit_host_set_line(struct eit_host *host, size_t capacity);
 
-/* Cut the power at change `at` (1 is the next one; 0: never). `seed` chooses which bits of a torn word were changed, the
- * order in which an erase goes, and (bit 1) whether it is cut short in all words at once. */
+/* Cut the power at change `at` (1 is the next one; 0: never). `seed` chooses which bits of a torn word were changed,
+ * the order in which an erase goes, and (bit 1) whether it is cut short in all words at once. */
 void eit_host_cut(struct eit_host *host, uint32_t at, uint32_t seed);
 
-/* From now on, find out at every change of storage what would boot if power failed within it (torn by `seed`) and after
- * it; 0: no more. Counting starts anew. */
+/* From now on, find out at every change of storage what would boot if power failed within it (torn by `seed`) and
+ * after it; 0: no more. Counting starts anew. */
 void eit_host_watch(struct eit_host *host, uint32_t seed);
 
 /* Take what was found since the last call, each once, at most capacity of it; returns how many. */

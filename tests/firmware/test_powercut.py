@@ -1,3 +1,5 @@
+import json
+
 import pytest
 
 from eitskin_tools.fault_injection import powercut
@@ -21,3 +23,23 @@ def test_a_cut_is_seen_by_the_device_and_a_later_write_repairs_it(device):
     device.boot()
     powercut._write("fast")(powercut.Exchange(device))
     assert powercut._name(device) == "fast"
+
+
+@pytest.mark.heavy
+def test_the_last_line_tells_of_writes_and_of_sequences(core, capsys):
+    assert powercut.main(["--seeds", "1", "--no-board", "--sequences", "60"]) == 0
+    found = json.loads(capsys.readouterr().out.splitlines()[-1])
+    assert found["lost"] == 0
+    assert {"cut_points", "cuts", "booted", "lost"} == set(found["powercut"]["model"])
+    assert (found["powercut"]["sequences"]["sequences"], found["powercut"]["sequences"]["breaches"]) == (60, 0)
+    assert found["powercut"]["board"] == found["powercut"]["board_sequences"] == "not run"
+
+
+@pytest.mark.heavy
+def test_a_sequence_that_fails_fails_the_command(core, monkeypatch, capsys):
+    lossy = powercut.Figures(sequences=5, breaches=4, lost=["one of them"])
+    monkeypatch.setattr(powercut, "cut_sequences", lambda count, seed: lossy)
+    assert powercut.main(["--seeds", "1", "--no-board"]) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)["lost"] == 4
+    assert err.strip() == "one of them"

@@ -215,7 +215,7 @@ def main(argv: list[str] | None = None) -> int:
         print(line, file=sys.stderr)
     untold = sum(found.breaches + found.differing for found in figures) - sum(len(found.lost) for found in figures)
     print(json.dumps({"powercut": report, "lost": len(lost) + untold}))
-    return 1 if lost else 0
+    return 1 if lost or untold else 0
 
 
 if __name__ == "__main__":
