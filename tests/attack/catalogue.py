@@ -4,7 +4,13 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "front_end_lies": "front_end.lies:lies",
+    "front_end_honest": "front_end.lies:honest",
+    "front_end_references": "front_end.lies:references",
+    "front_end_hanging": "front_end.hanging:hanging",
+    "front_end_hello": "front_end.hello:hello",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 

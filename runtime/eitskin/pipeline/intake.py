@@ -17,6 +17,7 @@ A frame that is not fit to publish is withheld, with a reason and a count:
 The next frame that is published says so in its events: ``withheld:implausible``.
 """
 
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -42,6 +43,9 @@ WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 REMEMBERED: Final = 8
 """Frames that a frame may repeat: a front end that hangs may have several buffers."""
 
+_FIRST_ROWS: Final = HEADER_BYTES + 12
+"""Samples that are compared first: those of the strongest rows."""
+
 _FULL: Final = int(FrameFlag.FULL)
 
 
@@ -55,8 +59,9 @@ class Intake:
     """
 
     __slots__ = (
-        "_idle_drives", "_next", "_recent", "_record", "_repeated", "_shape", "_since", "_view", "clock", "counter",
-        "generation", "generation_differs", "heard_ns", "last_reason", "most_repeats", "withheld", "withheld_total",
+        "_full", "_idle_drives", "_payloads", "_recent", "_record", "_repeated", "_since", "_view", "_width", "clock",
+        "counter", "generation", "generation_differs", "heard_ns", "last_reason", "most_repeats", "withheld",
+        "withheld_total",
     )  # fmt: skip
 
     def __init__(self, hello: Hello, record: FrameRecord, idle_drives: int | None) -> None:
@@ -65,15 +70,16 @@ class Intake:
         self._view = FrameView()
         self.counter = StreamCounter()
         self.clock = DeviceClock()
-        self._recent = [0] * REMEMBERED
-        self._next = self._repeated = 0
+        self._recent: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._payloads: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._repeated = 0
         self.most_repeats: tuple[int | None, int | None] = (None, None)
         """Repetitions in a row that are still chance, of whole scans and of idle ones; None where nothing can tell."""
         self.heard_ns = 0
         """When the last frame of this device's configuration was read, fit or not."""
         self.last_reason = ""
         """Why a frame was withheld last."""
-        self._shape = (hello.sample_bytes, _FULL if hello.rows == N_FULL_ROWS else 0)
+        self._width, self._full = hello.sample_bytes, _FULL if hello.rows == N_FULL_ROWS else 0
         self.generation = hello.generation
         """Of the configuration that frames must carry."""
         self.generation_differs = False
@@ -111,7 +117,7 @@ class Intake:
             view.load(payload)
         except ProtocolError:
             return self.withhold("malformed")
-        if (view.sample_bytes, view.flags & _FULL) != self._shape:
+        if view.sample_bytes != self._width or view.flags & _FULL != self._full:
             return self.withhold("malformed")
         step = self.counter.step(view.sequence, view.device_us)
         if step.duplicate:
@@ -129,16 +135,16 @@ class Intake:
         if idle and view.drives != self._idle_drives:
             return self.withhold("partial")
         self.heard_ns = read_ns
-        samples = hash(payload[HEADER_BYTES:])
-        if samples in self._recent:
+        first = payload[HEADER_BYTES:_FIRST_ROWS]
+        if first in self._recent and self._repeats(payload):
             self._repeated += 1
             most = self.most_repeats[idle]
-            if most is not None and self._repeated >= most:
+            if most is not None and self._repeated >= most and view.counts.any():  # zeros are no signal
                 return self.withhold("frozen")
         else:
             self._repeated = 0
-            self._recent[self._next] = samples
-            self._next = (self._next + 1) % REMEMBERED
+            self._recent.append(first)
+            self._payloads.append(payload)
         if idle != record.idle:
             record.idle = idle
             events += ("idle" if idle else "awake",)
@@ -149,6 +155,10 @@ class Intake:
         record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
         record.stamps[READ] = read_ns
         return True
+
+    def _repeats(self, payload: bytes) -> bool:
+        """Return whether all samples of a frame are those of one that is remembered."""
+        return any(payload[HEADER_BYTES:] == before[HEADER_BYTES:] for before in self._payloads)
 
     def discard(self, payload: bytes) -> None:
         """Take note of a frame that is left out because a newer one waits; it is not counted as lost."""

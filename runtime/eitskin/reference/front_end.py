@@ -4,8 +4,8 @@ No sheet gives many rows one count: its rows span a factor of hundreds, and each
 with at most ``DENSEST`` to a factor of e, the chance that m rows read the same x counts, at some x of this size, is
 about ::
 
-    x (DENSEST / x)^m / m!                  ln p is summed over all groups of rows with one count; below -28 (a
-                                            millionth of a millionth) the converter is stuck, or a drive's rows repeat
+    x (DENSEST / x)^m / m!                  ln p is summed over all groups of rows with one count; below -20
+                                            (2e-9) the converter is stuck, or a drive's rows repeat
 
 Rows that read alike in the reference are one row here, since a symmetric sheet has them in fours. Rows of no count at
 all are those of an electrode that is off, and rows that the device marks as cut off are counted by themselves. Wires
@@ -31,8 +31,11 @@ Array = npt.NDArray[np.float64]
 DENSEST: Final = 50.0
 """Rows within a factor of e: the flat sheet has 38 at most."""
 
-UNLIKELY: Final = -28.0
-"""ln of a millionth of a millionth: at 200 frames/s once in 160 years."""
+UNLIKELY: Final = -20.0
+"""ln of 2e-9, of rows that are denser than on any sheet: they are not, so that it never came in 110,000 frames."""
+
+SURE: Final = 28.0
+"""-ln of a millionth of a millionth: what a repetition must be by chance."""
 
 APART: Final = 1.1
 """Factor between two rows of a reference that may not read the same."""
@@ -68,7 +71,11 @@ _JUDGED: Final = tuple(np.bincount(TABLE[:, column], minlength=16)[TABLE[:, colu
 
 
 def stuck(
-    counts: npt.NDArray[np.number], reference: npt.NDArray[np.number] | None = None, cut_off: int = 0, limit: float = 0
+    counts: npt.NDArray[np.number],
+    reference: npt.NDArray[np.number] | None = None,
+    cut_off: int = 0,
+    limit: float = 0,
+    symmetric: int = SYMMETRIC,
 ) -> str:
     """Return what is wrong with rows that no sheet can read, or "".
 
@@ -77,6 +84,7 @@ def stuck(
         reference: As many counts of the reference, 0 in rows that carry nothing; None where there is none yet.
         cut_off: Bit r: the device says that row r was cut off.
         limit: Largest count of the converter.
+        symmetric: Rows that may read the same by symmetry, where there is no reference.
     """
     judged = counts != 0
     if cut_off:
@@ -94,11 +102,11 @@ def stuck(
     ordered = counts[rows]
     borders = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
     if len(borders) + 1 < len(rows):
-        found = _alike(ordered, rows, borders, len(counts), reference)
+        found = _alike(ordered, rows, borders, len(counts), reference, symmetric)
         if found:
             return found
-    if reference is not None and len(counts) == len(rows) == N_ROWS:
-        logs = np.log(np.abs(counts))
+    if len(counts) == len(rows) == N_ROWS:
+        logs = np.log(np.abs(counts, dtype=np.float64))
         for depart, enough, what in zip(_DEPART, _JUDGED, ("measurements", "drives"), strict=True):
             if float(np.median(np.abs(depart @ logs)[enough])) < LEAST_ALIKE:
                 return f"the rows of all {what} are alike"
@@ -111,33 +119,36 @@ def _alike(
     borders: npt.NDArray[np.intp],
     total: int,
     reference: npt.NDArray[np.number] | None,
+    symmetric: int,
 ) -> str:
     chance, same, most, value = 0.0, 0, 0, 0.0
     for group in np.split(np.arange(len(rows)), borders):
         if len(group) < 2:
             continue
-        many = _different(rows[group], reference)
-        if many < 2:
+        many = _different(rows[group], reference, symmetric)
+        if len(group) >= 0.75 * total:
+            chance = -math.inf
+        elif many < 2:
             continue
         if len(group) > most:
             most, value = len(group), float(ordered[group[0]])
         same += len(group)
         size = abs(float(ordered[group[0]]))
         chance += min(0.0, math.log(size) + many * math.log(DENSEST / size) - math.lgamma(many + 1.0))
-        if len(group) >= 0.75 * total:
-            chance = -math.inf
     if chance >= UNLIKELY:
         return ""
     return f"{same} of {total} rows share counts, {most} of them {value:g}"
 
 
-def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | None) -> int:
+def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | None, symmetric: int) -> int:
     """Return how many of some rows should read differently."""
     if reference is None:
-        return max(1, len(rows) - SYMMETRIC + 1)
-    size = np.sort(np.abs(reference[rows]))
-    size = size[size > 0.0]
-    return 0 if not len(size) else 1 + int((size[1:] > APART * size[:-1]).sum())
+        return max(1, len(rows) - symmetric + 1)
+    different, last = 0, 0.0
+    for size in np.sort(np.abs(reference[rows])).tolist():
+        if size > APART * last:
+            different, last = different + 1, size
+    return different
 
 
 def patience(spread_counts: Array) -> int | None:
@@ -148,8 +159,8 @@ def patience(spread_counts: Array) -> int | None:
     """
     evidence = _evidence(spread_counts / HEAVIEST)
     if evidence >= 0.5:
-        return math.ceil(-UNLIKELY / evidence)
-    return QUIET_REPEATS if _evidence(spread_counts) >= -UNLIKELY else None
+        return math.ceil(SURE / evidence)
+    return QUIET_REPEATS if _evidence(spread_counts) >= SURE else None
 
 
 def _evidence(spread_counts: Array) -> float:
@@ -189,7 +200,9 @@ class Sameness:
         Raises:
             BadReference: Its rows are alike as no sheet's are.
         """
-        if found := stuck(np.rint(mean_V / step_V)):
+        allowed = patience(spread_V / step_V)
+        # With noise of many counts not even rows that are the same by symmetry have the same mean
+        if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC):
             raise BadReference(
                 f"the reference is of no sheet: {found}; the front end's converter or multiplexer is stuck: power the "
                 "device off and on, look at its supply and its wires"
@@ -199,7 +212,6 @@ class Sameness:
                 f"all {self.taken} frames of the reference are the same bit by bit: the front end hangs, or it has no "
                 "noise at all, as only a simulation can",
             )
-        allowed = patience(spread_V / step_V)
         if self.repeats and allowed == 1:
             return (
                 f"{self.repeats} of {self.taken} frames of the reference repeat another bit by bit, which noise does "
