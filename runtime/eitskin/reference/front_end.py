@@ -49,7 +49,7 @@ LARGEST_GROWTH: Final = 8.0
 MOST_CUT_OFF: Final = 8
 """Rows that may be cut off at more than ``LARGEST_GROWTH`` times their reference."""
 
-LEAST_ALIKE: Final = 0.05
+LEAST_ALIKE: Final = 0.02
 """Median distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
 noise where all drives are one."""
 

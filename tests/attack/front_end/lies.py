@@ -154,7 +154,7 @@ def _judge(sheet: Sheet) -> Judge:
 def references(effort: Effort) -> Outcome:
     """Capture references of lies; none may be taken, and all honest ones must be."""
     outcome = Outcome("front_end_references")
-    for draw in range(effort.count(3, 100)):
+    for draw in range(effort.count(3, 30)):
         for kind, snr_db, width in FRONT_ENDS:
             seed = effort.seed + 1000 * draw + int(snr_db) + width
             sheet = Sheet(seed, kind, snr_db, width)

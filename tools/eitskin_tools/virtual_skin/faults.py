@@ -119,8 +119,6 @@ class FaultPlayer:
         """Return which fault of the front end goes on, one of ``FRONT_END``; "" if none does."""
         for fault in self.faults:
             if fault.kind in FRONT_END and fault.lasts_until(time_s):
-                if not any(seen.kind == fault.kind and seen.time_s >= fault.start_s for seen in self.injected):
-                    self.note(fault, time_s, f"{fault.amount:g} s")
                 return fault.kind
         return ""
 
