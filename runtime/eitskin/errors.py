@@ -13,6 +13,7 @@
     │   ├── PortLost           it vanished while open
     │   └── PortReturned       it vanished and is open again: shake hands anew
     ├── HandshakeError         nobody answered, or the answer was a refusal
+    │   └── NotReady           it did not answer, refused for now or sends no frames: another try may help
     ├── BundleError            a bundle that is damaged or incomplete
     │   └── UncutError         a network of which no region can be computed by itself
     ├── BadReference           a reference that cannot be used
@@ -40,6 +41,7 @@ __all__ = [
     "HandshakeError",
     "MismatchError",
     "NoFrame",
+    "NotReady",
     "PortBusy",
     "PortDenied",
     "PortLost",
@@ -83,6 +85,10 @@ class PortReturned(TransportError):
 
 class HandshakeError(SkinError):
     """The device did not answer, or refused."""
+
+
+class NotReady(HandshakeError):
+    """The device did not answer, refused for now, or sends no frames that can be used; another try may help."""
 
 
 class BundleError(SkinError):

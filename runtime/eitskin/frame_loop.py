@@ -146,7 +146,9 @@ class FrameLoop:
         """
         builder, yardstick = ReferenceBuilder(frames), self._yardstick()
         for _ in self.source.accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
-            if self._fit_for_reference() and builder.add(self._pipeline.normaliser.voltages()):
+            if unfit := self._unfit_for_reference():
+                builder.leave_out(unfit)
+            elif builder.add(self._pipeline.normaliser.voltages()):
                 found = builder.finish(self._device.hello, yardstick, force=force)
                 self.use(found)
                 return found
@@ -180,11 +182,22 @@ class FrameLoop:
     def _patience_s(self, frames: int) -> float:
         return CAPTURE_S + frames / max(self._device.hello.rate_mHz / 1000, 1e-3)
 
-    def _fit_for_reference(self) -> bool:
-        return "saturated" not in self._pipeline.record.events
+    def _unfit_for_reference(self) -> str:
+        """Return why the frame in hand is not one of a reference, or ""."""
+        if "saturated" in self._pipeline.record.events:
+            return "rows are cut off"
+        return self._pipeline.front_end.look(self._pipeline.normaliser)
 
     def _feed(self, recapture: Recapture) -> None:
-        if not self._fit_for_reference() or not recapture.builder.add(self._pipeline.normaliser.voltages()):
+        try:
+            if unfit := self._unfit_for_reference():
+                recapture.builder.leave_out(unfit)
+                return
+            if not recapture.builder.add(self._pipeline.normaliser.voltages()):
+                return
+        except BadReference as error:
+            self._recapture = None
+            recapture.settle(error)
             return
         self._recapture = None
         try:

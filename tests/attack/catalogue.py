@@ -8,6 +8,11 @@ ATTACKS: dict[str, str] = {
     "requests": "requests.sequences:requests",
     "board_requests": "requests.sequences:board_requests",
     "flashing": "requests.flashing:flashing",
+    "front_end_lies": "front_end.lies:lies",
+    "front_end_honest": "front_end.lies:honest",
+    "front_end_references": "front_end.lies:references",
+    "front_end_hanging": "front_end.hanging:hanging",
+    "front_end_hello": "front_end.hello:hello",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

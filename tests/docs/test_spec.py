@@ -17,7 +17,7 @@ FLAT = " ".join(SPEC.split())
 
 def constant(name, files="**/*.py"):
     """Return what a constant of the runtime is, wherever it lives."""
-    pattern = re.compile(rf"^{name}: Final = (.+)$", re.MULTILINE)
+    pattern = re.compile(rf"^{name}: Final = (\([^)]*\)|.+)(?:  # .*)?$", re.MULTILINE)
     paths = (ROOT / "runtime/eitskin").glob(files)
     (value,) = {found for path in paths for found in pattern.findall(path.read_text(encoding="utf-8"))}
     return ast.literal_eval(value)

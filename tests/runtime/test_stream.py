@@ -3,6 +3,7 @@
 import os
 import sys
 import termios
+import threading
 import time
 from fcntl import ioctl
 
@@ -249,10 +250,43 @@ def test_a_full_scan_of_208_rows_gives_the_same_maps(virtual_skin, tiny_path, tm
 
 
 def test_stopping_from_another_thread_ends_the_frames(virtual_skin, tiny_path):
-    import threading
 
     with virtual_skin() as port, opened(port, tiny_path) as skin:
         threading.Timer(0.3, skin.stop).start()
         start = time.perf_counter()
         assert list(skin.frames())
         assert time.perf_counter() - start < 60.0
+
+
+@pytest.mark.parametrize(("kind", "reason"), [("frozen", "frozen"), ("stuck", "stuck"), ("failing", "lost")])
+def test_of_a_front_end_that_hangs_nothing_is_published_and_the_next_frame_says_so(
+    virtual_skin, tiny_path, kind, reason
+):
+    with virtual_skin(faults=[f"{kind}@0.6:0.4"], noise=3e-3) as port, opened(port, tiny_path) as skin:
+        frames = collect(skin, 1.6)
+        withheld = skin.pipeline.withheld
+    before = next(index for index, frame in enumerate(frames) if {f"withheld:{reason}", reason} & set(frame.events))
+    assert frames[before].device_us - frames[before - 1].device_us >= 350_000
+    assert not any(frame.touched for frame in frames)
+    # What is stuck at one count repeats as well
+    assert kind == "failing" or 35 <= withheld["stuck"] + withheld["frozen"] <= 42
+    assert skin.recoveries == 0
+
+
+def test_while_nothing_that_can_be_used_comes_the_status_says_why(virtual_skin, tiny_path):
+    with virtual_skin(faults=["stuck@0.5:60"]) as port, opened(port, tiny_path) as skin:
+        found = set()
+        looking = threading.Thread(target=lambda: [found.add(skin.status()["trouble"]) for _ in until(found, skin)])
+        looking.start()
+        list(skin.frames(timeout_s=120.0))
+        looking.join()
+    assert found == {"", "stuck"}
+
+
+def until(found, skin):
+    """Yield now and then until there is trouble, or for a minute, and then stop the skin."""
+    end = time.monotonic() + 60.0
+    while "stuck" not in found and time.monotonic() < end:
+        time.sleep(0.01)
+        yield
+    skin.stop()

@@ -9,6 +9,7 @@ from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import BadReference
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
+from eitskin.reference.front_end import stuck
 from eitskin.reference.judged import Yardstick
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.errors import ProtocolError
@@ -79,10 +80,10 @@ def whole_frames(device: Device, end_s: float) -> Iterator[FrameView]:
 def _collect(device: Device, builder: ReferenceBuilder, end_s: float) -> None:
     normaliser = Normaliser(device.hello.volts_per_count)
     for view in whole_frames(device, end_s):
-        if view.saturation:
-            continue
         normaliser.load(view.counts)
-        if builder.add(normaliser.voltages()):
+        if unfit := "rows are cut off" if view.saturation else stuck(normaliser.counts):
+            builder.leave_out(unfit)
+        elif builder.add(normaliser.voltages()):
             return
     raise BadReference(
         f"only {builder.taken} of {builder.frames} frames for the reference came that were whole and not saturated; "

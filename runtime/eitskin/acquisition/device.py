@@ -14,15 +14,13 @@ from collections import deque
 from typing import Final, Protocol
 
 from eitskin.acquisition.clock import TimeSample
+from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
-from eitskin.errors import HandshakeError
-from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin.errors import NotReady
 from eitskin_proto.wire import requests
 from eitskin_proto.wire.answers import Ack, Hello, Time
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType, Mode
-from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
-from eitskin_proto.wire.framing import Deframer, encode, wire_bytes
-from eitskin_proto.wire.scan_rows import ALL_DRIVES
+from eitskin_proto.wire.framing import Deframer, encode
 
 HANDSHAKE_S: Final = 4.0
 """How long a device may take to answer; one that boots when its port is opened needs two seconds."""
@@ -30,8 +28,8 @@ HANDSHAKE_S: Final = 4.0
 RETRY_S: Final = 0.4
 """After which a request is sent again."""
 
-LARGEST_VOLTS_PER_COUNT: Final = 1e3
-"""V; whatever claims more is not a measurement of volts."""
+LEAVE_S: Final = 0.5
+"""How long an answer to the last STOP may take: so long a device has by the protocol, and nobody waits for more."""
 
 SILENCE_S: Final = 1.0
 """A stream that is silent for so long, and for 20 frames, is looked after."""
@@ -76,12 +74,13 @@ class Device:
         """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
         self.idle = False
         """It scans a few drives only, at a rate that HELLO does not tell."""
+        self.stopping = False
+        """Nobody waits for answers any more; may be set from another thread, which then wakes the transport."""
         self._tag = 0
         self.hello = self._handshake()
         """What the device said about itself."""
         self.time_sample: TimeSample | None = None
         """Its clock, asked just before the stream was started; None if it gave no answer."""
-        check_usable(self.hello, transport.line_bytes_per_s)
 
     @property
     def configuration(self) -> str:
@@ -94,6 +93,22 @@ class Device:
         if self.idle:
             return IDLE_SILENCE_S
         return max(SILENCE_S, 20e3 / max(self.hello.rate_mHz, 1))
+
+    @property
+    def patience_s(self) -> float:
+        """How long a device that does not answer is waited for; 0 where nobody asked for that."""
+        return float(getattr(self.transport, "patience_s", 0.0))
+
+    def reopen(self) -> None:
+        """Close the line and open it anew, where the transport can; whoever hangs behind it may come to.
+
+        Raises:
+            PortReturned: The line is open again.
+            PortLost: It did not come back in time.
+        """
+        again = getattr(self.transport, "reopen", None)
+        if again is not None:
+            again()
 
     def payloads(self, timeout_s: float | None = None) -> list[bytes]:
         """Return the intact payloads that have arrived, waiting for bytes.
@@ -117,7 +132,7 @@ class Device:
         """Start streaming whole scans; what was sent before is thrown away.
 
         Raises:
-            HandshakeError: The device refused or did not answer.
+            NotReady: The device refused or did not answer.
         """
         if self.hello.flags & HelloFlag.IDLE or self.idle:
             self._request(requests.SetMode(self._next_tag(), Mode.ACTIVE))
@@ -161,7 +176,10 @@ class Device:
         Raises:
             SkinError: The device refused or did not answer, or the line is gone.
         """
-        self.stop()
+        self.stopping = False
+        if getattr(self.transport, "gone", False):
+            return  # there is nothing to stop, and nobody waits for it to come back
+        self._request(requests.Stop(self._next_tag()), LEAVE_S)
         if self.idle:
             self.ask_mode(Mode.ACTIVE)
 
@@ -178,22 +196,12 @@ class Device:
         """Greet the device again after silence or a reset, and stream on if nothing changed.
 
         Raises:
-            HandshakeError: It does not answer, or is another device, or runs another configuration.
+            NotReady: It does not answer, or refuses to stream.
+            HandshakeError: It is another device, runs another configuration, or measures in another way.
         """
         self.deframer.reset()
         found = self._handshake()
-        known = self.hello
-        if found.serial_number != known.serial_number:
-            raise HandshakeError(
-                f"{self.transport.name}: the device is now {found.serial_number}, expected {known.serial_number}; "
-                "start again, with the reference of this device"
-            )
-        if found.configuration_digest != known.configuration_digest:
-            raise HandshakeError(
-                f"{self.transport.name}: the configuration is now {found.configuration_name}/"
-                f"{found.configuration_digest:08x}, expected {self.configuration}; capture a new reference: "
-                f"eitskin reference --port {self.transport.name} --out FILE"
-            )
+        check_same(self.hello, found, self.transport.name)
         self.hello = found
         self.start()
 
@@ -209,19 +217,22 @@ class Device:
         if payload is None:
             noise = self.deframer.discarded_bytes - before + self.deframer.pending_bytes
             if noise:
-                raise HandshakeError(
+                raise NotReady(
                     f"{self.transport.name} sends {noise} bytes that are no packets of this protocol: another kind of "
                     "device, or another baud rate; 'eitskin doctor' lists the ports"
                 )
-            raise HandshakeError(
+            raise NotReady(
                 f"{self.transport.name} did not answer within {HANDSHAKE_S:g} s: check the power and that this is the "
                 "skin; 'eitskin doctor' lists the ports"
             )
         hello = Hello.unpack(payload)
         hello.check()
+        check_usable(hello, self.transport.line_bytes_per_s)
         return hello
 
-    def _request(self, message: requests.Start | requests.Stop | requests.SetMode) -> None:
+    def _request(
+        self, message: requests.Start | requests.Stop | requests.SetMode, timeout_s: float | None = None
+    ) -> None:
         kind = message.LAYOUT.type
 
         def answers(payload: bytes) -> bool:
@@ -230,17 +241,18 @@ class Device:
             ack = Ack.unpack(payload)
             return ack.request == kind and ack.tag == message.tag
 
-        payload = self._exchange(encode(message.pack()), answers, HANDSHAKE_S)
+        seconds = HANDSHAKE_S if timeout_s is None else timeout_s
+        payload = self._exchange(encode(message.pack()), answers, seconds)
         if payload is None:
-            raise HandshakeError(f"{self.transport.name} did not acknowledge {kind.name} within {HANDSHAKE_S:g} s")
+            raise NotReady(f"{self.transport.name} did not acknowledge {kind.name} within {seconds:g} s")
         ack = Ack.unpack(payload)
         if ack.code != Code.OK:
-            raise HandshakeError(f"{self.transport.name} refused {kind.name}: {ack.text}")
+            raise NotReady(f"{self.transport.name} refused {kind.name}: {ack.text}")
 
     def _exchange(self, packet: bytes, wanted: Wanted, timeout_s: float) -> bytes | None:
         end = time.perf_counter() + timeout_s
         repeat = 0.0
-        while (now := time.perf_counter()) < end:
+        while (now := time.perf_counter()) < end and not self.stopping:
             if now >= repeat:
                 self.transport.write(packet)
                 repeat = now + RETRY_S
@@ -251,35 +263,3 @@ class Device:
                     self.held.extend(payloads[index + 1 :])
                     return payload
         return None
-
-
-def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
-    """Refuse a device whose frames this runtime cannot turn into maps, or whose line cannot carry them.
-
-    Args:
-        hello: What it said.
-        line_bytes_per_s: What our side of the line carries; 0 for no limit.
-
-    Raises:
-        HandshakeError: What was found, what was expected, and what to do.
-    """
-    hint = "flash another configuration with 'eitskin flash'"
-    if hello.rows not in (N_ROWS, N_FULL_ROWS) or hello.drives != ALL_DRIVES:
-        raise HandshakeError(
-            f"configuration {hello.configuration_name} measures {hello.rows} rows of drives 0x{hello.drives:04x}, "
-            f"expected {N_ROWS} or {N_FULL_ROWS} rows of all 16 drives; {hint}"
-        )
-    if not 0.0 < hello.volts_per_count <= LARGEST_VOLTS_PER_COUNT:
-        raise HandshakeError(
-            f"HELLO.volts_per_count: found {hello.volts_per_count:g} V, expected more than 0 and at most "
-            f"{LARGEST_VOLTS_PER_COUNT:g} V; update the firmware"
-        )
-    if hello.sample_bytes not in SAMPLE_BYTES:
-        raise HandshakeError(f"HELLO.sample_bytes: found {hello.sample_bytes}, expected 2, 3 or 4; update the firmware")
-    limits = [limit for limit in (line_bytes_per_s, hello.line_bytes_per_s) if limit > 0]
-    packet = wire_bytes(frame_bytes(hello.rows, hello.sample_bytes))
-    if limits and hello.rate_mHz * packet > min(limits) * 1000:
-        raise HandshakeError(
-            f"{hello.rate_mHz / 1000:g} frames/s of {packet} bytes do not fit a line of {min(limits)} bytes/s, which "
-            f"carries {min(limits) // packet} frames/s: raise --baud, or {hint}"
-        )

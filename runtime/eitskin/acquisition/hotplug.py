@@ -10,6 +10,7 @@ shake hands anew before it believes a byte. A USB port is found again by vendor,
 come back under another path; any other port by its path.
 """
 
+import math
 import os
 import select
 import time
@@ -122,6 +123,25 @@ class HotPlug:
                 cause = error
         self._wait(cause)
         raise PortLost(f"{self.name} is gone, and waiting for it was cancelled") from cause
+
+    @property
+    def patience_s(self) -> float:
+        """How long a device may hang behind a port that is there; as long as a port may be gone."""
+        return math.inf if self._give_up_s is None else self._give_up_s
+
+    @property
+    def gone(self) -> bool:
+        """Whether the port has vanished and is not back."""
+        return self._line is None
+
+    def reopen(self) -> None:
+        """Close the port and open it anew: a device that hangs behind it may come to.
+
+        Raises:
+            PortReturned: It is open again: shake hands anew.
+            PortLost: It did not come back in time.
+        """
+        self._wait(None)
 
     def _wait(self, cause: PortLost | None) -> bytes:
         """Wait for the port: raise when it is back or given up, return nothing when cancelled."""

@@ -24,12 +24,16 @@ from eitskin.health.electrodes import NOT_RECIPROCAL, WELL, WINDOW, ElectrodeWat
 from eitskin.health.imputation import Array, Consistency
 from eitskin.health.reciprocity import LARGEST_RECORDED_GAP, electrode_gaps, row_gaps
 from eitskin.reference.captured import Reference
+from eitskin.reference.front_end import front_end_faults
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 
 MODEL_SPREAD: Final = 0.02
 """How far a real sheet may be from the forward model in a row, relative, where it stands in for a reference."""
+
+UNKNOWN: Final = "unknown"
+"""State of an electrode of which a front end that hangs says nothing."""
 
 ADVICE: Final[dict[str, str]] = {
     WELL: "nothing to do",
@@ -38,6 +42,7 @@ ADVICE: Final[dict[str, str]] = {
     "swapped": "exchange the two wires at the plug; until then their rows are rearranged",
     "noisy": "its contact comes and goes: fix the wire so that it does not move, renew the hydrogel",
     "excluded": "it was left out by hand",
+    UNKNOWN: "first the front end, see below: power the device off and on, look at its supply and its plug",
     NOT_RECIPROCAL: "it reads differently than it drives: look at its wire, its contact and the front end's switch",
 }
 """What to do about each state."""
@@ -51,6 +56,8 @@ class Recording:
     """(n, 104) V."""
     gap: Array | None
     """(104,) median relative difference of each row and its reciprocal; None where 104 rows are scanned."""
+    step_V: float | None = None
+    """Of one count; None of a file, which does not tell."""
 
 
 def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
@@ -85,7 +92,7 @@ def record(port: str, seconds: float, baud: int = DEFAULT_BAUD) -> Recording:
         transport.close()
     if len(volts) < WINDOW:
         raise BadReference(f"{len(volts)} whole frames came in {seconds:g} s; expected at least {WINDOW}")
-    return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None)
+    return Recording(np.array(volts), np.median(gaps, axis=0) if gaps else None, device.hello.volts_per_count)
 
 
 def _gap(counts: npt.NDArray[np.int32]) -> Array | None:
@@ -133,11 +140,12 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         seen.append((evidence.surprise, evidence.pair_ratio, evidence.jumping))
     surprise, ratio, jumping = (np.median([one[part] for one in seen], axis=0) for part in range(3))
     gaps = None if recording.gap is None else electrode_gaps(recording.gap)
+    faults = front_end_faults(recording.voltages, recording.step_V)
     found = []
     for electrode, watched in enumerate(watch.states()):
         gap = None if gaps is None else float(gaps[electrode])
         apart = watched == WELL and gap is not None and gap > LARGEST_RECORDED_GAP
-        state = NOT_RECIPROCAL if apart else watched
+        state = UNKNOWN if faults else NOT_RECIPROCAL if apart else watched
         partner = next((f.partner for f in watch.findings if f.electrode == electrode), None)
         found.append(
             {"electrode": electrode, "state": state, "partner": partner,
@@ -150,6 +158,7 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
         "against": "forward model" if reference is None else f"reference of {reference.captured_utc}",
         "surprise_limit": round(watch.threshold, 1),
         "unclear": watch.unclear,
+        "front_end": list(faults),
         "electrodes": found,
     }
 
@@ -175,6 +184,7 @@ def lines(found: dict[str, Any]) -> list[str]:
             f"{found['surprise_limit']:g}  pair at {one['pair_ratio']:.0%}  jumps {one['jumping']:.0%}{gap}  "
             f"{one['to_do']}"
         )
+    shown += [f"front end: {fault}" for fault in found["front_end"]]
     if found["unclear"]:
         shown.append("electrodes: the rows fit no sheet and no single failure; check the plug, then every wire")
     assert len(found["electrodes"]) == N_ELECTRODES

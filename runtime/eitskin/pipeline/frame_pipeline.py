@@ -23,6 +23,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine
 from eitskin.model.gate import Gate
 from eitskin.model.geometry import Geometry
+from eitskin.pipeline.front_end_watch import FrontEndWatch
 from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
@@ -79,6 +80,7 @@ class Pipeline:
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
         """The frame in hand; the next one overwrites it."""
         self.intake = Intake(hello, self.record, None if idle_gate is None else idle_gate.drives)
+        self.front_end = FrontEndWatch(hello.sample_bytes, self.intake, idle_gate)
         self.counter, self.clock = self.intake.counter, self.intake.clock
         self.normaliser = Normaliser(hello.volts_per_count)
         self.maps = MapSource(
@@ -110,6 +112,7 @@ class Pipeline:
         """Normalise against a reference from the next frame on."""
         self.normaliser.use(reference.voltages_V, reference.weak)
         step_V = self.normaliser.volts_per_count
+        self.front_end.use(reference, step_V)
         if self.health is not None:
             spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))  # of rounding
             self.health.use(reference.voltages_V, spread_V, self._gate)
@@ -178,6 +181,8 @@ class Pipeline:
             return self._compute_idle()
         if not self.normaliser.change_into(self._change):
             return self.intake.withhold("no_signal" if self.normaliser.silent else "implausible")
+        if self.normaliser.far and self.front_end.look(self.normaliser):
+            return self.intake.withhold("stuck")
         health = self.health
         if health is not None:
             health.prepare(self._change)
@@ -215,6 +220,8 @@ class Pipeline:
         touched = gate.touched(self.normaliser)
         if touched is None:
             return self.intake.withhold("implausible")
+        if gate.far and self.front_end.look_idle():
+            return self.intake.withhold("stuck")
         record.touched, record.gate_logit = touched, gate.gate.logit
         record.stamps[NORMALISE] = record.stamps[GATE] = time.perf_counter_ns()
         self.maps.leave()

@@ -21,7 +21,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError, HandshakeError
 from eitskin.model.gate import EXTRAS, FIELDS, Gate
-from eitskin.reference.normaliser import LARGEST_CHANGE, Normaliser
+from eitskin.reference.normaliser import FAR, LARGEST_CHANGE, Normaliser
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.codes import Mode
@@ -46,7 +46,7 @@ class IdleGate:
         HandshakeError: The device has no idle mode, or scans other drives in it.
     """
 
-    __slots__ = ("_counts", "_exact", "_offset", "_rows", "_scale", "drives", "gate")
+    __slots__ = ("_counts", "_exact", "_offset", "_scale", "drives", "far", "gate", "rows")
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]] | None, hello: Hello) -> None:
         if arrays is None or f"{PREFIX}drives" not in arrays:
@@ -60,8 +60,11 @@ class IdleGate:
                 f"{hello.configuration_name} has {found or 'no idle mode'}; flash one with these [idle] drives with "
                 "'eitskin flash', or leave idling out"
             )
-        self._rows = table_rows(False, self.drives)
-        count = len(self._rows)
+        self.rows = table_rows(False, self.drives)
+        """Of the 104."""
+        count = len(self.rows)
+        self.far = False
+        """The last frame is so far from the reference that its rows may be no sheet's."""
         self.gate = Gate({name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}, count)
         self._scale = np.zeros(count)
         self._offset = np.zeros(count)
@@ -82,11 +85,13 @@ class IdleGate:
         Args:
             normaliser: Has the reference.
         """
-        normaliser.rows_into(self._rows, self._scale, self._offset)
+        normaliser.rows_into(self.rows, self._scale, self._offset)
         np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
-        if not np.dot(self._exact, self._exact) <= LARGEST_CHANGE * LARGEST_CHANGE:
+        square = float(np.dot(self._exact, self._exact))
+        if not square <= LARGEST_CHANGE * LARGEST_CHANGE:
             return None
+        self.far = square > FAR
         self.gate.change[:] = self._exact
         return self.gate.touched()
 

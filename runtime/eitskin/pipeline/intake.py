@@ -9,12 +9,15 @@ A frame that is not fit to publish is withheld, with a reason and a count:
 ``partial``           a scan of some drives only, without a gate for them
 ``implausible``       dV is not finite or beyond 1e6, or the map is not finite
 ``no_signal``         no row reaches a thousandth of its reference: no current flows
+``stuck``             rows are alike as no sheet's are (:mod:`eitskin.reference.front_end`)
+``frozen``            the samples of a frame before, bit by bit, though the reference's frames had noise
 ``stale``             over budget, and a newer frame was waiting
 ====================  ===============================================================
 
 The next frame that is published says so in its events: ``withheld:implausible``.
 """
 
+from collections import deque
 from typing import Final
 
 import numpy as np
@@ -23,16 +26,27 @@ import numpy.typing as npt
 from eitskin.acquisition.clock import DeviceClock
 from eitskin.messaging.frame_record import READ, FrameRecord
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.sensor.table import N_FULL_ROWS
 from eitskin_proto.wire.answers import Hello
-from eitskin_proto.wire.frames import FrameView
+from eitskin_proto.wire.codes import FrameFlag
+from eitskin_proto.wire.frames import HEADER_BYTES, FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_proto.wire.unwrap import StreamCounter
 
-REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stale")
+REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stuck",
+                  "frozen", "stale")  # fmt: skip
 """Why frames are withheld."""
 
 WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 """The event of the next published frame."""
+
+REMEMBERED: Final = 8
+"""Frames that a frame may repeat: a front end that hangs may have several buffers."""
+
+_FIRST_ROWS: Final = HEADER_BYTES + 12
+"""Samples that are compared first: those of the strongest rows."""
+
+_FULL: Final = int(FrameFlag.FULL)
 
 
 class Intake:
@@ -45,8 +59,9 @@ class Intake:
     """
 
     __slots__ = (
-        "_idle_drives", "_record", "_since", "_view", "clock", "counter", "generation", "generation_differs",
-        "withheld", "withheld_total",
+        "_full", "_idle_drives", "_payloads", "_recent", "_record", "_repeated", "_since", "_view", "_width", "clock",
+        "counter", "generation", "generation_differs", "heard_ns", "last_reason", "most_repeats", "withheld",
+        "withheld_total",
     )  # fmt: skip
 
     def __init__(self, hello: Hello, record: FrameRecord, idle_drives: int | None) -> None:
@@ -55,6 +70,16 @@ class Intake:
         self._view = FrameView()
         self.counter = StreamCounter()
         self.clock = DeviceClock()
+        self._recent: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._payloads: deque[bytes] = deque(maxlen=REMEMBERED)
+        self._repeated = 0
+        self.most_repeats: tuple[int | None, int | None] = (None, None)
+        """Repetitions in a row that are still chance, of whole scans and of idle ones; None where nothing can tell."""
+        self.heard_ns = 0
+        """When the last frame of this device's configuration was read, fit or not."""
+        self.last_reason = ""
+        """Why a frame was withheld last."""
+        self._width, self._full = hello.sample_bytes, _FULL if hello.rows == N_FULL_ROWS else 0
         self.generation = hello.generation
         """Of the configuration that frames must carry."""
         self.generation_differs = False
@@ -69,6 +94,11 @@ class Intake:
     def counts(self) -> npt.NDArray[np.int32]:
         """Of the frame accepted last."""
         return self._view.counts
+
+    @property
+    def saturation(self) -> int:
+        """Bit r: row r of the frame accepted last was cut off."""
+        return self._view.saturation
 
     def greet(self, hello: Hello) -> None:
         """Take over what a device said after it was greeted anew."""
@@ -87,6 +117,8 @@ class Intake:
             view.load(payload)
         except ProtocolError:
             return self.withhold("malformed")
+        if view.sample_bytes != self._width or view.flags & _FULL != self._full:
+            return self.withhold("malformed")
         step = self.counter.step(view.sequence, view.device_us)
         if step.duplicate:
             return self.withhold("duplicate")
@@ -102,6 +134,17 @@ class Intake:
         idle = view.drives != ALL_DRIVES
         if idle and view.drives != self._idle_drives:
             return self.withhold("partial")
+        self.heard_ns = read_ns
+        first = payload[HEADER_BYTES:_FIRST_ROWS]
+        if first in self._recent and self._repeats(payload):
+            self._repeated += 1
+            most = self.most_repeats[idle]
+            if most is not None and self._repeated >= most and view.counts.any():  # zeros are no signal
+                return self.withhold("frozen")
+        else:
+            self._repeated = 0
+            self._recent.append(first)
+            self._payloads.append(payload)
         if idle != record.idle:
             record.idle = idle
             events += ("idle" if idle else "awake",)
@@ -112,6 +155,10 @@ class Intake:
         record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
         record.stamps[READ] = read_ns
         return True
+
+    def _repeats(self, payload: bytes) -> bool:
+        """Return whether all samples of a frame are those of one that is remembered."""
+        return any(payload[HEADER_BYTES:] == before[HEADER_BYTES:] for before in self._payloads)
 
     def discard(self, payload: bytes) -> None:
         """Take note of a frame that is left out because a newer one waits; it is not counted as lost."""
@@ -127,6 +174,7 @@ class Intake:
         """Count a frame that is not published, and return False."""
         self.withheld[reason] += 1
         self.withheld_total += 1
+        self.last_reason = reason
         event = WITHHELD[reason]
         if event not in self._since:
             self._since += (event,)

@@ -2,26 +2,31 @@
 
 import time
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference
 from eitskin.reference.captured import SMALLEST_V, Reference
+from eitskin.reference.front_end import Sameness
 from eitskin.reference.judged import Yardstick, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.answers import Hello
 
+MOST_UNFIT: Final = 200
+"""Frames that are not fit, with few wanted: one second at 200 frames/s."""
+
 
 class ReferenceBuilder:
-    """Takes frame after frame and makes the reference; allocates nothing a frame (Welford's running mean).
+    """Takes frame after frame and makes the reference; keeps a number of each (Welford's running mean).
 
     Args:
         frames: How many to take, at least 2.
     """
 
-    __slots__ = ("_delta", "_mean", "_movement", "_product", "_squares", "frames", "taken")
+    __slots__ = ("_delta", "_mean", "_movement", "_product", "_sameness", "_squares", "_unfit", "frames", "taken")
 
     def __init__(self, frames: int) -> None:
         if frames < 2:
@@ -32,7 +37,9 @@ class ReferenceBuilder:
         self._squares = np.zeros(N_ROWS)
         self._delta = np.zeros(N_ROWS)
         self._product = np.zeros(N_ROWS)
+        self._unfit = 0
         self._movement = Movement(frames)
+        self._sameness = Sameness()
 
     def add(self, voltages: npt.NDArray[np.float64]) -> bool:
         """Take one frame and return whether there are enough.
@@ -42,6 +49,7 @@ class ReferenceBuilder:
         """
         self.taken += 1
         self._movement.add(voltages)
+        self._sameness.add(voltages)
         np.subtract(voltages, self._mean, out=self._delta)
         np.divide(self._delta, self.taken, out=self._product)
         np.add(self._mean, self._product, out=self._mean)
@@ -50,16 +58,33 @@ class ReferenceBuilder:
         np.add(self._squares, self._product, out=self._squares)
         return self.taken >= self.frames
 
+    def leave_out(self, why: str) -> None:
+        """Count a frame that is not taken.
+
+        Args:
+            why: What is wrong with it.
+
+        Raises:
+            BadReference: These are as many as frames were wanted, and at least ``MOST_UNFIT``.
+        """
+        self._unfit += 1
+        if self._unfit >= max(self.frames, MOST_UNFIT):
+            raise BadReference(
+                f"{self._unfit} frames were not fit for the reference, the last one since {why}: look at the front "
+                "end, its supply and its wires, and at the current and the gain of the configuration ('eitskin flash')"
+            )
+
     def finish(self, hello: Hello, yardstick: Yardstick | None = None, *, force: bool = False) -> Reference:
         """Return the reference of what was taken.
 
         Args:
             hello: Of the device.
             yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
-            force: Take it even if the sheet was bent, touched or moving.
+            force: Take it even if the sheet was bent, touched or moving, or all frames were the same.
 
         Raises:
-            BadReference: All voltages are zero; or the sheet was bent, touched or moving, with what was found.
+            BadReference: All voltages are zero, or rows are alike as no sheet's are; or the sheet was bent, touched or
+                moving, or the front end hung, with what was found.
         """
         largest = float(np.abs(self._mean).max())
         if not largest >= SMALLEST_V:
@@ -78,6 +103,7 @@ class ReferenceBuilder:
         )
         against = yardstick or Yardstick()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)
-        judgement = judge(found, self._movement.relative(looked_at), against)
+        same = self._sameness.refusals(found.voltages_V, found.spread_V, hello.volts_per_count)
+        judgement = judge(found, self._movement.relative(looked_at), against, same)
         accept(judgement, force=force)
         return replace(found, judgement=judgement)

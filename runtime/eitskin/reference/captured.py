@@ -82,6 +82,10 @@ class Reference:
         weighed = int(weighed_rows(self.voltages_V, self.spread_V).sum())
         if weighed:
             lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
+        if not self.spread_V.any():
+            lines.append(
+                "reference: its frames did not differ at all; a front end that hangs cannot be told from a sheet"
+            )
         if self.judgement is not None:
             lines += [f"reference: {line}" for line in (*self.judgement.refusals, *self.judgement.remarks)]
         return lines

@@ -92,15 +92,16 @@ def yardstick_of(
     return Yardstick(flat, older, None if arrays is None else Gate(arrays), missing)
 
 
-def judge(found: Reference, movement: float, yardstick: Yardstick) -> Judgement:
+def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tuple[str, ...] = ()) -> Judgement:
     """Return what there is to say of a captured reference.
 
     Args:
         found: The reference.
         movement: Of its capture, relative.
         yardstick: What it is held against.
+        refused: Reasons that were found already.
     """
-    refusals, remarks = [], []
+    refusals, remarks = list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
     if yardstick.missing is not None:
         usable &= ~yardstick.missing

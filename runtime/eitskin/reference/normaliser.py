@@ -20,6 +20,11 @@ NO_SIGNAL: Final = 1e-3
 sheet, leaves every row a fiftieth."""
 
 
+FAR: Final = 1.0
+"""|dV|^2 above which rows are looked at: five or more rows of a drive that read the same are farther than this from any
+sheet's (1.8 at least, the flat sheet's 5 rows of drive 9)."""
+
+
 class Normaliser:
     """Turns counts into dV, and into volts for whoever needs them.
 
@@ -29,7 +34,7 @@ class Normaliser:
 
     __slots__ = (
         "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
-        "silent", "volts_per_count", "weak_count",
+        "far", "silent", "volts_per_count", "weak_count",
     )  # fmt: skip
 
     def __init__(self, volts_per_count: float) -> None:
@@ -39,6 +44,8 @@ class Normaliser:
         """Rows of the reference that carry no information."""
         self.silent = False
         """The last frame was refused because no row had a voltage."""
+        self.far = False
+        """The last frame is so far from the reference that its rows may be no sheet's."""
         self._inverse = np.zeros(N_ROWS)
         self._scale = np.zeros(N_ROWS)
         self._offset = np.zeros(N_ROWS)
@@ -119,8 +126,14 @@ class Normaliser:
         self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
         if self.silent or not square <= LARGEST_CHANGE * LARGEST_CHANGE:  # also false for NaN
             return False
+        self.far = square > FAR
         out[:] = self._exact
         return True
+
+    @property
+    def counts(self) -> npt.NDArray[np.number]:
+        """(104,) counts of the frame, means of two where it has 208."""
+        return self._counts
 
     def _is_silent(self) -> bool:
         return bool(np.abs(self._exact + self._offset).max() < NO_SIGNAL)

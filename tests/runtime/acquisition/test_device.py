@@ -5,10 +5,11 @@ import pytest
 from eitskin.acquisition import device as devices
 from eitskin.acquisition.device import Device, check_usable
 from eitskin.acquisition.serial_port import SerialPort
-from eitskin.errors import HandshakeError, MismatchError, ProtocolError
+from eitskin.errors import HandshakeError, MismatchError, NotReady, ProtocolError
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.wire.framing import encode
-from eitskin_proto.wire.messages import Hello
+from eitskin_proto.wire.codes import MessageType
+from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_proto.wire.messages import Ack, Hello, Time
 
 
 class Line:
@@ -128,3 +129,59 @@ def test_every_shortened_hello_is_refused(hello, hasty):
         with pytest.raises((ProtocolError, HandshakeError)):
             Device(Line(lambda _, length=length: [encode(whole[:length])]))
     assert Hello.unpack(whole) == hello
+
+
+class Changing(Line):
+    """A device that says one thing first and another later, and acknowledges everything."""
+
+    def __init__(self, *hellos):
+        self.hellos = list(hellos)
+        super().__init__(self.say)
+
+    def say(self, data):
+        answers = []
+        for payload in Deframer().feed(data):
+            if payload[0] == MessageType.HELLO_REQUEST:
+                answers.append(encode((self.hellos.pop(0) if len(self.hellos) > 1 else self.hellos[0]).pack()))
+            elif payload[0] == MessageType.TIME_REQUEST:
+                answers.append(encode(Time(0, payload[1]).pack()))
+            else:
+                answers.append(encode(Ack(payload[0], tag=payload[1]).pack()))
+        return answers
+
+
+@pytest.mark.parametrize(
+    ("change", "text"),
+    [
+        ({"volts_per_count": -1e-9}, "found -1e-09 V, expected more than 0"),
+        ({"volts_per_count": 2e-9}, "volts_per_count is now 2e-09, expected 1e-09.*eitskin reference"),
+        ({"rate_mHz": 0}, r"HELLO\.rate_mHz: found 0, expected 100 to 100000000"),
+        ({"rate_mHz": 99}, r"0\.1 to 100000 frames/s"),
+        ({"rows": 208}, r"HELLO\.rows: found 208, but its flags say 104"),
+        ({"sample_bytes": 3}, "sample_bytes is now 3, expected 4"),
+        ({"serial_number": "OTHER"}, "is now OTHER, expected TEST-1"),
+        ({"configuration_digest": 1}, "configuration is now paper/00000001"),
+    ],
+)
+def test_every_hello_is_judged_like_the_first(hello, change, text):
+    device = Device(Changing(hello, replace(hello, **change)))
+    with pytest.raises(HandshakeError, match=text):
+        device.recover()
+    assert device.hello == hello
+
+
+def test_a_device_that_is_the_same_streams_on(hello):
+    line = Changing(hello)
+    Device(line).recover()
+    assert any(payload[0] == MessageType.START for data in line.written for payload in Deframer().feed(data))
+
+
+def test_who_stops_waits_for_no_answer(hello):
+    line = Changing(hello)
+    device = Device(line)
+    line.answer = lambda _: []
+    device.stopping = True
+    with pytest.raises(NotReady):
+        device.recover()
+    line.gone = True
+    device.leave()  # nobody waits for a port that is gone

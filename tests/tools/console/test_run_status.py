@@ -133,3 +133,16 @@ def test_a_report_above_a_status_does_not_run_into_it(form):
     log.status("all well", {})
     log.say("more")
     assert stream.getvalue().splitlines()[-1].endswith("more" if form == "text" else "}")
+
+
+def test_without_a_frame_that_can_be_used_electrodes_are_not_called_well():
+    stream = io.StringIO()
+    skin, status = looked_at(stream)
+    skin.pass_second(frames=0, trouble="frozen", withheld_by_reason={"frozen": 200})
+    status.look()
+    skin.pass_second(trouble="")
+    status.look()
+    lines = stream.getvalue().splitlines()
+    assert "200 withheld (frozen 200), no frame that can be used: frozen" in lines[0]
+    assert "well" not in lines[0]
+    assert "electrodes well" in lines[1]

@@ -266,3 +266,20 @@ def test_repeated_faults_happen_once_a_period() -> None:
 def test_a_fault_that_makes_no_sense_is_named(text: str) -> None:
     with pytest.raises(ValueError, match=text.replace(".", r"\.")):
         parse(text)
+
+
+@pytest.mark.parametrize("kind", ["frozen", "stuck", "failing"])
+def test_a_front_end_may_hang_for_a_while(kind: str) -> None:
+    with skin(f"{kind}@0.1:0.2") as host:
+        host.tell(m.Start(1, frames=200))
+        host.listen(0.8)
+        counts = [tuple(frame.counts.tolist()) for frame in host.frames]
+        failed = [event for event in host.events if event.text == "FRONT_END_FAILED"]
+        assert len(failed) == pytest.approx(100, abs=3) if kind == "failing" else not failed
+        assert len(counts) == 200
+        assert host.sequences[-1] + 1 == 200 + len(failed)
+        one = max(counts.count(frame) for frame in set(counts))
+        assert one == (1 if kind == "failing" else pytest.approx(100, abs=3))
+        assert (len(set(counts[60])) == 1) == (kind == "stuck")
+        assert counts[-1] != counts[-2], "it is over"
+        assert [injected.kind for injected in host.server.player.injected] == [kind]

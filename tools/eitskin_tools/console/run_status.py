@@ -20,7 +20,8 @@ PERIOD_S: Final = 1.0
 SILENT_S: Final = 60.0
 """Longest time without a line where none is rewritten."""
 
-WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "resets", "overruns", "level")
+WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets", "overruns",
+           "level")  # fmt: skip
 """Fields of ``Skin.status()`` of which any change is worth a line."""
 
 
@@ -58,8 +59,13 @@ class Status:
         parts += [f"{counters[name]} {name}" for name in ("overruns", "resets", "recoveries") if counters.get(name)]
         if counters.get("idle"):
             parts.append("idle")
-        electrodes = counters.get("electrodes")
-        parts.append(f"electrodes: {', '.join(electrodes)}" if electrodes else "electrodes well")
+        electrodes, trouble = counters.get("electrodes"), counters.get("trouble")
+        if trouble:
+            parts.append(f"no frame that can be used: {trouble}")
+        if electrodes:
+            parts.append(f"electrodes: {', '.join(electrodes)}")
+        elif not trouble:
+            parts.append("electrodes well")
         return ", ".join(parts)
 
 

@@ -166,6 +166,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     chosen = ["--bundle", str(options.bundle)] if options.bundle else []
     chosen += ["--solver", options.solver] if options.solver else []
     chosen += [] if options.affinity is None else [f"--affinity={options.affinity}"]
+    chosen += ["--force-reference"] if options.noise == "none" else []  # no front end is without noise
     runtime = Child(
         "run", "eitskin_tools.cli",
         ["run", f"--port={port}", f"--publish={publish}", f"--control={control}", "--json", *chosen], folder,

@@ -51,6 +51,10 @@ HELD_S: Final = 2.0
 """Length of the recording of a scene that is held: after that its noise repeats."""
 
 
+CONVERTER_NOISE_V: Final = 4e-8
+"""A count of 24 bit at the usual gain: no front end is without noise."""
+
+
 def recording(rate_hz: float, scene: Path | None, noise: str, seed: int) -> npt.NDArray[np.float64]:
     """Return the (frames, 208) V of a whole period of the script, with noise; reciprocal rows are equal."""
     from eitskin_tools.scripted_scene.script import demonstration, from_scene
@@ -58,7 +62,7 @@ def recording(rate_hz: float, scene: Path | None, noise: str, seed: int) -> npt.
     script = demonstration() if scene is None else from_scene(scene)
     length_s = min(script.period_s, LONGEST_S) if np.isfinite(script.period_s) else HELD_S
     solved = prepare(script, length_s)
-    source = Noise(noise, 50.0, seed, script.voltages_at(0.0, solved))
+    source = Noise(noise, 50.0, seed, script.voltages_at(0.0, solved), CONVERTER_NOISE_V)
     rows = [source.on(script.voltages_at(i / rate_hz, solved)) for i in range(round(length_s * rate_hz))]
     return np.array(rows)[:, table_rows(True, ALL_DRIVES)]
 

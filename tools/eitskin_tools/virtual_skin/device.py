@@ -13,6 +13,9 @@ the process began, and a reset of the device does not turn it back: the world ou
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import hardware, messages
 from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, MessageType, Mode
@@ -36,6 +39,9 @@ RESTART_NS: Final = 20_000_000
 CONVERTER_V: Final = 2.5
 """Voltage at the converter that gives full scale; the amplifier's gain stands before it."""
 
+STUCK_COUNT: Final = 12_345
+"""What a converter reads that is stuck."""
+
 
 class VirtualDevice:
     """A skin's firmware as a state machine.
@@ -56,6 +62,8 @@ class VirtualDevice:
         self.script_start_ns: int | None = None
         """Host clock at the first START."""
         self.boots = 0
+        self._samples: tuple[npt.NDArray[np.int32], int] = (np.zeros(0, dtype=np.int32), 0)
+        """Of the last scan."""
         self.dropped = 0
         """Scans that could not be sent, since the process began."""
         self.boot(now_ns)
@@ -137,19 +145,29 @@ class VirtualDevice:
         self.sequence = (self.sequence + scans) & 0xFFFFFFFF
         self.drop(scans)
 
-    def sweep(self, now_ns: int, overdriven_rows: int = 0) -> bytes:
+    def sweep(self, now_ns: int, overdriven_rows: int = 0, front_end: str = "") -> bytes:
         """Return the packet of the scan that ends now, and count it.
 
         Args:
             now_ns: Host clock at the end of the scan.
             overdriven_rows: So many rows, from the first on, are beyond full scale.
+            front_end: A fault of :data:`eitskin_tools.virtual_skin.faults.FRONT_END` that goes on, or "".
         """
+        if front_end == "failing":
+            packet = self.event(EventCode.FRONT_END_FAILED, now_ns, self.sequence)
+            self.skip(1)
+            return packet
         store = self.store
         configuration = store.configuration
         start_ns = self.script_start_ns if self.script_start_ns is not None else now_ns
         voltages = self.source.voltages((now_ns - start_ns) * 1e-9)[self._rows]
         voltages[:overdriven_rows] = 2.0 * CONVERTER_V
         counts, saturation = quantise(voltages, self.volts_per_count, configuration.sample_bytes)
+        if front_end == "stuck":
+            counts[:] = STUCK_COUNT
+        elif front_end == "frozen" and self._samples[0].shape == counts.shape:
+            counts, saturation = self._samples
+        self._samples = counts, saturation
         frame = Frame(
             sequence=self.sequence,
             device_us=self.device_us(now_ns),

@@ -7,6 +7,8 @@ A fault is written ``KIND[@START][/EVERY][:AMOUNT]``, times in seconds since the
     stall@2:0.5     no scan for 0.5 s                           burst@2:0.2     holds 0.2 s back, then sends it
     unplug@2:0.5    the cable is out for 0.5 s                  reset@2         reboots in the middle of a packet
     saturate@2:5    five rows at full scale for one scan        twice@2:1       every answer comes twice for 1 s
+    frozen@2:5      the same samples again for 5 s              failing@2:5     FRONT_END_FAILED instead of scans, 5 s
+    stuck@2:5       every row at one count for 5 s
     foreign         HELLO names another protocol_id             mute@0:1  late@0:0.5   no answer for 1 s; late ones
 
 Everything random comes from a seed, so that a run can be repeated.
@@ -21,9 +23,13 @@ import numpy as np
 
 AMOUNTS: Final[dict[str, float]] = {
     "flip": 1, "drop": 1, "garbage": 64, "zeros": 2, "stall": 0.5, "burst": 0.1, "unplug": 0.5, "reset": 0,
-    "saturate": 1, "foreign": 0, "mute": 1.0, "late": 0.2, "twice": 1.0,
+    "saturate": 1, "foreign": 0, "mute": 1.0, "late": 0.2, "twice": 1.0, "frozen": 1.0,
+    "stuck": 1.0, "failing": 1.0,
 }  # fmt: skip
 """Every kind with the amount it has when none is given: bits, bytes, rows or seconds."""
+
+FRONT_END: Final = ("frozen", "stuck", "failing")
+"""Kinds of faults before the wire, which last."""
 
 FOREIGN_ID: Final = "00000000f0e1d2c3"
 """The protocol_id of a device that measures something else."""
@@ -108,6 +114,13 @@ class FaultPlayer:
         found = [fault for fault in self.faults if fault.due(self._last_s, time_s)] if self.faults else []
         self._last_s = max(time_s, self._last_s)
         return found
+
+    def front_end(self, time_s: float) -> str:
+        """Return which fault of the front end goes on, one of ``FRONT_END``; "" if none does."""
+        for fault in self.faults:
+            if fault.kind in FRONT_END and fault.lasts_until(time_s):
+                return fault.kind
+        return ""
 
     def note(self, fault: Fault, time_s: float, detail: str) -> None:
         """Remember that a fault happened."""

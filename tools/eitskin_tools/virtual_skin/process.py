@@ -17,8 +17,9 @@ from types import FrameType
 from typing import Any
 
 from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.wire.frames import full_scale
 from eitskin_tools.virtual_skin.configure import configuration_for
-from eitskin_tools.virtual_skin.device import VirtualDevice
+from eitskin_tools.virtual_skin.device import CONVERTER_V, VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, Fault, FaultPlayer
 from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.pty import PtyPort
@@ -93,7 +94,8 @@ def _build(options: Options, stack: ExitStack) -> SkinServer:
     script = demonstration() if options.scene is None else from_scene(options.scene)
     until_s = script.period_s if options.seconds is None else options.seconds
     solved = prepare(script, until_s)
-    noise = Noise(options.noise, options.snr_db, options.seed, script.voltages_at(0.0, solved))
+    count_V = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)
+    noise = Noise(options.noise, options.snr_db, options.seed, script.voltages_at(0.0, solved), count_V)
     log = stack.enter_context(options.log.open("w", buffering=1)) if options.log else None
     times = wire_times(options.wire_times, WIRE_CAPACITY) if options.wire_times else None
     port = stack.enter_context(PtyPort())

@@ -176,7 +176,7 @@ class SkinServer:
         faults = self.player.due(time_s)
         overdriven = sum(int(fault.amount) for fault in faults if fault.kind == "saturate")
         sequence = device.sequence
-        packet = device.sweep(due_ns, overdriven)
+        packet = device.sweep(due_ns, overdriven, self.player.front_end(time_s))
         for fault in faults:
             packet = self._play(fault, packet, time_s)
         if not packet:
@@ -213,7 +213,7 @@ class SkinServer:
                 self.device.boot(now)
                 self._booted(now)
                 packet = b""
-            case "saturate":
+            case "saturate" | "frozen" | "stuck" | "failing":
                 pass
             case _:
                 return self.player.damage(packet, fault, time_s)

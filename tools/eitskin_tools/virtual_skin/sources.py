@@ -22,12 +22,14 @@ class Noise:
         snr_db: Signal to noise ratio.
         seed: Of the generator.
         reference: (104,) V, flat and untouched; N1 needs it.
+        converter_V: Noise of the converter itself, that every front end has; none with "none".
     """
 
     kind: str = "N2"
     snr_db: float = 50.0
     seed: int = 0
     reference: Array | None = None
+    converter_V: float = 0.0
     _rng: np.random.Generator = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
@@ -38,7 +40,10 @@ class Noise:
         from eitskin_sim.measurement.noise import add_noise
 
         reference = voltages if self.reference is None else self.reference
-        return add_noise(voltages, reference, self.kind, self.snr_db, self._rng)  # type: ignore[arg-type]
+        noisy = add_noise(voltages, reference, self.kind, self.snr_db, self._rng)  # type: ignore[arg-type]
+        if self.kind != "none" and self.converter_V > 0.0:
+            noisy = noisy + self.converter_V * self._rng.standard_normal(noisy.shape)
+        return noisy
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -36,6 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference; default: capture one now")
     parser.add_argument("--reference-frames", type=int, metavar="N", default=100, help="frames of a captured one")
+    parser.add_argument("--force-reference", action="store_true", help="take the captured one whatever is found of it")
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
@@ -138,7 +139,7 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     if skin.reference is None:
         log.say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
         try:
-            skin.capture_reference(arguments.reference_frames)
+            skin.capture_reference(arguments.reference_frames, force=arguments.force_reference)
         except BadReference:
             if skin.stopping:
                 return

@@ -26,7 +26,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--snr-db", type=float, default=50.0, metavar="DB", help="signal to noise ratio (default 50)")
     parser.add_argument(
         "--fault", action="append", default=[], metavar="KIND[@START][/EVERY][:AMOUNT]",
-        help="repeatable; KIND: flip drop garbage zeros stall burst unplug reset saturate foreign mute late twice",
+        help="repeatable; KIND: flip drop garbage zeros stall burst unplug reset saturate foreign mute late twice "
+        "frozen stuck failing",
     )  # fmt: skip
     parser.add_argument("--serial-number", default="VIRTUAL-0001", help="what HELLO says (default VIRTUAL-0001)")
     parser.add_argument(

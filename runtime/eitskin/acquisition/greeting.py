@@ -1,0 +1,98 @@
+"""What a device may say of itself: one gate for the first HELLO, for every later one, and for a port that returned.
+
+Numbers that everything afterwards depends on are bounded here: the unit of a count, the rate (silence is told by it,
+and so is how long a reference may take), the rows and the width of a sample.
+"""
+
+from typing import Final
+
+from eitskin.errors import HandshakeError
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
+from eitskin_proto.wire.framing import wire_bytes
+from eitskin_proto.wire.scan_rows import ALL_DRIVES
+
+VOLTS_PER_COUNT: Final = (1e-15, 1e3)
+"""V, least and most; what is outside is no measurement of volts."""
+
+RATE_MHZ: Final = (100, 100_000_000)
+"""Least and most, in thousandths of a hertz: one frame in 10 s, and 100,000 a second."""
+
+KEPT: Final = ("volts_per_count", "rows", "sample_bytes", "drives", "idle_drives", "rate_mHz")
+"""What belongs to a configuration, or to the electronics: a device that is greeted anew must not change it."""
+
+
+def check_usable(hello: Hello, line_bytes_per_s: int) -> None:
+    """Refuse a device whose frames this runtime cannot turn into maps, or whose line cannot carry them.
+
+    Args:
+        hello: What it said.
+        line_bytes_per_s: What our side of the line carries; 0 for no limit.
+
+    Raises:
+        HandshakeError: What was found, what was expected, and what to do.
+    """
+    hint = "flash another configuration with 'eitskin flash'"
+    if hello.rows not in (N_ROWS, N_FULL_ROWS) or hello.drives != ALL_DRIVES:
+        raise HandshakeError(
+            f"configuration {hello.configuration_name} measures {hello.rows} rows of drives 0x{hello.drives:04x}, "
+            f"expected {N_ROWS} or {N_FULL_ROWS} rows of all 16 drives; {hint}"
+        )
+    if hello.full != (hello.rows == N_FULL_ROWS):
+        raise HandshakeError(
+            f"HELLO.rows: found {hello.rows}, but its flags say {N_FULL_ROWS if hello.full else N_ROWS}; update the "
+            "firmware"
+        )
+    low, high = VOLTS_PER_COUNT
+    if not low <= hello.volts_per_count <= high:
+        raise HandshakeError(
+            f"HELLO.volts_per_count: found {hello.volts_per_count:g} V, expected more than 0, at least {low:g} and at "
+            f"most {high:g} V; update the firmware"
+        )
+    slow, fast = RATE_MHZ
+    if not slow <= hello.rate_mHz <= fast:
+        raise HandshakeError(
+            f"HELLO.rate_mHz: found {hello.rate_mHz}, expected {slow} to {fast} ({slow / 1000:g} to "
+            f"{fast // 1000} frames/s); {hint}"
+        )
+    if hello.sample_bytes not in SAMPLE_BYTES:
+        raise HandshakeError(f"HELLO.sample_bytes: found {hello.sample_bytes}, expected 2, 3 or 4; update the firmware")
+    limits = [limit for limit in (line_bytes_per_s, hello.line_bytes_per_s) if limit > 0]
+    packet = wire_bytes(frame_bytes(hello.rows, hello.sample_bytes))
+    if limits and hello.rate_mHz * packet > min(limits) * 1000:
+        raise HandshakeError(
+            f"{hello.rate_mHz / 1000:g} frames/s of {packet} bytes do not fit a line of {min(limits)} bytes/s, which "
+            f"carries {min(limits) // packet} frames/s: raise --baud, or {hint}"
+        )
+
+
+def check_same(known: Hello, found: Hello, port: str) -> None:
+    """Refuse a device that is not the one that was known, or measures otherwise: its reference holds no longer.
+
+    Args:
+        known: What it said before.
+        found: What it says now; usable by itself.
+        port: Name of the line.
+
+    Raises:
+        HandshakeError: What is found now, what was expected, and what to do.
+    """
+    if found.serial_number != known.serial_number:
+        raise HandshakeError(
+            f"{port}: the device is now {found.serial_number}, expected {known.serial_number}; "
+            "start again, with the reference of this device"
+        )
+    remedy = f"capture a new reference: eitskin reference --port {port} --out FILE"
+    if found.configuration_digest != known.configuration_digest:
+        raise HandshakeError(
+            f"{port}: the configuration is now {found.configuration_name}/{found.configuration_digest:08x}, expected "
+            f"{known.configuration_name}/{known.configuration_digest:08x}; {remedy}"
+        )
+    for name in KEPT:
+        before, now = getattr(known, name), getattr(found, name)
+        if before != now:
+            raise HandshakeError(
+                f"{port}: HELLO.{name} is now {now:g}, expected {before:g} as before in the same configuration; "
+                f"{remedy}"
+            )

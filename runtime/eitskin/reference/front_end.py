@@ -1,0 +1,240 @@
+"""Is this what a living front end reads off a sheet? Rows that cannot be so alike, and frames that cannot come twice.
+
+No sheet gives many rows one count: its rows span a factor of hundreds, and each has noise of its own. Of n rows spread
+with at most ``DENSEST`` to a factor of e, the chance that m rows read the same x counts, at some x of this size, is
+about ::
+
+    x (DENSEST / x)^m / m!                  ln p is summed over all groups of rows with one count; below -20
+                                            (2e-9) the converter is stuck, or a drive's rows repeat
+
+Rows that read alike in the reference are one row here, since a symmetric sheet has them in fours. Rows of no count at
+all are those of an electrode that is off, and rows that the device marks as cut off are counted by themselves. Wires
+that are stuck before the converter have noise: there the rows of all drives, or of all measurements, are nearly alike.
+
+Nor does a frame come twice, bit by bit, if its rows have noise: a row of spread s counts repeats in one of
+2 sqrt(pi) s scans. With the spread of the reference's frames, taken ``HEAVIEST`` times smaller for the sake of a touch
+that leaves every row so much of its voltage, that says how many repetitions chance can give. Noise under one count says
+nothing, and there a front end that hangs cannot be told from a sheet at rest.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BadReference
+from eitskin_proto.sensor.table import N_ROWS, TABLE
+
+Array = npt.NDArray[np.float64]
+
+DENSEST: Final = 50.0
+"""Rows within a factor of e: the flat sheet has 38 at most."""
+
+UNLIKELY: Final = -20.0
+"""ln of 2e-9, of rows that are denser than on any sheet: they are not, so that it never came in 110,000 frames."""
+
+SURE: Final = 28.0
+"""-ln of a millionth of a millionth: what a repetition must be by chance."""
+
+APART: Final = 1.1
+"""Factor between two rows of a reference that may not read the same."""
+
+SYMMETRIC: Final = 4
+"""Rows of a symmetric sheet that read the same, where no reference tells which."""
+
+LARGEST_GROWTH: Final = 8.0
+"""A row grows at most sixfold by any deformation: one that is cut off at more was not driven there by a sheet."""
+
+MOST_CUT_OFF: Final = 8
+"""Rows that may be cut off at more than ``LARGEST_GROWTH`` times their reference."""
+
+LEAST_ALIKE: Final = 0.02
+"""Median distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
+noise where all drives are one."""
+
+HEAVIEST: Final = 50.0
+"""A touch of this contrast on the whole sheet leaves every row a fiftieth, and of its noise as much."""
+
+QUIET_REPEATS: Final = 400
+"""Repetitions in a row where noise is a few counts: no touch of the heaviest kind is held still for so long."""
+
+
+def _averaging(column: int) -> Array:
+    """Return (104, 104) what takes the mean over all rows with the same drive (0) or measurement (1)."""
+    same = TABLE[:, column][:, None] == TABLE[:, column][None, :]
+    return np.asarray(same / same.sum(axis=1, keepdims=True))
+
+
+_DEPART: Final = tuple(np.eye(N_ROWS) - _averaging(column) for column in (0, 1))
+_JUDGED: Final = tuple(np.bincount(TABLE[:, column], minlength=16)[TABLE[:, column]] >= 4 for column in (0, 1))
+
+
+def stuck(
+    counts: npt.NDArray[np.number],
+    reference: npt.NDArray[np.number] | None = None,
+    cut_off: int = 0,
+    limit: float = 0,
+    symmetric: int = SYMMETRIC,
+) -> str:
+    """Return what is wrong with rows that no sheet can read, or "".
+
+    Args:
+        counts: (104,) as converted, or means of two readings; or (n,) of the idle drives.
+        reference: As many counts of the reference, 0 in rows that carry nothing; None where there is none yet.
+        cut_off: Bit r: the device says that row r was cut off.
+        limit: Largest count of the converter.
+        symmetric: Rows that may read the same by symmetry, where there is no reference.
+    """
+    judged = counts != 0
+    if cut_off:
+        whole = np.frombuffer(cut_off.to_bytes(N_ROWS // 8, "little"), np.uint8)
+        marked = np.unpackbits(whole, bitorder="little", count=len(counts)) > 0
+        judged &= ~marked
+        if reference is not None:
+            strange = int((marked & (np.abs(reference) * LARGEST_GROWTH < limit)).sum())
+            if strange > MOST_CUT_OFF:
+                return f"{strange} rows are cut off at {limit:g} counts, of which the reference has an eighth at most"
+    rows = np.flatnonzero(judged)
+    if len(rows) < 2:
+        return ""
+    rows = rows[np.argsort(counts[rows], kind="stable")]
+    ordered = counts[rows]
+    borders = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
+    if len(borders) + 1 < len(rows):
+        found = _alike(ordered, rows, borders, len(counts), reference, symmetric)
+        if found:
+            return found
+    if len(counts) == len(rows) == N_ROWS:
+        logs = np.log(np.abs(counts, dtype=np.float64))
+        for depart, enough, what in zip(_DEPART, _JUDGED, ("measurements", "drives"), strict=True):
+            if float(np.median(np.abs(depart @ logs)[enough])) < LEAST_ALIKE:
+                return f"the rows of all {what} are alike"
+    return ""
+
+
+def _alike(
+    ordered: npt.NDArray[np.number],
+    rows: npt.NDArray[np.intp],
+    borders: npt.NDArray[np.intp],
+    total: int,
+    reference: npt.NDArray[np.number] | None,
+    symmetric: int,
+) -> str:
+    chance, same, most, value = 0.0, 0, 0, 0.0
+    for group in np.split(np.arange(len(rows)), borders):
+        if len(group) < 2:
+            continue
+        many = _different(rows[group], reference, symmetric)
+        if len(group) >= 0.75 * total:
+            chance = -math.inf
+        elif many < 2:
+            continue
+        if len(group) > most:
+            most, value = len(group), float(ordered[group[0]])
+        same += len(group)
+        size = abs(float(ordered[group[0]]))
+        chance += min(0.0, math.log(size) + many * math.log(DENSEST / size) - math.lgamma(many + 1.0))
+    if chance >= UNLIKELY:
+        return ""
+    return f"{same} of {total} rows share counts, {most} of them {value:g}"
+
+
+def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | None, symmetric: int) -> int:
+    """Return how many of some rows should read differently."""
+    if reference is None:
+        return max(1, len(rows) - symmetric + 1)
+    different, last = 0, 0.0
+    for size in np.sort(np.abs(reference[rows])).tolist():
+        if size > APART * last:
+            different, last = different + 1, size
+    return different
+
+
+def patience(spread_counts: Array) -> int | None:
+    """Return how many repetitions of a frame in a row are no chance any more; None where noise is too small to tell.
+
+    Args:
+        spread_counts: (n,) standard deviation of each row's single frames, in counts.
+    """
+    evidence = _evidence(spread_counts / HEAVIEST)
+    if evidence >= 0.5:
+        return math.ceil(SURE / evidence)
+    return QUIET_REPEATS if _evidence(spread_counts) >= SURE else None
+
+
+def _evidence(spread_counts: Array) -> float:
+    """Return -ln of the chance that a frame repeats."""
+    return float(np.log(np.maximum(2.0 * math.sqrt(math.pi) * spread_counts, 1.0)).sum())
+
+
+class Sameness:
+    """Counts frames of a capture that repeat another, and holds its rows against each other; allocates little."""
+
+    __slots__ = ("_hashes", "repeats", "taken", "unlike")
+
+    def __init__(self) -> None:
+        self.taken = self.repeats = 0
+        self._hashes: set[int] = set()
+        self.unlike = 0
+        """Different frames."""
+
+    def add(self, voltages: Array) -> None:
+        """Take one frame, (104,) V."""
+        self.taken += 1
+        seen = hash(voltages.tobytes())
+        if seen in self._hashes:
+            self.repeats += 1
+        else:
+            self._hashes.add(seen)
+            self.unlike += 1
+
+    def refusals(self, mean_V: Array, spread_V: Array, step_V: float) -> tuple[str, ...]:
+        """Return why a capture is of no living front end.
+
+        Args:
+            mean_V: (104,) V.
+            spread_V: (104,) V, standard deviation of single frames.
+            step_V: Of one count.
+
+        Raises:
+            BadReference: Its rows are alike as no sheet's are.
+        """
+        allowed = patience(spread_V / step_V)
+        # With noise of many counts not even rows that are the same by symmetry have the same mean
+        if found := stuck(mean_V / step_V, symmetric=1 if allowed == 1 else SYMMETRIC):
+            raise BadReference(
+                f"the reference is of no sheet: {found}; the front end's converter or multiplexer is stuck: power the "
+                "device off and on, look at its supply and its wires"
+            )
+        if self.unlike == 1:
+            return (
+                f"all {self.taken} frames of the reference are the same bit by bit: the front end hangs, or it has no "
+                "noise at all, as only a simulation can",
+            )
+        if self.repeats and allowed == 1:
+            return (
+                f"{self.repeats} of {self.taken} frames of the reference repeat another bit by bit, which noise does "
+                "not do: the front end hangs now and then",
+            )
+        return ()
+
+
+def front_end_faults(voltages: Array, step_V: float | None = None) -> tuple[str, ...]:
+    """Return what recorded frames show of a front end that does not live; none if it does.
+
+    Args:
+        voltages: (n, 104) V.
+        step_V: Of one count; None takes a 24-bit converter's that the recording fills to a half.
+    """
+    step_V = step_V or max(float(np.abs(voltages).max()), 1e-30) / (1 << 22)
+    total, faults = len(voltages), []
+    different = len({frame.tobytes() for frame in voltages})
+    if different == 1:
+        faults.append(f"all {total} frames are the same bit by bit: it hangs, or it is a simulation without any noise")
+    elif different < total and patience(voltages.std(axis=0) / step_V) == 1:
+        faults.append(f"{total - different} of {total} frames repeat another bit by bit: it hangs now and then")
+    found = [text for frame in np.rint(voltages / step_V) if (text := stuck(frame))]
+    if found:
+        faults.append(f"in {len(found)} of {total} frames its converter or multiplexer is stuck: {found[-1]}")
+    return tuple(faults)

@@ -1,0 +1,191 @@
+"""Devices that send no frame that can be used, each in another way: greeted seldom, named, and given up in time."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from eitskin.acquisition import device as devices
+from eitskin.errors import BadReference, HandshakeError, PortLost, SkinError
+from eitskin.skin import Skin
+from eitskin_proto.wire.codes import EventCode, FrameFlag
+from eitskin_proto.wire.framing import encode
+
+from ..outcome import Effort, Outcome
+from ..stream import TINY
+from .lying_line import FLAT, HELLO, Line
+
+HONEST_SCANS = 40
+"""First a reference, and some frames."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """What a device does after its honest scans, and what must be said of it."""
+
+    send: Callable[[Line, int], bytes]
+    trouble: tuple[str, ...]
+    """What status may say meanwhile."""
+    ends: str = ""
+    """In the error that ends the stream; "" where it must go on."""
+    hello: dict[str, object] | None = None
+    """What HELLO says from then on."""
+    mute: bool = False
+
+
+def _nothing(line: Line, number: int) -> bytes:
+    return b""
+
+
+def _stuck(line: Line, number: int) -> bytes:
+    return line.frame(counts=np.full(104, 1_000_000 + number, dtype=np.int32))
+
+
+def _wide(line: Line, number: int) -> bytes:
+    return line.frame(counts=np.tile(np.rint(FLAT).astype(np.int32), 2), flags=FrameFlag.FULL)
+
+
+CASES: dict[str, Case] = {
+    "hangs": Case(_nothing, ("silent",), "did not answer", mute=True),
+    "answers and sends nothing": Case(_nothing, ("silent",), "sent no frame"),
+    "FRONT_END_FAILED": Case(
+        lambda line, n: line.event(EventCode.FRONT_END_FAILED), ("front_end_failed",), "front end does not answer"
+    ),
+    "events": Case(lambda line, n: line.event(EventCode.OVERRUN), ("silent",), "sent no frame"),
+    "a status of its own": Case(lambda line, n: encode(b"\x90" + bytes(20)), ("silent",), "sent no frame"),
+    "noise": Case(lambda line, n: line.rng.bytes(300), ("silent",), "lying line"),
+    "another generation": Case(lambda line, n: line.frame(generation=9), ("configuration",), "another generation"),
+    "another table": Case(_wide, ("malformed",), "withheld as malformed"),
+    "another width": Case(
+        lambda line, n: line.frame(sample_bytes=3, counts=np.zeros(104, dtype=np.int32)), ("malformed",), "malformed"
+    ),
+    "the same scan": Case(lambda line, n: line.frame(sequence=7), ("duplicate",), "withheld as duplicate"),
+    "turned sign": Case(_nothing, ("silent",), "volts_per_count", {"volts_per_count": -1e-9}),
+    "another scale": Case(_nothing, ("silent",), "volts_per_count", {"volts_per_count": 2e-9}),
+    "rate 0": Case(_nothing, ("silent",), "rate_mHz", {"rate_mHz": 0}),
+    "another device": Case(_nothing, ("silent",), "LIAR-2", {"serial_number": "LIAR-2"}),
+    "stuck": Case(_stuck, ("stuck",)),
+    "frozen": Case(lambda line, n: line.frame(counts=np.rint(FLAT).astype(np.int32)), ("frozen",)),
+    "no signal": Case(lambda line, n: line.frame(counts=np.zeros(104, dtype=np.int32)), ("no_signal",)),
+}
+
+
+@dataclass
+class Seen:
+    """What became of a stream."""
+
+    error: str = ""
+    lasted_s: float = 0.0
+    published: int = 0
+    greeted: int = 0
+    troubles: tuple[str, ...] = ()
+
+
+def watch(case: Case, patience_s: float = 0.0, longest_s: float = 20.0, revived_s: float = 0.0) -> Seen:
+    """Let a device turn bad after its honest scans, and return what is seen until the stream ends, or so long.
+
+    Args:
+        case: How.
+        patience_s: Of ``--reconnect``.
+        longest_s: When to stop a stream that goes on.
+        revived_s: After so long the device is honest again; 0 for never.
+    """
+    began_s = [0.0]
+
+    def send(line: Line, number: int) -> bytes:
+        return line.frame() if number < HONEST_SCANS or revived[0] else case.send(line, number)
+
+    revived = [False]
+    line = Line(send, patience_s=patience_s)
+    seen, troubles = Seen(), set[str]()
+    with Skin(line, bundle=TINY) as skin:
+        skin.capture_reference(20)
+        over = threading.Event()
+
+        def turn(here: Line) -> None:
+            if here.scans >= HONEST_SCANS and not began_s[0]:
+                began_s[0] = time.monotonic()
+                here.mute, here.hello = case.mute, replace(HELLO, **(case.hello or {}))  # type: ignore[arg-type]
+            if revived_s and began_s[0] and time.monotonic() - began_s[0] >= revived_s and not revived[0]:
+                revived[0], here.mute, here.hello = True, False, HELLO
+
+        def look() -> None:
+            while not over.wait(0.02):
+                troubles.add(skin.status()["trouble"])
+                if began_s[0] and time.monotonic() - began_s[0] > longest_s:
+                    skin.stop()
+
+        line.hooks.append(turn)
+        looking = threading.Thread(target=look)
+        looking.start()
+        greeted = line.greeted
+        try:
+            for frame in skin.frames():
+                if began_s[0] and frame.sequence > HONEST_SCANS:
+                    seen.published += 1
+                    if revived[0] and seen.published >= 5:
+                        break
+        except (HandshakeError, BadReference, PortLost) as error:
+            seen.error = str(error)
+        finally:
+            over.set()
+            looking.join()
+        seen.lasted_s = time.monotonic() - began_s[0]
+        seen.greeted = line.greeted - greeted
+    seen.troubles = tuple(sorted(troubles - {""}))
+    return seen
+
+
+def hanging(effort: Effort) -> Outcome:
+    """Let every device turn bad, all at once: a thread each."""
+    outcome = Outcome("front_end_hanging")
+    silence_s, handshake_s = devices.SILENCE_S, devices.HANDSHAKE_S
+    scale = 1.0 if effort.long else 0.5
+    devices.SILENCE_S, devices.HANDSHAKE_S = silence_s * scale, handshake_s * scale
+    found: dict[str, Seen | SkinError] = {}
+    longest_s = 15.0 * scale
+
+    def run(name: str, *arguments: float) -> None:
+        case = CASES[name.partition(" | ")[0]]
+        try:
+            found[name] = watch(case, *arguments)
+        except SkinError as error:
+            found[name] = error
+
+    patient = 10.0 * scale
+    tries = {name: (0.0, longest_s) for name in CASES}
+    tries |= {f"{name} | reconnect": (patient, 3 * longest_s) for name in ("hangs", "answers and sends nothing")}
+    tries |= {f"{name} | revives": (patient, 3 * longest_s, 0.8 * patient) for name in ("hangs", "FRONT_END_FAILED")}
+    try:
+        threads = [threading.Thread(target=run, args=(name, *arguments)) for name, arguments in tries.items()]
+        for thread in threads:
+            thread.start()
+        for thread in threads:
+            thread.join()
+    finally:
+        devices.SILENCE_S, devices.HANDSHAKE_S = silence_s, handshake_s
+    for name, seen in found.items():
+        if isinstance(seen, SkinError):
+            outcome.note(False, f"{name}: {seen}")
+            continue
+        how, case = name.partition(" | ")[2], CASES[name.partition(" | ")[0]]
+        wrong = []
+        if seen.published > (name == "frozen") and how != "revives":  # the first of equal frames is none yet
+            wrong.append(f"{seen.published} published")
+        if how == "revives" and (seen.error or seen.published < 5):
+            wrong.append(f"did not come back: {seen.error}")
+        if how == "reconnect" and not patient <= seen.lasted_s <= patient + 8.0 * scale + 5.0:
+            wrong.append(f"held {seen.lasted_s:.1f} s of {patient:g}")
+        if how != "revives" and case.ends not in seen.error:
+            wrong.append(f"ended with {seen.error or 'nothing'}")
+        if bool(case.ends) != bool(seen.error) and not how:
+            wrong.append(f"error {seen.error or 'none'}")
+        if not set(seen.troubles) <= {*case.trouble, "silent"} or not seen.troubles:
+            wrong.append(f"status said {seen.troubles}")
+        if seen.greeted > 3.0 * seen.lasted_s / scale + 8:
+            wrong.append(f"greeted {seen.greeted} times in {seen.lasted_s:.1f} s")
+        outcome.note(not wrong, f"{name}: {'; '.join(wrong)}")
+        outcome.figures[name] = f"{seen.lasted_s:.1f} s, greeted {seen.greeted}, {', '.join(seen.troubles)}"
+    return outcome

@@ -1,0 +1,109 @@
+"""Rows that no sheet reads, and frames that do not come twice."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import BadReference
+from eitskin.reference.builder import MOST_UNFIT, ReferenceBuilder
+from eitskin.reference.front_end import MOST_CUT_OFF, front_end_faults, patience, stuck
+from eitskin_proto.sensor.table import TABLE
+
+FULL_SCALE = 2**23 - 1
+
+
+@pytest.fixture
+def frames(counts):
+    rng = np.random.default_rng(3)
+    return np.rint(counts * (1 + 2e-3 * rng.standard_normal((50, 104)))).astype(np.int32)
+
+
+def captured(frames, hello, force=False):
+    builder = ReferenceBuilder(len(frames))
+    for frame in frames:
+        builder.add(frame * hello.volts_per_count)
+    return builder.finish(hello, force=force)
+
+
+def test_rows_of_a_sheet_are_well(counts, frames):
+    assert not any(stuck(frame, counts) or stuck(frame) for frame in frames)
+
+
+@pytest.mark.parametrize("value", [FULL_SCALE, -FULL_SCALE - 1, 12_345, 1])
+def test_a_converter_that_reads_one_count_is_stuck(counts, value):
+    assert "104 of 104 rows share counts" in stuck(np.full(104, value), counts)
+
+
+def test_one_drives_rows_at_one_count_are_no_sheet(counts):
+    frame = counts.copy()
+    frame[TABLE[:, 0] == 3] = 1_000_000
+    assert "11 of 104 rows share counts" in stuck(frame, counts)
+
+
+def test_rows_that_are_the_same_by_symmetry_may_read_the_same(counts):
+    sheet = np.repeat(counts[::4], 4)  # as the flat sheet of a simulation without noise
+    assert not stuck(sheet, sheet)
+    assert not stuck(sheet)
+
+
+def test_dead_rows_and_a_few_that_are_cut_off_are_no_lie(counts):
+    frame = counts.copy()
+    frame[20:] = 0
+    assert not stuck(frame, counts)
+    frame = counts.copy()
+    frame[60 : 60 + MOST_CUT_OFF + 1] = FULL_SCALE
+    few, many = (sum(1 << (60 + row) for row in range(count)) for count in (MOST_CUT_OFF, MOST_CUT_OFF + 1))
+    assert not stuck(frame, counts, few, FULL_SCALE)
+    assert "cut off at" in stuck(frame, counts, many, FULL_SCALE)
+    assert not stuck(frame, counts * 20.0, many, FULL_SCALE)  # rows near full scale may be driven beyond it
+
+
+@pytest.mark.parametrize("column", [0, 1])
+def test_a_multiplexer_that_is_stuck_shows_although_there_is_noise(counts, column):
+    rng = np.random.default_rng(1)
+    read = np.geomspace(4e6, 1e4, 16)[TABLE[:, column]] * (1 + 3e-3 * rng.standard_normal(104))
+    assert "are alike" in stuck(np.rint(read), counts)
+
+
+def test_how_often_a_frame_may_repeat_follows_from_the_noise():
+    assert patience(np.full(104, 1000.0)) == 1
+    assert patience(np.full(104, 1.0)) == 400
+    assert patience(np.full(104, 0.1)) is None
+    assert patience(np.zeros(104)) is None
+
+
+def test_a_reference_of_frames_that_are_all_the_same_is_refused_unless_forced(frames, hello):
+    with pytest.raises(BadReference, match=r"all 50 frames of the reference are the same bit by bit.*--force"):
+        captured(frames[:1].repeat(50, axis=0), hello)
+    found = captured(frames[:1].repeat(50, axis=0), hello, force=True)
+    assert any("cannot be told" in line for line in found.report())
+    assert not any("cannot be told" in line for line in captured(frames, hello).report())
+
+
+def test_a_front_end_that_hangs_now_and_then_has_no_reference(frames, hello):
+    frames[30:35] = frames[29]
+    with pytest.raises(BadReference, match="5 of 50 frames of the reference repeat another"):
+        captured(frames, hello)
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_reference_of_rows_that_are_alike_is_refused_even_if_forced(hello, force):
+    rng = np.random.default_rng(0)
+    with pytest.raises(BadReference, match=r"of no sheet: 104 of 104 rows share counts.*stuck"):
+        captured(np.full((50, 104), FULL_SCALE) - rng.integers(0, 50, (50, 1)), hello, force=force)
+
+
+def test_frames_that_are_not_fit_end_a_capture_with_what_was_wrong():
+    builder = ReferenceBuilder(10)
+    for _ in range(MOST_UNFIT - 1):
+        builder.leave_out("rows are cut off")
+    with pytest.raises(BadReference, match=r"200 frames were not fit.*since rows are cut off"):
+        builder.leave_out("rows are cut off")
+
+
+def test_a_recording_of_a_front_end_that_hangs_is_told(frames, counts):
+    volts = frames * 1e-9
+    assert front_end_faults(volts, 1e-9) == ()
+    assert "all 50 frames are the same" in front_end_faults(volts[:1].repeat(50, axis=0), 1e-9)[0]
+    volts[20:] = volts[19]
+    assert "30 of 50 frames repeat" in front_end_faults(volts, 1e-9)[0]
+    assert "stuck" in front_end_faults(np.full((50, 104), 0.1) * np.linspace(1, 1.1, 50)[:, None])[0]
