@@ -40,6 +40,9 @@ IDLE_SILENCE_S: Final = 5.0
 """The same in the idle mode."""
 
 
+LEAVE_S: Final = 0.3
+"""How long who leaves waits for the device's word that it stopped: it stops without, too."""
+
 TIME_QUESTIONS: Final = 5
 """Asked before each stream; the shortest round trip bounds the clock best."""
 
@@ -76,6 +79,8 @@ class Device:
         """Payloads that came behind the one that was waited for, or that their taker left: ``payloads`` has them."""
         self.idle = False
         """It scans a few drives only, at a rate that HELLO does not tell."""
+        self.leaving = False
+        """Set by any thread, or a signal handler: no answer is waited for any more."""
         self._tag = 0
         self.hello = self._handshake()
         """What the device said about itself."""
@@ -147,21 +152,22 @@ class Device:
                 best = sample
         return best
 
-    def stop(self) -> None:
+    def stop(self, timeout_s: float = HANDSHAKE_S) -> None:
         """Stop streaming.
 
         Raises:
             HandshakeError: The device refused or did not answer.
         """
-        self._request(requests.Stop(self._next_tag()))
+        self._request(requests.Stop(self._next_tag()), timeout_s)
 
     def leave(self) -> None:
         """Stop streaming, and let whoever comes next find the mode as it was.
 
         Raises:
-            SkinError: The device refused or did not answer, or the line is gone.
+            SkinError: The device refused or did not answer within ``LEAVE_S``, or the line is gone.
         """
-        self.stop()
+        self.leaving = False
+        self.stop(LEAVE_S)
         if self.idle:
             self.ask_mode(Mode.ACTIVE)
 
@@ -221,7 +227,9 @@ class Device:
         hello.check()
         return hello
 
-    def _request(self, message: requests.Start | requests.Stop | requests.SetMode) -> None:
+    def _request(
+        self, message: requests.Start | requests.Stop | requests.SetMode, timeout_s: float = HANDSHAKE_S
+    ) -> None:
         kind = message.LAYOUT.type
 
         def answers(payload: bytes) -> bool:
@@ -230,9 +238,9 @@ class Device:
             ack = Ack.unpack(payload)
             return ack.request == kind and ack.tag == message.tag
 
-        payload = self._exchange(encode(message.pack()), answers, HANDSHAKE_S)
+        payload = self._exchange(encode(message.pack()), answers, timeout_s)
         if payload is None:
-            raise HandshakeError(f"{self.transport.name} did not acknowledge {kind.name} within {HANDSHAKE_S:g} s")
+            raise HandshakeError(f"{self.transport.name} did not acknowledge {kind.name} within {timeout_s:g} s")
         ack = Ack.unpack(payload)
         if ack.code != Code.OK:
             raise HandshakeError(f"{self.transport.name} refused {kind.name}: {ack.text}")
@@ -240,7 +248,7 @@ class Device:
     def _exchange(self, packet: bytes, wanted: Wanted, timeout_s: float) -> bytes | None:
         end = time.perf_counter() + timeout_s
         repeat = 0.0
-        while (now := time.perf_counter()) < end:
+        while not self.leaving and (now := time.perf_counter()) < end:
             if now >= repeat:
                 self.transport.write(packet)
                 repeat = now + RETRY_S

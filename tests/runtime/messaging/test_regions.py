@@ -134,7 +134,7 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
     for row in range(29):
         worker.want((Region(row, row + 1, 0, 45),))
     end = time.perf_counter() + 60
-    while time.perf_counter() < end and (pipeline._next_engines is None or worker._running):
+    while time.perf_counter() < end and (pipeline._next_engines is None or worker._thread is not None):
         time.sleep(0.01)
     assert pipeline._next_engines.regions == (Region(28, 29, 0, 45),)
     assert 1 <= worker.made < 10
