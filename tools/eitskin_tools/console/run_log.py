@@ -51,6 +51,10 @@ class RunLog:
         elif not self._quiet:
             self._put("status", f"eitskin run: {text}", fields)
 
+    def failed(self, text: str, stacks: str) -> None:
+        """Report why the process ends by itself, and what each of its threads was doing."""
+        self._put("error", f"eitskin run: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
+
     def end(self) -> None:
         """Leave the status where it is."""
         with self._lock:
