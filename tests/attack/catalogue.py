@@ -4,7 +4,11 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "control": "control.requests:hostile_requests",
+    "keys": "control.keys:key_folders",
+    "shutdown": "shutdown.moments:random_moments",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 

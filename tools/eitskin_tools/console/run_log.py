@@ -38,6 +38,10 @@ class RunLog:
         if not self._quiet:
             self._put("info", f"eitskin run: {text}", {"text": text})
 
+    def warn(self, text: str) -> None:
+        """Report something that is wrong and does not stop us; nobody may miss it."""
+        self._put("warning", f"eitskin run: {text}", {"text": text})
+
     def ready(self, publish: str, control: str) -> None:
         """Report that frames are published from now on."""
         text = f"ready publishing on {publish} control {control}"

@@ -15,6 +15,7 @@ ADDRESS: Final = "NOTIFY_SOCKET"
 INTERVAL: Final = "WATCHDOG_USEC"
 WHOM: Final = "WATCHDOG_PID"
 
+
 class Supervisor:
     """Who started us, and how often a sign of life is wanted.
 

@@ -21,6 +21,7 @@ from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
+    from eitskin.messaging.curve_keys import ServerKeys
     from eitskin_tools.service.supervisor import Supervisor
     from eitskin_tools.service.watchdog import Watchdog
 
@@ -89,8 +90,11 @@ def run(arguments: argparse.Namespace) -> int:
     with contextlib.ExitStack() as stack:
         stack.callback(gc.enable)
         supervisor = Supervisor.of(os.environ)
+        stack.callback(supervisor.close)
         watchdog = stack.enter_context(Watchdog(log.failed, supervisor))
-        _check_endpoints(arguments)
+        keys = _check_endpoints(arguments)
+        for line in keys.damaged if keys is not None else ():
+            log.warn(line)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
@@ -123,7 +127,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.mlock:
             log.say(realtime.lock_memory())
         try:
-            _serve(skin, arguments, stack, log, watchdog, supervisor)
+            _serve(skin, arguments, keys, stack, log, watchdog, supervisor)
         finally:
             watchdog.watch("closing everything", limit_s=END_S)
         if arguments.json:
@@ -144,6 +148,7 @@ def _leave_unfinished_work() -> None:
 def _serve(
     skin: Any,
     arguments: argparse.Namespace,
+    keys: "ServerKeys | None",
     stack: contextlib.ExitStack,
     log: RunLog,
     watchdog: "Watchdog",
@@ -153,13 +158,11 @@ def _serve(
     from eitskin.errors import BadReference
     from eitskin.messaging import endpoints
     from eitskin.messaging.control import ControlServer
-    from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
     from eitskin.serving import serve
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
 
-    keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
     publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
@@ -210,16 +213,15 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
 
 
-def _check_endpoints(arguments: argparse.Namespace) -> None:
-    """Refuse endpoints and keys that cannot be used, before the device is touched."""
+def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
+    """Refuse endpoints and keys that cannot be used, before the device is touched; return the keys."""
     from eitskin.messaging import endpoints
     from eitskin.messaging.curve_keys import load_server_keys
 
     for option in ("publish", "control"):
         if (endpoint := getattr(arguments, option)) is not None:
             endpoints.needs_keys(endpoint, control=option == "control")
-    if arguments.curve_keys is not None:
-        load_server_keys(arguments.curve_keys)
+    return None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
 
 
 def _report(skin: Any, log: RunLog) -> None:
