@@ -40,7 +40,7 @@ IDLE_SILENCE_S: Final = 5.0
 """The same in the idle mode."""
 
 
-LEAVE_S: Final = 0.3
+LEAVE_S: Final = 0.2
 """How long who leaves waits for the device's word that it stopped: it stops without, too."""
 
 TIME_QUESTIONS: Final = 5

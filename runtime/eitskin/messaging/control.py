@@ -49,7 +49,7 @@ MOST_CONNECTIONS: Final = 64
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
 
-FAREWELL_S: Final = 0.2
+FAREWELL_S: Final = 0.1
 """How long ``close`` waits for the answer to a request that was ended by it."""
 
 Route = list[bytes]
@@ -93,7 +93,7 @@ class ControlServer:
         self._socket.setsockopt(zmq.RCVHWM, 4)
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
-        self._socket.setsockopt(zmq.LINGER, 200)
+        self._socket.setsockopt(zmq.LINGER, 100)
         self._connections = Connections(self._socket)
         try:
             self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=True)

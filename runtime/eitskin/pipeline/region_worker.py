@@ -18,7 +18,7 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 REST_S: Final = 0.5
 """Between two unions."""
 
-CLOSING_S: Final = 0.3
+CLOSING_S: Final = 0.2
 """How long ``close`` waits for the union in hand, of which some tens of milliseconds are left."""
 
 

@@ -38,6 +38,9 @@ LANES: Final = 6
 LIVES: Final = {"start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1}
 """Where in its life a runtime is ended, and how often, one against the other."""
 
+LAST: Final = 700
+"""Characters of what it said last that are shown."""
+
 WRONG: Final = ("Traceback", "terminate called", "Fatal Python", "Assertion", "Exception ignored")
 
 
@@ -86,26 +89,14 @@ class Lane:
                 self._start_s = time.monotonic() - began_s
                 getattr(self, f"_{life}")(stack, f"ipc://{control if life == 'control' else frames}", draw)
             took = end(process.pid, number, SURELY_S)
-            if took is None:
-                return None, f"it did not end within {SURELY_S:g} s of its own: {_last(out)}"
-        return took, self._judge(life, number, process.returncode, took, out)
-
-    def _judge(self, life: str, number: int, status: int, took: ExitTime, out: Path) -> str:
-        text = out.read_text(errors="replace")
         left = [path.name for path in self._folder.iterdir() if path != out]
-        for path in left:
-            (self._folder / path).unlink()
+        for name in left:
+            (self._folder / name).unlink()
+        if took is None:
+            return None, f"it did not end within {SURELY_S:g} s of its own: {_last(out)}"
         if left:
-            return f"it left {left}"
-        if status == -number and "firmware" not in text:
-            return "" if not _wrong(text) or _interrupted_early(number, text) else f"it said: {_last(out)}"
-        if _wrong(text):
-            return f"it said: {_last(out)}"
-        if status != 0:
-            return f"its exit status was {status}: {_last(out)}"
-        if life not in ("start",) and '"frames"' not in text:
-            return f"it printed no summary: {_last(out)}"
-        return "" if took.own_s <= MOST_S else f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
+            return took, f"it left {left}"
+        return took, _judge(life, number, process.returncode, took, out.read_text(errors="replace"))
 
     def _capture(self, stack: ExitStack, where: str, draw: random.Random) -> None:
         time.sleep(draw.uniform(0.0, 0.2))
@@ -169,6 +160,20 @@ def _finish(process: "subprocess.Popen[bytes]") -> None:
     process.wait()
 
 
+def _judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
+    """Return what was wrong with an end; nothing if all was well."""
+    last = text.strip()[-LAST:]
+    if status == -number and "firmware" not in text:  # it had opened nothing yet, and Python's own ways hold
+        return f"it said: {last}" if _wrong(text) and not _interrupted_early(number, text) else ""
+    if _wrong(text):
+        return f"it said: {last}"
+    if status != 0:
+        return f"its exit status was {status}: {last}"
+    if life != "start" and '"frames"' not in text:
+        return f"it printed no summary: {last}"
+    return "" if took.own_s <= MOST_S else f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
+
+
 def _wrong(text: str) -> bool:
     return any(word in text for word in WRONG)
 
@@ -179,7 +184,7 @@ def _interrupted_early(number: int, text: str) -> bool:
 
 
 def _last(out: Path) -> str:
-    return out.read_text(errors="replace").strip()[-700:]
+    return out.read_text(errors="replace").strip()[-LAST:]
 
 
 def random_moments(effort: Effort) -> Outcome:
@@ -189,6 +194,7 @@ def random_moments(effort: Effort) -> Outcome:
     lives = list(LIVES) * 2 if not effort.long else draw.choices(list(LIVES), list(LIVES.values()), k=1000)
     moments = list(enumerate(lives))
     moments.reverse()
+    ctrl_c = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # as behind a shell's "&", and runtimes inherit that
     lock, times, seen = threading.Lock(), [], Counter[str]()
 
     def work() -> None:
@@ -199,7 +205,7 @@ def random_moments(effort: Effort) -> Outcome:
                     if not moments:
                         return
                     index, life = moments.pop()
-                number = signal.SIGINT if index % 5 == 4 else signal.SIGTERM
+                number = signal.SIGINT if index % 5 == 4 and ctrl_c else signal.SIGTERM
                 took, wrong = lane.one(life, number, random.Random(f"{effort.seed}/{index}"))
                 with lock:
                     seen[life] += 1

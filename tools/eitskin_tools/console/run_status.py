@@ -20,7 +20,7 @@ PERIOD_S: Final = 1.0
 SILENT_S: Final = 60.0
 """Longest time without a line where none is rewritten."""
 
-END_S: Final = 0.3
+END_S: Final = 0.2
 """How long the last line may take at the end: who should read it may have stopped."""
 
 WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "resets", "overruns", "level")
