@@ -152,13 +152,13 @@ class Device:
                 best = sample
         return best
 
-    def stop(self, timeout_s: float = HANDSHAKE_S) -> None:
+    def stop(self) -> None:
         """Stop streaming.
 
         Raises:
             HandshakeError: The device refused or did not answer.
         """
-        self._request(requests.Stop(self._next_tag()), timeout_s)
+        self._request(requests.Stop(self._next_tag()))
 
     def leave(self) -> None:
         """Stop streaming, and let whoever comes next find the mode as it was.
@@ -167,7 +167,7 @@ class Device:
             SkinError: The device refused or did not answer within ``LEAVE_S``, or the line is gone.
         """
         self.leaving = False
-        self.stop(LEAVE_S)
+        self._request(requests.Stop(self._next_tag()), LEAVE_S)
         if self.idle:
             self.ask_mode(Mode.ACTIVE)
 
@@ -228,8 +228,9 @@ class Device:
         return hello
 
     def _request(
-        self, message: requests.Start | requests.Stop | requests.SetMode, timeout_s: float = HANDSHAKE_S
+        self, message: requests.Start | requests.Stop | requests.SetMode, patience_s: float | None = None
     ) -> None:
+        timeout_s = HANDSHAKE_S if patience_s is None else patience_s
         kind = message.LAYOUT.type
 
         def answers(payload: bytes) -> bool:
