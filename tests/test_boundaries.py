@@ -110,6 +110,7 @@ ROOMS: dict[str, Arrows] = {
         "processes": set(),
         "scans": {"command_line"},
         "scenes": set(),
+        "service": set(),
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -119,7 +120,9 @@ ROOMS: dict[str, Arrows] = {
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
-        "commands": {"command_line", "console", "demo", "errors", "evaluation", "flash", "stages", "virtual_skin"},
+        "commands": {
+            "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages", "virtual_skin",
+        },
         "cli": {"command_line", "errors"},
     },
 }  # fmt: skip

@@ -2,7 +2,9 @@
 
     python docs/examples/in_process.py PORT
 
-The sheet must be flat and untouched when the program starts, because it then takes the reference.
+The sheet must be flat and untouched when the program starts, because it then takes the reference. Frames are computed
+in one thread. If the program has sums of its own, OPENBLAS_NUM_THREADS=1 in its environment keeps numpy from taking
+all cores for them; and whether it stands still is for the program to watch.
 """
 
 import sys

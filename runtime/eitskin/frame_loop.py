@@ -16,7 +16,7 @@ from collections.abc import Iterator
 from typing import Final, Protocol
 
 from eitskin.acquisition.device import Device
-from eitskin.errors import BadReference, SkinError
+from eitskin.errors import BadReference, HandshakeError, SkinError, TransportError
 from eitskin.frame_source import FrameSource
 from eitskin.messaging.frame_message import FrameMessages
 from eitskin.messaging.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
@@ -87,19 +87,41 @@ class FrameLoop:
                 "with reference=FILE"
             )
         pipeline, record = self._pipeline, self._pipeline.record
-        for _ in self.source.accepted(until_ns):
-            recapture = self._recapture
-            if recapture is not None and not record.idle:
-                self._feed(recapture)
-            wanted = taker.wanted
-            if pipeline.compute(wanted):
-                self._choose_mode(whole=recapture is not None)
-                if wanted:
-                    taker.send(self._pack(short=taker.short))
-                else:
-                    record.stamps[PACK] = record.stamps[INFER]
-                self._finish()
-                yield record
+        try:
+            for _ in self._accepted(until_ns):
+                recapture = self._recapture
+                if recapture is not None and not record.idle:
+                    self._feed(recapture)
+                wanted = taker.wanted
+                if pipeline.compute(wanted):
+                    self._choose_mode(whole=recapture is not None)
+                    if wanted:
+                        taker.send(self._pack(short=taker.short))
+                    else:
+                        record.stamps[PACK] = record.stamps[INFER]
+                    self._finish()
+                    yield record
+        finally:
+            self._give_up_recapture("the stream ended")
+
+    def _accepted(self, until_ns: int | None) -> Iterator[None]:
+        """Yield whenever a frame was accepted; what a device that is greeted just now fails at matters no more."""
+        try:
+            yield from self.source.accepted(until_ns)
+        except (HandshakeError, TransportError):
+            if not self.source.stopping:
+                raise
+
+    def stop(self) -> None:
+        """End soon, whatever is waited for; may be called from any thread and from a signal handler."""
+        self.source.stopping = True
+        self._give_up_recapture("stopped")
+        self._device.transport.cancel()
+
+    def _give_up_recapture(self, why: str) -> None:
+        recapture = self._recapture
+        if recapture is not None:
+            recapture.settle(BadReference(f"{why} while the reference was captured; the old one stays"))
 
     def _choose_mode(self, *, whole: bool) -> None:
         """Ask the device for whole scans, or for those of a few drives, if this frame is a reason to."""
@@ -145,7 +167,7 @@ class FrameLoop:
             ValueError: Fewer than 2 frames.
         """
         builder, yardstick = ReferenceBuilder(frames), self._yardstick()
-        for _ in self.source.accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
+        for _ in self._accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
             if unfit := self._unfit_for_reference():
                 builder.leave_out(unfit)
             elif builder.add(self._pipeline.normaliser.voltages()):
@@ -164,13 +186,20 @@ class FrameLoop:
             force: As in :meth:`capture`.
 
         Raises:
-            BadReference: As in :meth:`capture`; the old reference stays.
+            BadReference: As in :meth:`capture`; or the loop was stopped, or another one is being captured. The old
+                reference stays.
         """
+        if (other := self._recapture) is not None:
+            raise BadReference(f"{other.builder.taken} of {other.builder.frames} frames of another reference are in")
         recapture = Recapture(ReferenceBuilder(frames), self._yardstick(), force=force)
         self._recapture = recapture
-        found = recapture.wait(self._patience_s(frames))
-        if found is None:
+        if self.source.stopping:  # looked at behind the line above, which ``stop`` looks at behind its own
+            self._give_up_recapture("stopped")
+        try:
+            found = recapture.wait(self._patience_s(frames))
+        finally:
             self._recapture = None
+        if found is None:
             raise recapture.too_few()
         return found
 

@@ -229,15 +229,15 @@ class Skin:
 
     def stop(self) -> None:
         """End the loops soon; may be called from any thread and from a signal handler."""
-        self.loop.source.stopping = True
-        self.transport.cancel()
+        self.loop.stop()
 
     def close(self) -> None:
         """Stop the device and give the port back; closing twice is fine."""
         if self._closed:
             return
         self._closed = True
-        self.loop.source.stopping = True
+        self.stop()  # a port that vanished is not waited for either
+        self._region_worker.close()
         with suppress(SkinError):  # the port may be gone; then there is nothing to stop
             self.device.leave()
         self.transport.close()

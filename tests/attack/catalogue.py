@@ -13,6 +13,9 @@ ATTACKS: dict[str, str] = {
     "front_end_references": "front_end.lies:references",
     "front_end_hanging": "front_end.hanging:hanging",
     "front_end_hello": "front_end.hello:hello",
+    "control": "control.requests:hostile_requests",
+    "keys": "control.keys:key_folders",
+    "shutdown": "shutdown.moments:random_moments",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

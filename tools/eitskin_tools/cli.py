@@ -2,6 +2,7 @@
 
 ``COMMANDS`` is the whole table. A subcommand's module has ``add_arguments(parser)`` and ``run(arguments) -> int``.
 Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr that says what is wrong and what to do.
+``run`` has 70 besides (:mod:`eitskin_tools.service.watchdog`).
 """
 
 import argparse

@@ -28,15 +28,14 @@ HANDSHAKE_S: Final = 4.0
 RETRY_S: Final = 0.4
 """After which a request is sent again."""
 
-LEAVE_S: Final = 0.5
-"""How long an answer to the last STOP may take: so long a device has by the protocol, and nobody waits for more."""
-
 SILENCE_S: Final = 1.0
 """A stream that is silent for so long, and for 20 frames, is looked after."""
 
 IDLE_SILENCE_S: Final = 5.0
 """The same in the idle mode."""
 
+LEAVE_S: Final = 0.2
+"""How long who leaves waits for the device's word that it stopped: it stops without, too."""
 
 TIME_QUESTIONS: Final = 5
 """Asked before each stream; the shortest round trip bounds the clock best."""
@@ -174,7 +173,7 @@ class Device:
         """Stop streaming, and let whoever comes next find the mode as it was.
 
         Raises:
-            SkinError: The device refused or did not answer, or the line is gone.
+            SkinError: The device refused or did not answer within ``LEAVE_S``, or the line is gone.
         """
         self.stopping = False
         if getattr(self.transport, "gone", False):

@@ -192,5 +192,5 @@ class HotPlug:
         """Give the port back; closing twice is fine."""
         self._drop()
         if self._wake >= 0:
-            os.close(self._wake)
-            self._wake = -1
+            wake, self._wake = self._wake, -1  # in this order: ``cancel`` may come from a signal in between
+            os.close(wake)

@@ -113,8 +113,8 @@ class SerialPort:
                 ioctl(self._fd, termios.TIOCNXCL)
         with suppress(OSError, serial.SerialException):
             self._serial.close()
-        os.close(self._wake)
-        self._wake = -1
+        wake, self._wake = self._wake, -1  # in this order: ``cancel`` may come from a signal in between
+        os.close(wake)
 
     def _lost(self, error: BaseException | None) -> PortLost:
         why = f" ({error})" if error is not None else ""

@@ -20,6 +20,7 @@ import numpy.typing as npt
 
 from eitskin.health.imputation import Consistency, Imputation, Rows
 from eitskin.model.gate import Gate
+from eitskin.model.small_products import product
 from eitskin_proto.sensor.table import N_ROWS
 
 Array = npt.NDArray[np.float64]
@@ -88,7 +89,7 @@ class GateWithoutRows:
         """Judge a block of drawn sheets; the last one sets the threshold."""
         if not self._calibrating:
             return
-        logs = self._mean + self._rng.standard_normal((BLOCK, N_ROWS)) @ self._half.T
+        logs = self._mean + product(self._rng.standard_normal((BLOCK, N_ROWS)), self._half.T)
         changes = np.expm1(logs) + self._sigma * self._rng.standard_normal(logs.shape)
         self._logits.append(self._gate.logits(self.filled(changes)))
         if len(self._logits) == BLOCKS:

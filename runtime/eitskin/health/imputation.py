@@ -25,6 +25,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.health.correction import Correction, Layers
+from eitskin.model.small_products import product
 from eitskin_proto.sensor.row_gaussian import change_of_log, log_of_change, missing_weights, precision_of, rows_of
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -207,7 +208,7 @@ class Imputation:
             return changes
         logs = log_of_change(changes, self._ratio_range) - self._mean
         found = np.array(changes, dtype=np.float64)
-        part = self._expected - logs[:, self._present] @ self._weights.T
+        part = self._expected - product(logs[:, self._present], self._weights.T)
         found[:, self._filled] = change_of_log(part, self._ratio_range)
         return found
 
@@ -224,6 +225,6 @@ def without_rows(matrix: npt.NDArray[np.float32], inverse: Array, rows: Rows) ->
     if not len(gone):
         return matrix
     back = np.linalg.solve(inverse[np.ix_(gone, gone)], inverse[gone])
-    found = matrix - matrix[:, gone].astype(np.float64) @ back
+    found = matrix - product(matrix[:, gone].astype(np.float64), back)
     found[:, gone] = 0.0
     return np.ascontiguousarray(found, dtype=np.float32)

@@ -2,9 +2,15 @@
 
 A request is one MessagePack map ``{"command": ..., ...}``, the answer one map ``{"ok": true, ...}`` or ``{"ok": false,
 "error": text}``. The server has a thread of its own, which runs the geometry graph while the frame loop goes on; the
-loop only picks up the finished result. What a client sends is data of bounded size and nothing else: no code, no
-pickle; a request that makes no sense is answered with what was wrong. Who asks is in
-:mod:`eitskin.messaging.control_client`.
+loop only picks up the finished result. ``reference`` waits for frames: it is answered by a second thread when they are
+in, one at a time, and everything else is answered meanwhile. What a client sends is data of bounded size and nothing
+else: no code, no pickle; a request that makes no sense is answered with what was wrong. What the commands do is in
+:mod:`eitskin.messaging.control_commands`, who asks in :mod:`eitskin.messaging.control_client`.
+
+The socket is a ROUTER, so that each answer goes to whoever asked, whatever others send: a REP socket gives the next
+client's answer away when a message has no delimiter. ::
+
+    [client's identity, by libzmq] [further identities, of proxies] [b"", the delimiter] [the map]
 
 =============  ====================================================  ===========================
 command        fields                                                answer
@@ -22,53 +28,32 @@ command        fields                                                answer
 =============  ====================================================  ===========================
 """
 
+import os
 import threading
-from collections.abc import Callable, Mapping
-from typing import Any, Final, Protocol
+from collections.abc import Callable
+from queue import Empty, SimpleQueue
+from typing import Any, Final
 
-import msgpack  # type: ignore[import-untyped]
-import numpy as np
-import numpy.typing as npt
 import zmq
 
-from eitskin.errors import ControlError, EndpointError, SkinError
+from eitskin.errors import ControlError, EndpointError
 from eitskin.messaging.connection_limit import Connections
-from eitskin.messaging.control_fields import LARGEST_REQUEST, array_field, unpack_fields
+from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
+from eitskin.messaging.control_fields import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.endpoints import bind, release, reopen
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE
-from eitskin_proto.sensor.sheet_cloud import check_sheet
-from eitskin_proto.sensor.table import N_ROWS
 
 MOST_CONNECTIONS: Final = 64
 """Clients at once; see :mod:`eitskin.messaging.connection_limit`."""
 
-REFERENCE_FRAMES: Final = (2, 10_000)
-"""Fewest and most frames of a reference that is asked for."""
+MOST_PARTS: Final = 16
+"""Of a message: identities of proxies, the delimiter, the map."""
 
+FAREWELL_S: Final = 0.1
+"""How long ``close`` waits for the answer to a request that was ended by it."""
 
-class Controlled(Protocol):
-    """What the server needs of the runtime; called in the server's thread."""
-
-    def set_cloud(
-        self,
-        cloud: npt.NDArray[np.floating] | None,
-        predicted: npt.NDArray[np.float64] | None = None,
-        predicted_flat: npt.NDArray[np.float64] | None = None,
-    ) -> int:
-        """Use a cloud from the next frame on and return its revision."""
-
-    def recapture(self, frames: int, *, force: bool = False) -> Mapping[str, object]:
-        """Replace the reference by the mean of the next frames, and return what was captured and found of it."""
-
-    def exclude(self, electrodes: tuple[int, ...]) -> None:
-        """Go on without these electrodes from the next frame on."""
-
-    def status(self) -> Mapping[str, object]:
-        """Return counters and ids."""
-
-    def stop(self) -> None:
-        """End the frame loop soon."""
+Route = list[bytes]
+"""Parts of a message up to the delimiter: where its answer goes."""
 
 
 class ControlServer:
@@ -84,13 +69,15 @@ class ControlServer:
     """
 
     def __init__(self, endpoint: str, controlled: Controlled, keys: ServerKeys | None = None) -> None:
-        self._controlled = controlled
+        self._commands = Commands(controlled)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._keys = keys
         self.refused = 0
         """Requests that were answered with an error."""
         self.resets = 0
         """How often a flood of connections made the socket start anew."""
+        self._closing = False
+        self._slow = _SlowRequest()
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         try:
             self._open(endpoint)
@@ -101,12 +88,12 @@ class ControlServer:
         self._thread.start()
 
     def _open(self, endpoint: str) -> None:
-        self._socket: Any = self._context.socket(zmq.REP)
+        self._socket: Any = self._context.socket(zmq.ROUTER)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
         self._socket.setsockopt(zmq.RCVHWM, 4)
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
-        self._socket.setsockopt(zmq.LINGER, 200)
+        self._socket.setsockopt(zmq.LINGER, 100)
         self._connections = Connections(self._socket)
         try:
             self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=True)
@@ -116,19 +103,21 @@ class ControlServer:
             raise
 
     def _serve(self) -> None:
-        """Block until there is a request or a connection; end when the context is terminated."""
-        while True:
+        """Block until there is a request, an answer or a connection; end when told to, or with the context."""
+        while not self._closing:
             try:
-                zmq.select([self._socket, self._connections.monitor], [], [])
+                zmq.select([self._socket, self._connections.monitor, self._slow.wake], [], [])
+                self._answer_finished()
                 if self._connections.look() > MOST_CONNECTIONS:
                     self._start_anew()
                 elif self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-                    self._socket.send(self._answer(self._socket.recv_multipart()))
+                    self._take(self._socket.recv_multipart())
             except (zmq.ContextTerminated, EndpointError):  # the latter: its address is gone for good
                 break
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
         if not self._socket.closed:
+            self._say_farewell()
             self._connections.close()
             self._socket.close()
 
@@ -138,63 +127,57 @@ class ControlServer:
         self.resets += 1
         reopen(self._open, self.endpoint)
 
-    def _answer(self, parts: list[bytes]) -> bytes:
+    def _take(self, parts: list[bytes]) -> None:
+        """Answer a message, or have it answered later."""
+        if b"" not in parts[1:MOST_PARTS]:
+            route, body = [parts[0], b""], None
+        else:
+            end = parts.index(b"", 1) + 1
+            route, body = parts[:end], parts[end:]
         try:
-            answer: Mapping[str, object] = {"ok": True, **self._perform(unpack_fields(parts))}
-        except (SkinError, ValueError, TimeoutError) as error:
-            self.refused += 1
-            answer = {"ok": False, "error": " ".join(str(error).split())[:1000]}
-        except Exception as error:  # whatever a request brings about, the next one must find a server
-            self.refused += 1
-            answer = {"ok": False, "error": f"the runtime failed at this request: {type(error).__name__}"}
-        packed: bytes = msgpack.packb(answer)
-        return packed
+            if body is None:
+                raise ControlError(
+                    f"a message of {len(parts) - 1} parts without an empty one before the map; send [b'', map], as a "
+                    "REQ socket does"
+                )
+            perform, slow = self._commands.prepare(body)
+            if slow:
+                self._slow.start(route, self.resets, perform)
+                return
+        except ControlError as error:
+            self._send(route, False, refusal(str(error)))
+        else:
+            self._send(route, *answer_of(perform))
 
-    def _perform(self, request: Mapping[str, Any]) -> Mapping[str, object]:
-        commands: dict[str, Callable[[Mapping[str, Any]], Mapping[str, object]]] = {
-            "cloud": self._cloud,
-            "reference": self._reference,
-            "exclude": self._exclude,
-            "status": lambda _: self._controlled.status(),
-            "stop": self._stop,
-        }
-        command = request.get("command")
-        if not isinstance(command, str) or command not in commands:
-            raise ControlError(f"command {str(command)[:40]!r} does not exist; expected one of {', '.join(commands)}")
-        return commands[command](request)
+    def _send(self, route: Route, granted: bool, answer: bytes) -> None:
+        """Send an answer; it is dropped if its client has vanished or reads none."""
+        self.refused += not granted
+        self._socket.send_multipart([*route, answer], zmq.NOBLOCK)
 
-    def _cloud(self, request: Mapping[str, Any]) -> Mapping[str, object]:
-        cloud = array_field(request, "cloud", np.dtype("<f4"), CLOUD_SHAPE)
-        if cloud is None:
-            raise ControlError("a cloud request needs the field 'cloud'")
-        predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
-        flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
-        doubts = check_sheet(cloud)[1]
-        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
+    def _answer_finished(self, wait_s: float = 0.0) -> bool:
+        """Answer the slow request, if it is done, and return whether it was."""
+        found = self._slow.finished(wait_s)
+        if found is None:
+            return False
+        route, resets, granted, answer = found
+        if resets == self.resets:  # a newer socket knows other clients
+            self._send(route, granted, answer)
+        return True
 
-    def _reference(self, request: Mapping[str, Any]) -> Mapping[str, object]:
-        frames = request.get("frames", 100)
-        low, high = REFERENCE_FRAMES
-        if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
-            raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")
-        force = request.get("force", False)
-        if not isinstance(force, bool):
-            raise ControlError(f"force is {str(force)[:40]}, expected true or false")
-        return self._controlled.recapture(frames, force=force)
-
-    def _exclude(self, request: Mapping[str, Any]) -> Mapping[str, object]:
-        electrodes = request.get("electrodes")
-        if not isinstance(electrodes, list) or not all(type(number) is int for number in electrodes):
-            raise ControlError(f"electrodes is {str(electrodes)[:40]}, expected a list of numbers from 0 to 15")
-        self._controlled.exclude(tuple(electrodes))
-        return {"electrodes": electrodes}
-
-    def _stop(self, _: Mapping[str, Any]) -> Mapping[str, object]:
-        self._controlled.stop()
-        return {}
+    def _say_farewell(self) -> None:
+        """Answer who still waits."""
+        waiting = self._slow.waiting
+        if waiting is None or waiting[1] != self.resets:
+            return
+        try:
+            if not self._answer_finished(FAREWELL_S):
+                self._send(waiting[0], False, refusal("the runtime takes no more requests; ask again once it runs"))
+        except zmq.ZMQError:
+            return  # nobody can be reached any more
 
     def _end(self) -> None:
-        self._context.term()  # wakes the threads, and waits until they have closed their sockets
+        self._context.term()  # wakes the doorkeeper, and waits until all sockets are closed and the last answers sent
+        self._slow.close()
         if self._doorkeeper is not None:
             self._doorkeeper.join()
 
@@ -202,6 +185,62 @@ class ControlServer:
         """Answer nobody any more; closing twice is fine."""
         if self._context.closed:
             return
-        self._end()
+        self._closing = True
+        self._slow.ring()
         self._thread.join()
+        self._end()
         release(self.endpoint)
+
+
+class _SlowRequest:
+    """One request at a time that is performed in a thread of its own."""
+
+    def __init__(self) -> None:
+        self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
+        """To wait on: something is finished, or ``ring`` was called."""
+        self.waiting: tuple[Route, int] | None = None
+        """Who waits for an answer."""
+        self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
+        self._lock = threading.Lock()
+
+    def start(self, route: Route, resets: int, perform: Callable[[], Answer]) -> None:
+        """Begin; ``finished`` will have the answer.
+
+        Raises:
+            ControlError: There is one already.
+        """
+        if self.waiting is not None:
+            raise ControlError("a reference is being captured already; ask again once it is done")
+        self.waiting = (route, resets)
+        threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
+
+    def _run(self, perform: Callable[[], Answer]) -> None:
+        self._done.put(answer_of(perform))
+        self.ring()
+
+    def ring(self) -> None:
+        """Wake who waits on ``wake``."""
+        with self._lock:
+            if self.wake >= 0:
+                os.eventfd_write(self.wake, 1)
+
+    def finished(self, wait_s: float) -> tuple[Route, int, bool, bytes] | None:
+        """Return whom to answer what; None if nothing is finished within the time."""
+        try:
+            os.eventfd_read(self.wake)
+        except BlockingIOError:
+            if not wait_s:
+                return None
+        try:
+            granted, answer = self._done.get(timeout=wait_s) if wait_s else self._done.get_nowait()
+        except Empty:
+            return None
+        assert self.waiting is not None
+        (route, resets), self.waiting = self.waiting, None
+        return route, resets, granted, answer
+
+    def close(self) -> None:
+        """Let go of the descriptor; whoever still performs a request does so for nobody."""
+        with self._lock:
+            os.close(self.wake)
+            self.wake = -1

@@ -7,10 +7,14 @@ A folder of keys, as made by :func:`make_keys`; the format of the files is ZeroM
     DIR/clients/NAME.key      public keys that may connect; nobody else may
     DIR/client.key_secret     a first client's own key, to be carried to its machine
 
-The runtime only lets in clients whose public key is in ``clients``: knowing the server's key is not enough.
+The runtime only lets in clients whose public key is in ``clients``: knowing the server's key is not enough. So nobody
+else may be able to put a file there: a folder or a key that others can write to is refused. Keys are read once, when
+the runtime starts. One that is damaged keeps its own client out and nobody else.
 """
 
 import os
+import re
+import stat
 import threading
 from contextlib import suppress
 from dataclasses import dataclass
@@ -20,6 +24,15 @@ from typing import Any, Final
 import zmq
 
 from eitskin.errors import EndpointError
+
+MOST_FILES: Final = 1000
+"""In ``clients``; a runtime serves a hundred clients at once."""
+
+LARGEST_KEY: Final = 4096
+"""Bytes of a key's file, which has some hundreds."""
+
+PUBLIC_KEY: Final = re.compile(rb'^\s*public-key\s*=\s*"([0-9a-zA-Z.:+=^!/*?&<>()\[\]{}@%$#-]{40})"', re.MULTILINE)
+"""Of a file; the key is in Z85."""
 
 DOMAIN: Final = "eitskin"
 """What the runtime's sockets call themselves when they ask who may enter."""
@@ -33,6 +46,10 @@ class ServerKeys:
     secret: bytes
     clients: Path
     """Folder of public keys."""
+    admitted: frozenset[bytes] = frozenset()
+    """Those keys, in Z85."""
+    damaged: tuple[str, ...] = ()
+    """What is wrong with files of this folder that hold no key, a line each."""
 
     def apply(self, socket: Any) -> None:
         """Make a ZeroMQ socket a CURVE server; before it is bound."""
@@ -81,17 +98,73 @@ def load_server_keys(folder: str | Path) -> ServerKeys:
     """Return the runtime's keys.
 
     Raises:
-        EndpointError: They are missing, unreadable, or readable by others.
+        EndpointError: They are missing, unreadable, readable by others, or could have been put there by others.
     """
     where = Path(folder)
-    secret_file = where / "server.key_secret"
+    secret_file, clients = where / "server.key_secret", where / "clients"
     public, secret = _certificate(secret_file)
     if secret_file.stat().st_mode & 0o077:
         raise EndpointError(f"{secret_file} can be read by others; run: chmod 600 {secret_file}")
-    clients = where / "clients"
-    if not clients.is_dir() or not any(clients.glob("*.key")):
-        raise EndpointError(f"{clients} holds no client's public key, so that nobody could connect; put NAME.key there")
-    return ServerKeys(public, secret, clients)
+    for path in (where, secret_file, *([clients] if clients.is_dir() else [])):
+        _refuse_if_others_write(path, path.stat())
+    admitted, damaged = _admitted(clients)
+    if not admitted:
+        why = f" ({damaged[0]})" if damaged else ""
+        raise EndpointError(
+            f"{clients} holds no client's public key{why}, so that nobody could connect; put NAME.key there"
+        )
+    return ServerKeys(public, secret, clients, frozenset(admitted), tuple(damaged))
+
+
+def _admitted(clients: Path) -> tuple[set[bytes], list[str]]:
+    """Return the keys of a folder, in Z85, and what is wrong with files that hold none."""
+    try:
+        with os.scandir(clients) as entries:
+            names = [entry.name for entry, _ in zip(entries, range(MOST_FILES + 1), strict=False)]
+    except FileNotFoundError:
+        return set(), []
+    if len(names) > MOST_FILES:
+        raise EndpointError(f"{clients} holds more than {MOST_FILES} files; remove the keys of clients that are gone")
+    admitted, damaged = set(), []
+    for name in sorted(name for name in names if name.endswith(".key")):
+        path = clients / name
+        try:
+            admitted.add(_public_key(path))
+        except (OSError, ValueError) as error:
+            what = error.strerror if isinstance(error, OSError) else error
+            damaged.append(f"{path} is left out: {what}; copy the client's .key there again, or remove it")
+    return admitted, damaged
+
+
+def _public_key(path: Path) -> bytes:
+    """Return the public key of a file, in Z85.
+
+    Raises:
+        EndpointError: Others can write to it.
+        OSError: It cannot be read.
+        ValueError: It holds none.
+    """
+    descriptor = os.open(path, os.O_RDONLY | os.O_NONBLOCK | os.O_CLOEXEC)
+    with os.fdopen(descriptor, "rb") as file:
+        found = os.fstat(descriptor)
+        if not stat.S_ISREG(found.st_mode):
+            raise ValueError("it is no file")
+        _refuse_if_others_write(path, found)
+        match = PUBLIC_KEY.search(file.read(LARGEST_KEY))
+    if match is None:
+        raise ValueError("it holds no public key")
+    return match[1]
+
+
+def _refuse_if_others_write(path: Path, found: os.stat_result) -> None:
+    """Refuse what somebody else could have changed, who would then choose who enters."""
+    if found.st_mode & 0o022:
+        raise EndpointError(f"{path} can be written to by others, who could let themselves in; run: chmod go-w {path}")
+    if found.st_uid not in (os.geteuid(), 0):
+        raise EndpointError(
+            f"{path} belongs to another user (number {found.st_uid}), who could let himself in; run: "
+            f"sudo chown {os.geteuid()} {path}"
+        )
 
 
 def load_client_keys(server_key: str | Path, client_secret: str | Path) -> ClientKeys:
@@ -124,7 +197,7 @@ class Doorkeeper:
 
     def __init__(self, context: Any, keys: ServerKeys) -> None:
         self._authenticator = _auth().Authenticator(context)
-        self._authenticator.configure_curve(domain=DOMAIN, location=str(keys.clients))
+        self._authenticator.certs[DOMAIN] = dict.fromkeys(keys.admitted, True)
         self._authenticator.start()
         self._thread = threading.Thread(target=self._serve, name="eitskin-curve", daemon=True)
         self._thread.start()

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
+from eitskin.model.small_products import product
 from eitskin_proto.sensor.table import N_ROWS
 
 FLOOR: Final = 1e-3
@@ -115,9 +116,9 @@ class Gate:
         features = np.concatenate(
             [small, np.log1p(np.maximum(small, self._drop)), np.ones((len(small), 1), dtype=np.float32)], axis=1
         )
-        hidden = np.maximum(features[:, self._start :] @ self._first, _ZERO)
+        hidden = np.maximum(product(features[:, self._start :], self._first), _ZERO)
         if self._second is not None:
-            hidden = np.maximum(hidden @ self._second[:-1] + self._second[-1], _ZERO)
+            hidden = np.maximum(product(hidden, self._second[:-1]) + self._second[-1], _ZERO)
         return np.asarray(hidden @ self._output + np.float32(self._shift), dtype=np.float32)
 
 

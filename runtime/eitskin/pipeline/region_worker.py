@@ -2,6 +2,10 @@
 
 Regions come with subscribers, whoever they are, so a subscriber that comes and goes all the time must not keep a core
 busy: after each union the thread rests.
+
+Making a union runs C++ code that must not be left behind by an interpreter that ends: it would abort the process. So
+the thread is no daemon, which the interpreter waits for, and ``close`` ends it after the union in hand, which cannot be
+interrupted.
 """
 
 import threading
@@ -14,9 +18,12 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 REST_S: Final = 0.5
 """Between two unions."""
 
+CLOSING_S: Final = 0.2
+"""How long ``close`` waits for the union in hand, of which some tens of milliseconds are left."""
+
 
 class RegionWorker:
-    """Gives a pipeline the engines of its regions.
+    """Gives a pipeline the engines of its regions; release it with ``close``.
 
     Args:
         pipeline: Takes them over between two frames.
@@ -26,7 +33,8 @@ class RegionWorker:
         self._pipeline = pipeline
         self._lock = threading.Lock()
         self._wanted: Regions = (WHOLE,)
-        self._running = False
+        self._thread: threading.Thread | None = None
+        self._closing = threading.Event()
         self.made = 0
         """Unions made so far."""
         self.failure = ""
@@ -35,20 +43,20 @@ class RegionWorker:
     def want(self, regions: Regions) -> None:
         """Wish for other regions; returns at once."""
         with self._lock:
-            if regions == self._wanted:
+            if regions == self._wanted or self._closing.is_set():
                 return
             self._wanted = regions
-            if not self._running:
-                self._running = True
-                threading.Thread(target=self._make, name="eitskin-regions", daemon=True).start()
+            if self._thread is None:
+                self._thread = threading.Thread(target=self._make, name="eitskin-regions", daemon=False)
+                self._thread.start()
 
     def _make(self) -> None:
         made: Regions | None = None
         while True:
             with self._lock:
                 wanted = self._wanted
-                if wanted == made:
-                    self._running = False
+                if wanted == made or self._closing.is_set():
+                    self._thread = None
                     return
             try:
                 self._pipeline.use_regions(wanted)
@@ -58,4 +66,12 @@ class RegionWorker:
                 self.failure = str(error)
             made = wanted
             self.made += 1
-            threading.Event().wait(REST_S)
+            self._closing.wait(REST_S)
+
+    def close(self) -> None:
+        """Make no more unions, and wait a moment for the one in hand; closing twice is fine."""
+        self._closing.set()
+        with self._lock:
+            thread = self._thread
+        if thread is not None:
+            thread.join(CLOSING_S)

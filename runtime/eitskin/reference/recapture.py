@@ -1,6 +1,10 @@
-"""A reference that another thread asked for while frames go on, and waits for."""
+"""A reference that another thread asked for while frames go on, and waits for.
 
-import threading
+What it waits on is a ``SimpleQueue``, which a signal handler may put into: an ``Event`` that is just being set by the
+interrupted thread would be waited for, for ever.
+"""
+
+from queue import Empty, SimpleQueue
 
 from eitskin.errors import BadReference, SkinError
 from eitskin.reference.builder import ReferenceBuilder
@@ -18,12 +22,11 @@ class Recapture:
         force: Whether it is taken whatever is found.
     """
 
-    __slots__ = ("_done", "_force", "_outcome", "_yardstick", "builder")
+    __slots__ = ("_force", "_outcome", "_yardstick", "builder")
 
     def __init__(self, builder: ReferenceBuilder, yardstick: Yardstick, *, force: bool) -> None:
         self.builder, self._yardstick, self._force = builder, yardstick, force
-        self._done = threading.Event()
-        self._outcome: Reference | SkinError | None = None
+        self._outcome: SimpleQueue[Reference | SkinError] = SimpleQueue()
 
     def finish(self, hello: Hello) -> Reference:
         """Return the reference of the frames that were taken.
@@ -34,9 +37,8 @@ class Recapture:
         return self.builder.finish(hello, self._yardstick, force=self._force)
 
     def settle(self, outcome: Reference | SkinError) -> None:
-        """Say which reference is in use now, or why there is no new one."""
-        self._outcome = outcome
-        self._done.set()
+        """Say which reference is in use now, or why there is no new one; safe in a signal handler. The first counts."""
+        self._outcome.put(outcome)
 
     def wait(self, seconds: float) -> Reference | None:
         """Return the reference that is in use; None if it was not settled in time.
@@ -44,10 +46,13 @@ class Recapture:
         Raises:
             BadReference: It was not taken.
         """
-        self._done.wait(seconds)
-        if isinstance(self._outcome, SkinError):
-            raise self._outcome
-        return self._outcome
+        try:
+            outcome = self._outcome.get(timeout=seconds)
+        except Empty:
+            return None
+        if isinstance(outcome, SkinError):
+            raise outcome
+        return outcome
 
     def too_few(self) -> BadReference:
         """Return the error of frames that did not come."""

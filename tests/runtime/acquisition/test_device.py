@@ -58,6 +58,22 @@ def test_a_device_introduces_itself_and_streams(virtual_skin):
         line.close()
 
 
+def test_who_leaves_waits_for_no_answer(virtual_skin, monkeypatch):
+    with virtual_skin(rate_hz=100.0) as port:
+        line = SerialPort(port)
+        device = Device(line)
+        device.stopping = True
+        for wait in (device.start, device.stop, device.recover):
+            with pytest.raises(HandshakeError):
+                wait()
+        written = []
+        monkeypatch.setattr(line, "write", written.append)  # from now on the device hears nothing
+        with pytest.raises(HandshakeError, match=r"did not acknowledge STOP within 0\.2 s"):
+            device.leave()
+        assert len(written) == 1
+        line.close()
+
+
 def test_a_device_of_another_protocol_is_refused_with_found_expected_and_fix(virtual_skin):
     with virtual_skin(faults=["foreign"]) as port:
         line = SerialPort(port)

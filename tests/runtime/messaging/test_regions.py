@@ -1,5 +1,6 @@
 """Regions: what is asked for, what is computed of it, and that the computed pixels are the whole network's."""
 
+import threading
 import time
 
 import numpy as np
@@ -134,10 +135,34 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
     for row in range(29):
         worker.want((Region(row, row + 1, 0, 45),))
     end = time.perf_counter() + 60
-    while time.perf_counter() < end and (pipeline._next_engines is None or worker._running):
+    while time.perf_counter() < end and (pipeline._next_engines is None or worker._thread is not None):
         time.sleep(0.01)
     assert pipeline._next_engines.regions == (Region(28, 29, 0, 45),)
     assert 1 <= worker.made < 10
+
+
+def test_a_worker_that_is_closed_makes_no_more_unions_and_leaves_no_thread(tiny, hello, monkeypatch):
+    pipeline, making, go_on = Pipeline(tiny, hello), threading.Event(), threading.Event()
+    worker = RegionWorker(pipeline)
+
+    def slow(regions):
+        making.set()
+        assert go_on.wait(60)
+
+    monkeypatch.setattr(pipeline, "use_regions", slow)
+    worker.want((Region(0, 1, 0, 45),))
+    assert making.wait(60)
+    thread = worker._thread
+    assert not thread.daemon  # the interpreter waits for it: C++ that is left behind aborts the process
+    worker.want((Region(1, 2, 0, 45),))
+    worker.close()  # waits a moment, and no longer
+    assert thread.is_alive()
+    go_on.set()
+    thread.join(60)  # without the rest that it takes between two unions
+    assert worker.made == 1
+    worker.want((Region(2, 3, 0, 45),))
+    worker.close()
+    assert worker._thread is None
 
 
 def test_only_the_union_is_computed_while_all_subscribers_agree(virtual_skin, running, tmp_path):

@@ -38,6 +38,10 @@ class RunLog:
         if not self._quiet:
             self._put("info", f"eitskin run: {text}", {"text": text})
 
+    def warn(self, text: str) -> None:
+        """Report something that is wrong and does not stop us; nobody may miss it."""
+        self._put("warning", f"eitskin run: {text}", {"text": text})
+
     def ready(self, publish: str, control: str) -> None:
         """Report that frames are published from now on."""
         text = f"ready publishing on {publish} control {control}"
@@ -50,6 +54,10 @@ class RunLog:
                 self._line.show(text)
         elif not self._quiet:
             self._put("status", f"eitskin run: {text}", fields)
+
+    def failed(self, text: str, stacks: str) -> None:
+        """Report why the process ends by itself, and what each of its threads was doing."""
+        self._put("error", f"eitskin run: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
 
     def end(self) -> None:
         """Leave the status where it is."""

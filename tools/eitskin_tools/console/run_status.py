@@ -20,6 +20,9 @@ PERIOD_S: Final = 1.0
 SILENT_S: Final = 60.0
 """Longest time without a line where none is rewritten."""
 
+END_S: Final = 0.2
+"""How long the last line may take at the end: who should read it may have stopped."""
+
 WATCHED: Final = ("lost", "corrupt", "withheld_by_reason", "electrodes", "recoveries", "trouble", "resets", "overruns",
            "level")  # fmt: skip
 """Fields of ``Skin.status()`` of which any change is worth a line."""
@@ -76,13 +79,19 @@ class RunStatus:
         read: ``Skin.status``; may be called from any thread.
         log: Where lines go.
         now_s: The clock.
+        tell: Takes every status, as a line.
     """
 
     def __init__(
-        self, read: Callable[[], Mapping[str, Any]], log: RunLog, now_s: Callable[[], float] = time.monotonic
+        self,
+        read: Callable[[], Mapping[str, Any]],
+        log: RunLog,
+        now_s: Callable[[], float] = time.monotonic,
+        tell: Callable[[str], None] = lambda _: None,
     ) -> None:
         self._read = read
         self._log = log
+        self._tell = tell
         self._now_s = now_s
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="run-status", daemon=True)
@@ -101,10 +110,11 @@ class RunStatus:
             return
         rate_hz = (counters["frames"] - before["frames"]) / max(elapsed_s, 1e-9)
         touched = counters["touched"] > before["touched"] if "touched" in counters else None
+        status = Status(rate_hz, touched, counters)
+        self._tell(status.text())
         changed = any(counters.get(name) != self._said.get(name) for name in WATCHED)
         if self._log.live or changed or now_s - self._said_s >= SILENT_S:
             self._said, self._said_s = counters, now_s
-            status = Status(rate_hz, touched, counters)
             self._log.status(status.text(), status.fields())
 
     def _run(self) -> None:
@@ -120,5 +130,5 @@ class RunStatus:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self._stop.set()
-        self._thread.join()
+        self._thread.join(END_S)
         self._log.end()

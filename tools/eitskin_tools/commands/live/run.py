@@ -11,13 +11,19 @@ import json
 import os
 import signal
 import sys
+import threading
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.errors import UsageError
+
+if TYPE_CHECKING:
+    from eitskin.messaging.curve_keys import ServerKeys
+    from eitskin_tools.service.supervisor import Supervisor
+    from eitskin_tools.service.watchdog import Watchdog
 
 SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
 """From the most accurate to the fastest."""
@@ -71,16 +77,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
+    # Until there is something to close, Ctrl-C ends it as SIGTERM does: at once, and not amid some module's import.
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
     log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     gc.disable()  # while modules and weights are loaded, which leave nothing to collect; settle() turns it on again
     from eitskin.diagnostics import realtime
     from eitskin.skin import Skin
+    from eitskin_tools.service.supervisor import Supervisor
+    from eitskin_tools.service.watchdog import END_S, Watchdog
 
     with contextlib.ExitStack() as stack:
         stack.callback(gc.enable)
-        _check_endpoints(arguments)
+        supervisor = Supervisor.of(os.environ)
+        stack.callback(supervisor.close)
+        watchdog = stack.enter_context(Watchdog(log.failed, supervisor))
+        keys = _check_endpoints(arguments)
+        for line in keys.damaged if keys is not None else ():
+            log.warn(line)
         open_files = realtime.more_files()  # said once the port is open, so that a missing port is one line
         if arguments.affinity:
             log.say(realtime.pin([int(cpu) for cpu in arguments.affinity.split(",")]))
@@ -112,32 +127,58 @@ def run(arguments: argparse.Namespace) -> int:
             log.say(realtime.schedule_fifo(arguments.sched_fifo))
         if arguments.mlock:
             log.say(realtime.lock_memory())
-        _serve(skin, arguments, stack, log)
+        try:
+            _serve(skin, arguments, keys, stack, log, watchdog, supervisor)
+        finally:
+            watchdog.watch("closing everything", limit_s=END_S)
         if arguments.json:
             print(json.dumps(skin.summary()))
         else:
             log.say(_closing(skin.summary()))
+    _leave_unfinished_work()
     return 0
 
 
-def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack, log: RunLog) -> None:
+def _leave_unfinished_work() -> None:
+    """End the process here if a thread cannot be interrupted: the interpreter would wait for it."""
+    if any(not thread.daemon for thread in threading.enumerate() if thread is not threading.main_thread()):
+        sys.stdout.flush()
+        os._exit(0)
+
+
+def _serve(
+    skin: Any,
+    arguments: argparse.Namespace,
+    keys: "ServerKeys | None",
+    stack: contextlib.ExitStack,
+    log: RunLog,
+    watchdog: "Watchdog",
+    supervisor: "Supervisor",
+) -> None:
     from eitskin.diagnostics import realtime
     from eitskin.errors import BadReference
     from eitskin.messaging import endpoints
     from eitskin.messaging.control import ControlServer
-    from eitskin.messaging.curve_keys import load_server_keys
     from eitskin.messaging.publish import Publisher
     from eitskin.serving import serve
     from eitskin_tools.console.run_status import RunStatus
+    from eitskin_tools.service.watchdog import WatchedLine
 
-    keys = load_server_keys(arguments.curve_keys) if arguments.curve_keys else None
     publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
     stack.callback(control.close)
+    stack.callback(skin.stop)  # whoever waits for a reference is told before control is closed
+    stack.callback(supervisor.stopping)
+    watchdog.sockets += [
+        Path(where.removeprefix("ipc://")) for where in (publisher.endpoint, control.endpoint) if where[:4] == "ipc:"
+    ]
+    line = skin.device.transport = WatchedLine(skin.device.transport)
     realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
+    watchdog.watch("the frame loop", line)
     if skin.reference is None:
         log.say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        supervisor.status("capturing the reference; the sheet must be flat and untouched")
         try:
             skin.capture_reference(arguments.reference_frames, force=arguments.force_reference)
         except BadReference:
@@ -147,8 +188,11 @@ def _serve(skin: Any, arguments: argparse.Namespace, stack: contextlib.ExitStack
     for line in skin.reference.report():
         log.say(line)
     log.ready(publisher.endpoint, control.endpoint)
+    supervisor.ready()
+    supervisor.status(f"publishing on {publisher.endpoint}")
     until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
-    with contextlib.nullcontext() if arguments.quiet else RunStatus(skin.status, log):
+    unread = arguments.quiet and not supervisor.listens
+    with contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status):
         serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
 
 
@@ -170,16 +214,15 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
 
 
-def _check_endpoints(arguments: argparse.Namespace) -> None:
-    """Refuse endpoints and keys that cannot be used, before the device is touched."""
+def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
+    """Refuse endpoints and keys that cannot be used, before the device is touched; return the keys."""
     from eitskin.messaging import endpoints
     from eitskin.messaging.curve_keys import load_server_keys
 
     for option in ("publish", "control"):
         if (endpoint := getattr(arguments, option)) is not None:
             endpoints.needs_keys(endpoint, control=option == "control")
-    if arguments.curve_keys is not None:
-        load_server_keys(arguments.curve_keys)
+    return None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
 
 
 def _report(skin: Any, log: RunLog) -> None:

@@ -1,0 +1,134 @@
+"""What a control request asks for: which commands there are, and what each makes of its fields."""
+
+from collections.abc import Callable, Mapping
+from typing import Any, Final, Protocol
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import ControlError, SkinError
+from eitskin.messaging.control_fields import array_field, unpack_fields
+from eitskin_proto.sensor.cloud import CLOUD_SHAPE
+from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.sensor.table import N_ROWS
+
+REFERENCE_FRAMES: Final = (2, 10_000)
+"""Fewest and most frames of a reference that is asked for."""
+
+SLOW: Final = ("reference",)
+"""Commands that wait for frames."""
+
+Request = Mapping[str, Any]
+Answer = Mapping[str, object]
+
+
+class Controlled(Protocol):
+    """What the server needs of the runtime; called in its threads, never in the frame loop's."""
+
+    def set_cloud(
+        self,
+        cloud: npt.NDArray[np.floating] | None,
+        predicted: npt.NDArray[np.float64] | None = None,
+        predicted_flat: npt.NDArray[np.float64] | None = None,
+    ) -> int:
+        """Use a cloud from the next frame on and return its revision."""
+
+    def recapture(self, frames: int, *, force: bool = False) -> Mapping[str, object]:
+        """Replace the reference by the mean of the next frames, and return what was captured and found of it.
+
+        It is called in a thread of its own, one call at a time; the other methods may be called meanwhile. ``stop``
+        must end it.
+        """
+
+    def exclude(self, electrodes: tuple[int, ...]) -> None:
+        """Go on without these electrodes from the next frame on."""
+
+    def status(self) -> Mapping[str, object]:
+        """Return counters and ids."""
+
+    def stop(self) -> None:
+        """End the frame loop soon."""
+
+
+class Commands:
+    """Performs requests.
+
+    Args:
+        controlled: The runtime.
+    """
+
+    def __init__(self, controlled: Controlled) -> None:
+        self._controlled = controlled
+        self._table: dict[str, Callable[[Request], Answer]] = {
+            "cloud": self._cloud,
+            "reference": self._reference,
+            "exclude": self._exclude,
+            "status": lambda _: self._controlled.status(),
+            "stop": self._stop,
+        }
+
+    def prepare(self, parts: list[bytes]) -> tuple[Callable[[], Answer], bool]:
+        """Return what performs a request, and whether that waits for frames.
+
+        Args:
+            parts: Of the message, without its envelope.
+
+        Raises:
+            ControlError: It is no request.
+        """
+        request = unpack_fields(parts)
+        command = request.get("command")
+        if not isinstance(command, str) or command not in self._table:
+            raise ControlError(
+                f"command {str(command)[:40]!r} does not exist; expected one of {', '.join(self._table)}"
+            )
+        return lambda: self._table[command](request), command in SLOW
+
+    def _cloud(self, request: Request) -> Answer:
+        cloud = array_field(request, "cloud", np.dtype("<f4"), CLOUD_SHAPE)
+        if cloud is None:
+            raise ControlError("a cloud request needs the field 'cloud'")
+        predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
+        flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
+        doubts = check_sheet(cloud)[1]
+        return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
+
+    def _reference(self, request: Request) -> Answer:
+        frames = request.get("frames", 100)
+        low, high = REFERENCE_FRAMES
+        if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
+            raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")
+        force = request.get("force", False)
+        if not isinstance(force, bool):
+            raise ControlError(f"force is {str(force)[:40]}, expected true or false")
+        return self._controlled.recapture(frames, force=force)
+
+    def _exclude(self, request: Request) -> Answer:
+        electrodes = request.get("electrodes")
+        if not isinstance(electrodes, list) or not all(type(number) is int for number in electrodes):
+            raise ControlError(f"electrodes is {str(electrodes)[:40]}, expected a list of numbers from 0 to 15")
+        self._controlled.exclude(tuple(electrodes))
+        return {"electrodes": electrodes}
+
+    def _stop(self, _: Request) -> Answer:
+        self._controlled.stop()
+        return {}
+
+
+def answer_of(perform: Callable[[], Answer]) -> tuple[bool, bytes]:
+    """Return whether a request was granted, and the packed answer; whatever it brings about, it is an answer."""
+    try:
+        answer: dict[str, object] = {"ok": True, **perform()}
+        packed: bytes = msgpack.packb(answer)
+    except (SkinError, ValueError, TimeoutError) as error:
+        return False, refusal(str(error))
+    except Exception as error:  # the next request must find a server
+        return False, refusal(f"the runtime failed at this request: {type(error).__name__}")
+    return True, packed
+
+
+def refusal(why: str) -> bytes:
+    """Return the packed answer to a request that is refused."""
+    packed: bytes = msgpack.packb({"ok": False, "error": " ".join(why.split())[:1000]})
+    return packed

@@ -1,0 +1,234 @@
+"""``eitskin run`` is told to end at random moments of its life: it ends within a second, cleanly, and leaves nothing.
+
+Six runtimes go beside each other, each on a virtual skin of its own, from the interpreter's start on: while modules are
+loaded, the device is greeted, a reference captured, frames streamed, regions cut, a control request waits, the device
+is silent, or its port is gone. The second is the process's own (:mod:`tests.attack.shutdown.exit_time`); both times are
+among the figures.
+"""
+
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections import Counter
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, Final
+
+import msgpack
+import zmq
+
+from ..outcome import Effort, Outcome
+from ..stream import PATIENCE_S, ROOT, SKIN, TINY
+from .exit_time import ExitTime, end
+
+MOST_S: Final = 1.0
+"""How long the end may take."""
+
+SURELY_S: Final = 20.0
+"""After which it is no longer waited for."""
+
+LANES: Final = 6
+
+LIVES: Final = {"start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1}
+"""Where in its life a runtime is ended, and how often, one against the other."""
+
+LAST: Final = 700
+"""Characters of what it said last that are shown."""
+
+WRONG: Final = ("Traceback", "terminate called", "Fatal Python", "Assertion", "Exception ignored")
+
+
+class Lane:
+    """Runs runtimes one after the other on a skin of its own; release it with ``close``."""
+
+    def __init__(self) -> None:
+        self._folder = Path(tempfile.mkdtemp(prefix="a"))
+        self._context: Any = zmq.Context()
+        self._start_s = 1.0
+        """How long it took until frames came, the last time."""
+        self._skin, self._port = _skin()
+
+    def close(self) -> None:
+        """End the skin."""
+        self._end_skin()
+        self._context.destroy(0)
+        shutil.rmtree(self._folder)
+
+    def _end_skin(self) -> None:
+        with suppress(ProcessLookupError):
+            self._skin.send_signal(signal.SIGCONT)
+        self._skin.terminate()
+        self._skin.communicate(timeout=PATIENCE_S)
+
+    def one(self, life: str, number: int, draw: random.Random) -> tuple[ExitTime | None, str]:
+        """End one runtime, and return how long that took and what was wrong; nothing if all was well."""
+        if self._skin.poll() is not None:
+            self._skin, self._port = _skin()
+        frames, control = self._folder / "f", self._folder / "c"
+        out = self._folder / "out"
+        words = [sys.executable, "-m", "eitskin_tools.cli", "run", "--bundle", TINY, "--port", self._port, "--json"]
+        words += ["--publish", f"ipc://{frames}", "--control", f"ipc://{control}", "--reference-frames"]
+        words += ["100000" if life == "capture" else "5", *(["--reconnect", "60"] if life == "unplugged" else [])]
+        with ExitStack() as stack, out.open("w") as file:
+            process = subprocess.Popen(
+                list(map(str, words)), stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, cwd=ROOT
+            )
+            stack.callback(_finish, process)
+            began_s = time.monotonic()
+            if life == "start":
+                time.sleep(draw.uniform(0.0, self._start_s))
+            elif not _said(process, out, "capturing" if life == "capture" else "ready "):
+                return None, f"it was not ready: {_last(out)}"
+            else:
+                self._start_s = time.monotonic() - began_s
+                getattr(self, f"_{life}")(stack, f"ipc://{control if life == 'control' else frames}", draw)
+            took = end(process.pid, number, SURELY_S)
+        left = [path.name for path in self._folder.iterdir() if path != out]
+        for name in left:
+            (self._folder / name).unlink()
+        if took is None:
+            return None, f"it did not end within {SURELY_S:g} s of its own: {_last(out)}"
+        if left:
+            return took, f"it left {left}"
+        return took, _judge(life, number, process.returncode, took, out.read_text(errors="replace"))
+
+    def _capture(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        time.sleep(draw.uniform(0.0, 0.2))
+
+    def _stream(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        self._subscribe(stack, where, [b""])
+        time.sleep(draw.uniform(0.0, 0.3))
+
+    def _control(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        """Let some requests wait, that for a reference first."""
+        for command in [{"command": "reference", "frames": 10_000}, *[{"command": "status"}] * draw.randrange(3)]:
+            socket = self._context.socket(zmq.REQ)
+            stack.callback(socket.close, 0)
+            socket.connect(where)
+            socket.send(msgpack.packb(command))
+        time.sleep(draw.uniform(0.0, 0.2))
+
+    def _regions(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        """Want other regions, so that networks are cut."""
+        row = draw.randrange(20)
+        self._subscribe(stack, where, [b"\xde", b"eitskin/region/%d/%d/0/45" % (row, row + draw.randrange(1, 10))])
+        time.sleep(draw.uniform(0.0, 0.15))
+
+    def _silent(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        """Let the device fall silent; after a second it is greeted anew, in vain."""
+        self._skin.send_signal(signal.SIGSTOP)
+        stack.callback(self._skin.send_signal, signal.SIGCONT)
+        time.sleep(draw.uniform(0.0, 2.5))
+
+    def _unplugged(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        self._end_skin()
+        time.sleep(draw.uniform(0.0, 0.3))
+
+    def _subscribe(self, stack: ExitStack, where: str, topics: list[bytes]) -> None:
+        socket = self._context.socket(zmq.SUB)
+        stack.callback(socket.close, 0)
+        socket.connect(where)
+        for topic in topics:
+            socket.setsockopt(zmq.SUBSCRIBE, topic)
+
+
+def _skin() -> tuple["subprocess.Popen[str]", str]:
+    process = subprocess.Popen([sys.executable, str(SKIN), '{"rate_hz": 200}'], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    return process, process.stdout.readline().strip()
+
+
+def _said(process: "subprocess.Popen[bytes]", out: Path, word: str) -> bool:
+    """Wait until it says a word, and return whether it did."""
+    until_s = time.monotonic() + PATIENCE_S
+    while word not in out.read_text(errors="replace"):
+        if process.poll() is not None or time.monotonic() > until_s:
+            return False
+        time.sleep(0.01)
+    return True
+
+
+def _finish(process: "subprocess.Popen[bytes]") -> None:
+    if process.poll() is None:
+        process.kill()
+    process.wait()
+
+
+def _judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
+    """Return what was wrong with an end; nothing if all was well."""
+    last = text.strip()[-LAST:]
+    if status == -number and "firmware" not in text:  # it had opened nothing yet, and Python's own ways hold
+        return f"it said: {last}" if _wrong(text) and not _interrupted_early(number, text) else ""
+    if _wrong(text):
+        return f"it said: {last}"
+    if status != 0:
+        return f"its exit status was {status}: {last}"
+    if life != "start" and '"frames"' not in text:
+        return f"it printed no summary: {last}"
+    return "" if took.own_s <= MOST_S else f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
+
+
+def _wrong(text: str) -> bool:
+    return any(word in text for word in WRONG)
+
+
+def _interrupted_early(number: int, text: str) -> bool:
+    """Return whether Ctrl-C met Python while it started, before any of our code could say what it does then."""
+    return number == signal.SIGINT and "KeyboardInterrupt" in text and "live/run.py" not in text
+
+
+def _last(out: Path) -> str:
+    return out.read_text(errors="replace").strip()[-LAST:]
+
+
+def random_moments(effort: Effort) -> Outcome:
+    """End runtimes at random moments."""
+    outcome = Outcome("shutdown")
+    draw = random.Random(effort.seed)
+    lives = list(LIVES) * 2 if not effort.long else draw.choices(list(LIVES), list(LIVES.values()), k=1000)
+    moments = list(enumerate(lives))
+    moments.reverse()
+    ctrl_c = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # as behind a shell's "&", and runtimes inherit that
+    lock, times, seen = threading.Lock(), [], Counter[str]()
+
+    def work() -> None:
+        lane = Lane()
+        try:
+            while True:
+                with lock:
+                    if not moments:
+                        return
+                    index, life = moments.pop()
+                number = signal.SIGINT if index % 5 == 4 and ctrl_c else signal.SIGTERM
+                took, wrong = lane.one(life, number, random.Random(f"{effort.seed}/{index}"))
+                with lock:
+                    seen[life] += 1
+                    if took is not None:
+                        times.append(took)
+                    outcome.note(not wrong, f"moment {index}, {life}, {signal.Signals(number).name}: {wrong}")
+        finally:
+            lane.close()
+
+    threads = [threading.Thread(target=work) for _ in range(effort.count(2, LANES))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    outcome.figures |= {"lives": dict(seen), "exit_own_s": _spread(times, lambda took: took.own_s)}
+    outcome.figures["exit_by_the_clock_s"] = _spread(times, lambda took: took.raw_s)
+    return outcome
+
+
+def _spread(times: list[ExitTime], of: Callable[[ExitTime], float]) -> dict[str, float]:
+    found = sorted(map(of, times)) or [float("nan")]
+    return {
+        "p50": round(found[len(found) // 2], 3),
+        "p99": round(found[min(len(found) - 1, len(found) * 99 // 100)], 3),
+        "max": round(found[-1], 3),
+    }

@@ -1,0 +1,1 @@
+"""Running as a service: what a supervisor is told, and what ends a run that stands still."""

@@ -1,0 +1,190 @@
+"""Ends a process whose frame loop stands still, so that a supervisor can start it anew.
+
+The loop lives by its line: it reads, computes, publishes, and reads again. Every read and write is a beat, and as long
+as one of them waits the loop does not stand still, however silent the device is. A thread looks four times a second;
+without a beat in ``limit_s`` of such looks the process says why, shows what each thread is doing, and ends at once.
+
+Looks are counted, not seconds: a process that was stopped (SIGSTOP, a debugger, a suspended machine) or got no core has
+not looked either, and goes on where it was.
+"""
+
+import faulthandler
+import os
+import threading
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+from types import TracebackType
+from typing import Final, Self
+
+from eitskin.acquisition.transport import Transport
+from eitskin_tools.service.supervisor import Supervisor
+
+LOOK_S: Final = 0.25
+"""Between two looks, at most."""
+
+SHORTEST_LOOK_S: Final = 0.01
+
+LIMIT_S: Final = 2.0
+"""How long a frame loop may stand still."""
+
+END_S: Final = 5.0
+"""How long closing everything may take; it takes some tens of milliseconds."""
+
+LAST_WORDS_S: Final = 1.0
+"""How long saying why may take: nobody may be reading."""
+
+STOOD_STILL: Final = 70
+"""Exit status, which systemd calls SOFTWARE."""
+
+
+class WatchedLine:
+    """A transport whose every use is a beat; see :class:`eitskin.acquisition.transport.Transport`.
+
+    Args:
+        line: Open; it stays its owner's to close.
+    """
+
+    __slots__ = ("_line", "beats", "waits")
+
+    def __init__(self, line: Transport) -> None:
+        self._line = line
+        self.beats = 0
+        self.waits = False
+        """A read or write goes on."""
+
+    @property
+    def name(self) -> str:
+        """The line's."""
+        return self._line.name
+
+    @property
+    def line_bytes_per_s(self) -> int:
+        """The line's."""
+        return self._line.line_bytes_per_s
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return what has arrived, waiting for the first byte."""
+        self.waits = True
+        try:
+            return self._line.read(timeout_s)
+        finally:
+            self.beats += 1
+            self.waits = False
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+        self.waits = True
+        try:
+            self._line.write(data)
+        finally:
+            self.beats += 1
+            self.waits = False
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once."""
+        self._line.cancel()
+
+    def report(self) -> list[str]:
+        """Return what was got of what was asked for."""
+        return self._line.report()
+
+    def close(self) -> None:
+        """Give the line back."""
+        self._line.close()
+
+
+class Watchdog:
+    """Looks from when it is entered to when it is left, once it was told at what.
+
+    Args:
+        say: Takes the reason, and what each thread is doing.
+        supervisor: Gets a sign of life at half of its interval, while there are beats.
+        end: Ends the process with an exit status, and does not return.
+    """
+
+    def __init__(
+        self,
+        say: Callable[[str, str], None],
+        supervisor: Supervisor,
+        end: Callable[[int], object] = os._exit,
+    ) -> None:
+        self._say, self._supervisor, self._end = say, supervisor, end
+        interval_s = supervisor.interval_s
+        self._look_s = LOOK_S if interval_s is None else min(LOOK_S, max(SHORTEST_LOOK_S, interval_s / 4.0))
+        self._sign_s = 0.0 if interval_s is None else interval_s / 2.0
+        self._since_sign_s = 0.0
+        self._what, self._limit_s = "", 0.0
+        self._line: WatchedLine | None = None
+        self._beats = -1
+        self._still_s = 0.0
+        self.sockets: list[Path] = []
+        """Files to be removed before the process ends."""
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="eitskin-watchdog", daemon=True)
+
+    def watch(self, what: str, line: WatchedLine | None = None, limit_s: float = LIMIT_S) -> None:
+        """Look, from now on, whether this goes on.
+
+        Args:
+            what: Goes on, for people.
+            line: Has its beats; None for something that must be done within the limit.
+            limit_s: Longest time without a beat.
+        """
+        self._line, self._still_s, self._what, self._limit_s = line, 0.0, what, limit_s
+
+    def look(self) -> None:
+        """Take a look; without a beat for too long, end the process."""
+        line = self._line
+        if not self._what:
+            return
+        if line is not None and (line.waits or line.beats != self._beats):
+            self._beats, self._still_s = line.beats, 0.0
+            self._give_sign()
+            return
+        self._still_s += self._look_s
+        if self._still_s > self._limit_s:
+            self._end_all()
+
+    def _give_sign(self) -> None:
+        self._since_sign_s += self._look_s
+        if self._sign_s and self._since_sign_s >= self._sign_s:
+            self._since_sign_s = 0.0
+            self._supervisor.alive()
+
+    def _end_all(self) -> None:
+        """Say why, take the sockets' files away, and end; nothing is waited for that may stand still as well."""
+        text = (
+            f"{self._what} has stood still for {self._limit_s:g} s; what each thread is doing follows; this ends with "
+            f"status {STOOD_STILL}, so that whoever supervises it starts it again"
+        )
+        words = threading.Thread(target=self._say, args=(text, stacks()), daemon=True)
+        words.start()
+        words.join(LAST_WORDS_S)
+        for path in self.sockets:
+            with suppress(OSError):
+                path.unlink()
+        self._end(STOOD_STILL)
+
+    def _run(self) -> None:
+        while not self._left.wait(self._look_s):
+            self.look()
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._left.set()
+        self._thread.join()
+
+
+def stacks() -> str:
+    """Return what each thread is doing, as :mod:`faulthandler` shows it."""
+    descriptor = os.memfd_create("stacks")
+    with os.fdopen(descriptor, "r+b") as file:
+        faulthandler.dump_traceback(file, all_threads=True)
+        file.seek(0)
+        return file.read().decode(errors="replace")
