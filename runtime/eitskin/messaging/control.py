@@ -31,17 +31,16 @@ import numpy as np
 import numpy.typing as npt
 import zmq
 
-from eitskin.errors import ControlError, EndpointError, SkinError
-from eitskin.messaging.connection_limit import Connections
+from eitskin.errors import ControlError, SkinError
+from eitskin.messaging.admission.door import Door
 from eitskin.messaging.control_fields import LARGEST_REQUEST, array_field, unpack_fields
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
-from eitskin.messaging.endpoints import bind, release, reopen
 from eitskin_proto.sensor.cloud import CLOUD_SHAPE
 from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_proto.sensor.table import N_ROWS
 
 MOST_CONNECTIONS: Final = 64
-"""Clients at once; see :mod:`eitskin.messaging.connection_limit`."""
+"""Clients at once; see :mod:`eitskin.messaging.admission`."""
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
@@ -89,8 +88,6 @@ class ControlServer:
         self._keys = keys
         self.refused = 0
         """Requests that were answered with an error."""
-        self.resets = 0
-        """How often a flood of connections made the socket start anew."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         try:
             self._open(endpoint)
@@ -107,36 +104,28 @@ class ControlServer:
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 200)
-        self._connections = Connections(self._socket)
         try:
-            self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=True)
+            self._door = Door(self._socket, endpoint, keys=self._keys, control=True, most=MOST_CONNECTIONS)
         except BaseException:
-            self._connections.close()
             self._socket.close(0)
             raise
+        self.endpoint = self._door.endpoint
 
     def _serve(self) -> None:
         """Block until there is a request or a connection; end when the context is terminated."""
         while True:
             try:
-                zmq.select([self._socket, self._connections.monitor], [], [])
-                if self._connections.look() > MOST_CONNECTIONS:
-                    self._start_anew()
-                elif self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                zmq.select([self._socket, *self._door.waits_on], [], [], self._door.look_again_s)
+                self._door.look()
+                self._door.count()
+                if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                     self._socket.send(self._answer(self._socket.recv_multipart()))
-            except (zmq.ContextTerminated, EndpointError):  # the latter: its address is gone for good
+            except zmq.ContextTerminated:
                 break
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
-        if not self._socket.closed:
-            self._connections.close()
-            self._socket.close()
-
-    def _start_anew(self) -> None:
-        self._connections.close()
-        self._socket.close(0)
-        self.resets += 1
-        reopen(self._open, self.endpoint)
+        self._door.close()
+        self._socket.close()
 
     def _answer(self, parts: list[bytes]) -> bytes:
         try:
@@ -204,4 +193,3 @@ class ControlServer:
             return
         self._end()
         self._thread.join()
-        release(self.endpoint)
