@@ -4,7 +4,15 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "unknown-unsubscriptions": "subscribers.topics:unknown_unsubscriptions",
+    "topic-floods": "subscribers.topics:topic_floods",
+    "connect-floods": "subscribers.floods:connect_floods",
+    "few-descriptors": "subscribers.floods:few_descriptors",
+    "silent-crowds": "subscribers.crowds:silent_crowds",
+    "honest-crowds": "subscribers.crowds:honest_crowds",
+    "giant-messages": "subscribers.giants:giant_messages",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 

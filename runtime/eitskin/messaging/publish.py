@@ -34,10 +34,11 @@ QUEUE_FRAMES: Final = 400
 LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
-QUEUE_SUBSCRIPTIONS: Final = 16
-"""Subscription messages of one connection that wait within libzmq."""
+QUEUE_SUBSCRIPTIONS: Final = 1
+"""Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps it
+reading within one call for a quarter of a second."""
 
-MOST_AT_ONCE: Final = 2048
+MOST_AT_ONCE: Final = 512
 """Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
@@ -62,7 +63,6 @@ class Publisher:
         self._keys = keys
         self.dropped = 0
         """Frames that the socket did not take."""
-        self._topics = Topics()
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
@@ -72,8 +72,7 @@ class Publisher:
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
-        self.talkative = 0
-        """Subscribers that were ended because they asked for more than anybody honest would."""
+        self._talkative = self._greedy = 0
         try:
             self._open(endpoint)
         except BaseException:
@@ -90,6 +89,7 @@ class Publisher:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
         self._door = Door(self._socket, endpoint, keys=self._keys, control=False, most=MOST_SUBSCRIBERS)
+        self._topics = Topics(self._door.connection_at)
         self.endpoint = self._door.endpoint
         """Where frames are published, with the port that a ``*`` became."""
 
@@ -97,12 +97,13 @@ class Publisher:
         """Take note of who came and went since the last time; never waits."""
         topics, left = self._topics, MOST_AT_ONCE
         topics.begin()
+        self._greedy = self._door.end_greedy()
         while left and self._socket.getsockopt(_EVENTS) & _POLLIN:
             topics.take(self._socket.recv(_NOBLOCK, copy=False))
             left -= 1
         for connection in topics.talkative:
             end(connection)
-            self.talkative += 1
+            self._talkative += 1
         if topics.changed:
             self._judge()
         self._door.look(topics.of)
@@ -122,6 +123,11 @@ class Publisher:
     def topics(self) -> dict[bytes, int]:
         """What is subscribed to, and by how many, as of the last ``look``."""
         return self._topics.all()
+
+    @property
+    def ended(self) -> int:
+        """Connections that were ended because they asked for more than anybody honest would."""
+        return self._talkative + self._greedy
 
     @property
     def refused(self) -> int:

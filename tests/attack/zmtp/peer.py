@@ -11,6 +11,7 @@ import socket
 import struct
 import time
 from collections.abc import Iterator
+from contextlib import suppress
 from typing import Final
 
 GREETING: Final = b"\xff" + bytes(8) + b"\x7f" + bytes([3, 0]) + b"NULL".ljust(20, b"\0") + bytes(32)
@@ -115,10 +116,8 @@ class Peer:
             ConnectionResetError: The other side left.
         """
         self.stream.setblocking(False)
-        try:
+        with suppress(BlockingIOError):
             self._more()
-        except BlockingIOError:
-            pass
         yield from self._messages()
 
     def _messages(self) -> Iterator[bytes]:

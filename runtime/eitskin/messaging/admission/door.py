@@ -80,6 +80,7 @@ class Door:
         self._many = limit() - left - RESERVE + min(left, most + MANY_SPARE)
         """A descriptor's number from which on it is high time to look."""
         self._poll = self._polled()
+        self._connections.look()
 
     def _ours(self, name: Name) -> bool:
         return name == self._port if self._gate is None else self._gate.ours(name)
@@ -113,7 +114,7 @@ class Door:
         """Let in who waits; never waits itself, and takes microseconds while nobody comes.
 
         Args:
-            keep: Connections that are served, as :func:`~.descriptors.connection_at` names them.
+            keep: Connections that are served, as :meth:`connection_at` names them.
         """
         if self._gate is None:
             if self._crowded():
@@ -124,6 +125,15 @@ class Door:
                 self._poll = self._polled()
             else:
                 self._next_s = time.monotonic() + PAUSE_S
+
+    def connection_at(self, descriptor: int) -> Connection | None:
+        """Return which of the connections lies at a descriptor now; None if it is none of them."""
+        return self._connections.at(descriptor)
+
+    def end_greedy(self) -> int:
+        """End who sends without end; return how many were, in all."""
+        self._connections.end_greedy()
+        return self._connections.greedy
 
     def count(self, keep: Container[Connection] = ()) -> None:
         """End who is too many, a few times a second."""

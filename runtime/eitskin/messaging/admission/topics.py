@@ -4,6 +4,7 @@ libzmq hands up every unsubscription, also one of a topic that its sender never 
 from somebody else. So topics belong to connections, as they do within libzmq, and go with them.
 """
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import zmq
@@ -21,11 +22,16 @@ SWEEPS: Final = 20
 
 
 class Topics:
-    """The topics of every connection."""
+    """The topics of every connection.
 
-    __slots__ = ("_messages", "_sweeps", "changed", "of", "talkative")
+    Args:
+        at: Gives which of the socket's connections lies at a descriptor now, if any.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_at", "_messages", "_sweeps", "changed", "of", "talkative")
+
+    def __init__(self, at: Callable[[int], Connection | None]) -> None:
+        self._at = at
         self.of: dict[Connection, set[bytes]] = {}
         """Of each connection that has any."""
         self.changed = True
@@ -51,9 +57,9 @@ class Topics:
         except zmq.ZMQError:  # libzmq made it up itself, for a subscriber that left
             self._sweeps = SWEEPS
             return
-        sender = connection_at(descriptor)
+        sender = self._at(descriptor)
         if sender is None:
-            return  # it has left
+            return  # it has left, whatever lies there now
         self._messages[sender] = count = self._messages.get(sender, 0) + 1
         said = message.bytes
         kind, topic = said[:1], said[1:]
