@@ -16,6 +16,13 @@ ATTACKS: dict[str, str] = {
     "control": "control.requests:hostile_requests",
     "keys": "control.keys:key_folders",
     "shutdown": "shutdown.moments:random_moments",
+    "unknown-unsubscriptions": "subscribers.topics:unknown_unsubscriptions",
+    "topic-floods": "subscribers.topics:topic_floods",
+    "connect-floods": "subscribers.floods:connect_floods",
+    "few-descriptors": "subscribers.floods:few_descriptors",
+    "silent-crowds": "subscribers.crowds:silent_crowds",
+    "honest-crowds": "subscribers.crowds:honest_crowds",
+    "giant-messages": "subscribers.giants:giant_messages",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

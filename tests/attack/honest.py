@@ -1,6 +1,6 @@
 """An honest subscriber, as a process: counts what it got and what it missed, and says so when it is ended.
 
-    python -m tests.attack.honest ENDPOINT
+    python -m tests.attack.honest ENDPOINT [SERVER.key CLIENT.key_secret]
 
 Prints ``subscribed`` with the first frame; at SIGTERM one JSON object: frames, lost (gaps in the numbers of published
 frames) and the longest silence in seconds.
@@ -26,7 +26,8 @@ def main() -> None:
 
     signal.signal(signal.SIGTERM, stop)
     heard_s = silent_s = 0.0
-    with eitskin.subscribe(sys.argv[1], "all", timeout_s=0.2) as frames:
+    keys = eitskin.load_client_keys(*sys.argv[2:4]) if sys.argv[2:] else None
+    with eitskin.subscribe(sys.argv[1], "all", timeout_s=0.2, keys=keys) as frames:
         while not stopping:
             with suppress(eitskin.NoFrame):
                 frames.next_frame()

@@ -35,9 +35,9 @@ class Stream:
     """What the runtime says."""
     honest: list["Honest"] = field(default_factory=list)
 
-    def join(self) -> "Honest":
+    def join(self, *keys: str) -> "Honest":
         """Start an honest subscriber and return once it has a frame."""
-        self.honest.append(Honest(self.frames))
+        self.honest.append(Honest(self.frames, *keys))
         return self.honest[-1]
 
     def said(self) -> str:
@@ -48,9 +48,9 @@ class Stream:
 class Honest:
     """An honest subscriber in a process of its own; end it with ``leave``."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, *keys: str) -> None:
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.attack.honest", endpoint], stdout=subprocess.PIPE, text=True, cwd=ROOT
+            [sys.executable, "-m", "tests.attack.honest", endpoint, *keys], stdout=subprocess.PIPE, text=True, cwd=ROOT
         )
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "subscribed":

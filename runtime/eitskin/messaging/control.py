@@ -36,15 +36,14 @@ from typing import Any, Final
 
 import zmq
 
-from eitskin.errors import ControlError, EndpointError
-from eitskin.messaging.connection_limit import Connections
+from eitskin.errors import ControlError
+from eitskin.messaging.admission.door import Door
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
 from eitskin.messaging.control_fields import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
-from eitskin.messaging.endpoints import bind, release, reopen
 
 MOST_CONNECTIONS: Final = 64
-"""Clients at once; see :mod:`eitskin.messaging.connection_limit`."""
+"""Clients at once; see :mod:`eitskin.messaging.admission`."""
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
@@ -74,8 +73,6 @@ class ControlServer:
         self._keys = keys
         self.refused = 0
         """Requests that were answered with an error."""
-        self.resets = 0
-        """How often a flood of connections made the socket start anew."""
         self._closing = False
         self._slow = _SlowRequest()
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
@@ -94,38 +91,30 @@ class ControlServer:
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 100)
-        self._connections = Connections(self._socket)
         try:
-            self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=True)
+            self._door = Door(self._socket, endpoint, keys=self._keys, control=True, most=MOST_CONNECTIONS)
         except BaseException:
-            self._connections.close()
             self._socket.close(0)
             raise
+        self.endpoint = self._door.endpoint
 
     def _serve(self) -> None:
         """Block until there is a request, an answer or a connection; end when told to, or with the context."""
         while not self._closing:
             try:
-                zmq.select([self._socket, self._connections.monitor, self._slow.wake], [], [])
+                zmq.select([self._socket, self._slow.wake, *self._door.waits_on], [], [], self._door.look_again_s)
                 self._answer_finished()
-                if self._connections.look() > MOST_CONNECTIONS:
-                    self._start_anew()
-                elif self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                self._door.look()
+                self._door.count()
+                if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
                     self._take(self._socket.recv_multipart())
-            except (zmq.ContextTerminated, EndpointError):  # the latter: its address is gone for good
+            except zmq.ContextTerminated:
                 break
             except zmq.ZMQError:
                 continue  # a client that vanished between request and answer
-        if not self._socket.closed:
-            self._say_farewell()
-            self._connections.close()
-            self._socket.close()
-
-    def _start_anew(self) -> None:
-        self._connections.close()
-        self._socket.close(0)
-        self.resets += 1
-        reopen(self._open, self.endpoint)
+        self._say_farewell()
+        self._door.close()
+        self._socket.close()
 
     def _take(self, parts: list[bytes]) -> None:
         """Answer a message, or have it answered later."""
@@ -142,7 +131,7 @@ class ControlServer:
                 )
             perform, slow = self._commands.prepare(body)
             if slow:
-                self._slow.start(route, self.resets, perform)
+                self._slow.start(route, perform)
                 return
         except ControlError as error:
             self._send(route, False, refusal(str(error)))
@@ -159,19 +148,17 @@ class ControlServer:
         found = self._slow.finished(wait_s)
         if found is None:
             return False
-        route, resets, granted, answer = found
-        if resets == self.resets:  # a newer socket knows other clients
-            self._send(route, granted, answer)
+        self._send(*found)
         return True
 
     def _say_farewell(self) -> None:
         """Answer who still waits."""
         waiting = self._slow.waiting
-        if waiting is None or waiting[1] != self.resets:
+        if waiting is None:
             return
         try:
             if not self._answer_finished(FAREWELL_S):
-                self._send(waiting[0], False, refusal("the runtime takes no more requests; ask again once it runs"))
+                self._send(waiting, False, refusal("the runtime takes no more requests; ask again once it runs"))
         except zmq.ZMQError:
             return  # nobody can be reached any more
 
@@ -189,7 +176,6 @@ class ControlServer:
         self._slow.ring()
         self._thread.join()
         self._end()
-        release(self.endpoint)
 
 
 class _SlowRequest:
@@ -198,12 +184,12 @@ class _SlowRequest:
     def __init__(self) -> None:
         self.wake = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         """To wait on: something is finished, or ``ring`` was called."""
-        self.waiting: tuple[Route, int] | None = None
+        self.waiting: Route | None = None
         """Who waits for an answer."""
         self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
         self._lock = threading.Lock()
 
-    def start(self, route: Route, resets: int, perform: Callable[[], Answer]) -> None:
+    def start(self, route: Route, perform: Callable[[], Answer]) -> None:
         """Begin; ``finished`` will have the answer.
 
         Raises:
@@ -211,7 +197,7 @@ class _SlowRequest:
         """
         if self.waiting is not None:
             raise ControlError("a reference is being captured already; ask again once it is done")
-        self.waiting = (route, resets)
+        self.waiting = route
         threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
 
     def _run(self, perform: Callable[[], Answer]) -> None:
@@ -224,7 +210,7 @@ class _SlowRequest:
             if self.wake >= 0:
                 os.eventfd_write(self.wake, 1)
 
-    def finished(self, wait_s: float) -> tuple[Route, int, bool, bytes] | None:
+    def finished(self, wait_s: float) -> tuple[Route, bool, bytes] | None:
         """Return whom to answer what; None if nothing is finished within the time."""
         try:
             os.eventfd_read(self.wake)
@@ -236,8 +222,8 @@ class _SlowRequest:
         except Empty:
             return None
         assert self.waiting is not None
-        (route, resets), self.waiting = self.waiting, None
-        return route, resets, granted, answer
+        route, self.waiting = self.waiting, None
+        return route, granted, answer
 
     def close(self) -> None:
         """Let go of the descriptor; whoever still performs a request does so for nobody."""

@@ -3,33 +3,28 @@
 ===================  ==========================  =====================================
 address              publishing                  control
 ===================  ==========================  =====================================
-``ipc:///path``      yes                         yes, the socket readable by its owner
+``ipc:///path``      yes                         yes
 ``tcp://127.0.0.1``  yes                         with CURVE keys
 other ``tcp://``     with CURVE keys             with CURVE keys
 anything else        refused                     refused
 ===================  ==========================  =====================================
 
-libzmq replaces whatever file is at an ipc path, even one that another process serves. So the path is looked at first:
-a living socket is "in use", a dead one is removed, anything else is left alone and refused.
+A socket at an ipc path may be reached by its owner only. The path is looked at before it is bound: a living socket is
+"in use", a dead one is removed, anything else is left alone and refused.
 """
 
 import errno
 import os
 import socket
 import stat
-import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import zmq
 
 from eitskin.errors import EndpointError
 from eitskin.messaging.curve_keys import ServerKeys
-
-CLOSING_S: Final = 2.0
-"""How long libzmq may take to close a listener."""
 
 LONGEST_PATH: Final = 100
 """Bytes of an ipc path; the kernel takes 107."""
@@ -115,126 +110,55 @@ def _is_loopback(host: str) -> bool:
         return False  # a name or an interface may point anywhere
 
 
-def bind(socket_: Any, endpoint: str, *, keys: ServerKeys | None, control: bool) -> str:
-    """Bind a ZeroMQ socket and return its address, with the port that a ``*`` became.
+def check_allowed(endpoint: str, keys: ServerKeys | None, *, control: bool) -> None:
+    """Refuse an endpoint that others would reach without keys.
 
     Args:
-        socket_: Of zmq; its other options must be set already.
         endpoint: Where.
-        keys: CURVE keys; they are used wherever they are given on TCP.
+        keys: CURVE keys, if there are any.
         control: See :func:`needs_keys`.
 
     Raises:
-        EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound.
+        EndpointError: It needs keys, or is none.
     """
-    required = needs_keys(endpoint, control=control)
-    if required and keys is None:
+    if needs_keys(endpoint, control=control) and keys is None:
         what = "control requests" if control else "frames"
         raise EndpointError(
             f"{endpoint} would let others reach {what}: give CURVE keys with --curve-keys DIR "
             "('eitskin doctor --make-curve-keys DIR' makes them), or use ipc:///path"
         )
-    try:
-        if endpoint.startswith("ipc://"):
-            path = Path(endpoint.removeprefix("ipc://"))
-            _clear(path)
-            with _umask(0o177 if control else None):
-                socket_.bind(endpoint)
-        else:
-            if keys is not None:
-                keys.apply(socket_)
-            socket_.bind(endpoint)
-    except (zmq.ZMQError, OSError) as error:
-        raise EndpointError(_bind_problem(endpoint, error)) from error
-    return str(socket_.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
 
 
-def release(endpoint: str) -> None:
-    """Wait until nobody listens on a closed ipc endpoint any more, and remove its file.
-
-    libzmq closes in a thread of its own. Some of its versions then remove the file, 4.3.5 leaves it: who binds again
-    too early would lose the new file to the former, and whoever waits for it to go waits for ever with the latter.
-    """
-    if not endpoint.startswith("ipc://"):
-        return
-    path = Path(endpoint.removeprefix("ipc://"))
-    end_s = time.perf_counter() + CLOSING_S
-    while _listens(path) and time.perf_counter() < end_s:
-        time.sleep(0.002)
-    with suppress(OSError):
-        path.unlink()
-
-
-def _listens(path: Path) -> bool:
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
-        try:
-            probe.connect(str(path))
-        except (ConnectionRefusedError, FileNotFoundError):
-            return False
-        except OSError:
-            return True  # its queue is full: it lives
-        return True
-
-
-def reopen(open_endpoint: Callable[[str], None], endpoint: str) -> None:
-    """Bind an endpoint that was closed just now, waiting for libzmq to let go of it.
-
-    Args:
-        open_endpoint: Makes a socket and binds it; raises EndpointError while the endpoint is in use.
-        endpoint: Where.
-
-    Raises:
-        EndpointError: It cannot be bound again.
-    """
-    release(endpoint)
-    end_s = time.perf_counter() + CLOSING_S
-    while True:
-        try:
-            open_endpoint(endpoint)
-        except EndpointError:
-            if time.perf_counter() > end_s:
-                raise
-            time.sleep(0.01)
-        else:
-            return
-
-
-def _bind_problem(endpoint: str, error: zmq.ZMQError | OSError) -> str:
-    if error.errno == errno.EADDRINUSE:
+def bind_problem(endpoint: str, error: zmq.ZMQError | OSError) -> str:
+    """Return what to say of an endpoint that cannot be bound."""
+    if error.errno in (errno.EADDRINUSE, errno.EEXIST):
         return f"{endpoint} is in use: stop the program that serves it, or name another endpoint"
     if error.errno == errno.ENOENT:
         return f"{endpoint}: its folder does not exist"
     return f"{endpoint} cannot be bound: {error.strerror or error}"
 
 
-def _clear(path: Path) -> None:
+def clear_path(path: Path) -> None:
+    """Remove a socket that was left behind at a path.
+
+    Raises:
+        EndpointError: Somebody listens there, or it is another file.
+    """
     try:
         mode = path.lstat().st_mode
     except FileNotFoundError:
         return
     if not stat.S_ISSOCK(mode):
         raise EndpointError(f"ipc://{path}: a file that is no socket is in the way; name another endpoint")
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
-        probe.settimeout(1.0)
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM | socket.SOCK_NONBLOCK) as probe:
         try:
             probe.connect(str(path))
         except (ConnectionRefusedError, FileNotFoundError):
             with suppress(FileNotFoundError):
                 path.unlink()
             return
+        except BlockingIOError:
+            pass  # so many wait there that nobody else may: it lives
         except OSError as error:
             raise EndpointError(f"ipc://{path} cannot be taken over: {error.strerror or error}") from error
     raise EndpointError(f"ipc://{path} is in use: stop the program that serves it, or name another endpoint")
-
-
-@contextmanager
-def _umask(mask: int | None) -> Iterator[None]:
-    """Make files of one mode from the first instant on; a later chmod would leave a gap."""
-    if mask is None:
-        yield
-        return
-    before = os.umask(mask)
-    try:
-        yield
-    finally:
-        os.umask(before)

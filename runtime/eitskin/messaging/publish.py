@@ -13,18 +13,18 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
     b"eitskin/unchanged"           ... or b"eitskin/always"
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
-are limited to a few bytes, and a socket that has collected more topics, messages or connections than any honest crowd
-would need is closed and opened again. Honest subscribers come back by themselves within a tenth of a second.
+are limited to a few bytes, few of them wait, and who sends more than any honest subscriber would is ended, as is who
+comes when there are enough (:mod:`eitskin.messaging.admission`). Nobody else notices.
 """
 
 from typing import Any, Final
 
 import zmq
 
-from eitskin.errors import EndpointError
-from eitskin.messaging.connection_limit import Connections
+from eitskin.messaging.admission.descriptors import end
+from eitskin.messaging.admission.door import Door
+from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
-from eitskin.messaging.endpoints import bind, release, reopen
 from eitskin.messaging.frame import FIRST_BYTE
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region, Regions, union
 
@@ -34,16 +34,17 @@ QUEUE_FRAMES: Final = 400
 LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
-MOST_TOPICS: Final = 400
-"""Subscriptions at once, of all subscribers; each has one or three."""
+QUEUE_SUBSCRIPTIONS: Final = 1
+"""Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps it
+reading within one call for a quarter of a second."""
 
 MOST_AT_ONCE: Final = 512
-"""Subscription messages that may arrive between two looks."""
+"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 
-MOST_CONNECTIONS: Final = 128
-"""Subscribers at once; see :mod:`eitskin.messaging.connection_limit`."""
+MOST_SUBSCRIBERS: Final = 128
+"""At once; whoever comes then is ended."""
 
 
 class Publisher:
@@ -60,11 +61,8 @@ class Publisher:
     def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._keys = keys
-        self.resets = 0
-        """How often a flood made the socket start anew."""
         self.dropped = 0
         """Frames that the socket did not take."""
-        self._topics: dict[bytes, int] = {}
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
@@ -74,57 +72,46 @@ class Publisher:
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
-        self.endpoint = ""
-        """Where frames are published, with the port that a ``*`` became."""
+        self._talkative = self._greedy = 0
         try:
             self._open(endpoint)
         except BaseException:
-            self.close()
+            self._end()
             raise
 
     def _open(self, endpoint: str) -> None:
         self._socket: Any = self._context.socket(zmq.XPUB)
         self._send = super(zmq.Socket, self._socket).send  # without the wrapper, which is for other kinds of sockets
         self._socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
-        self._socket.setsockopt(zmq.RCVHWM, MOST_AT_ONCE)
+        self._socket.setsockopt(zmq.RCVHWM, QUEUE_SUBSCRIPTIONS)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
-        self._connections = Connections(self._socket)
-        self._topics = {}
-        self._judge()
-        try:
-            self.endpoint = bind(self._socket, endpoint, keys=self._keys, control=False)
-        except EndpointError:
-            self._close_socket()
-            raise
+        self._door = Door(self._socket, endpoint, keys=self._keys, control=False, most=MOST_SUBSCRIBERS)
+        self._topics = Topics(self._door.connection_at)
+        self.endpoint = self._door.endpoint
+        """Where frames are published, with the port that a ``*`` became."""
 
     def look(self) -> None:
         """Take note of who came and went since the last time; never waits."""
-        seen = 0
-        while self._socket.getsockopt(_EVENTS) & _POLLIN:
-            message = self._socket.recv(_NOBLOCK)
-            seen += 1
-            topic, joins = message[1:], message[:1] == b"\x01"
-            if joins or message[:1] == b"\x00":
-                self._count(topic, joins)
-            if sum(self._topics.values()) > MOST_TOPICS or seen > MOST_AT_ONCE:
-                self._start_anew()
-                return
-        if seen:
+        topics, left = self._topics, MOST_AT_ONCE
+        topics.begin()
+        self._greedy = self._door.end_greedy()
+        while left and self._socket.getsockopt(_EVENTS) & _POLLIN:
+            topics.take(self._socket.recv(_NOBLOCK, copy=False))
+            left -= 1
+        for connection in topics.talkative:
+            end(connection)
+            self._talkative += 1
+        if topics.changed:
             self._judge()
-
-    def _count(self, topic: bytes, joins: bool) -> None:
-        count = self._topics.get(topic, 0) + (1 if joins else -1)
-        if count > 0:
-            self._topics[topic] = count
-        else:
-            self._topics.pop(topic, None)
+        self._door.look(topics.of)
 
     def _judge(self) -> None:
         """Make of the topics what the loop must know."""
-        topics = self._topics
+        self._topics.changed = False
+        topics = self.topics
         plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
         declared = [region for topic in topics if (region := Region.from_topic(topic)) is not None]
         self.wanted = plain or FIRST_BYTE in topics
@@ -132,10 +119,25 @@ class Publisher:
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.joined = True
 
+    @property
+    def topics(self) -> dict[bytes, int]:
+        """What is subscribed to, and by how many, as of the last ``look``."""
+        return self._topics.all()
+
+    @property
+    def ended(self) -> int:
+        """Connections that were ended because they asked for more than anybody honest would."""
+        return self._talkative + self._greedy
+
+    @property
+    def refused(self) -> int:
+        """Connections that were ended because there were too many."""
+        return self._door.ended
+
     def look_at_connections(self) -> None:
-        """Count connections; cheap enough for a few times a second, not for each frame."""
-        if self._connections.look() > MOST_CONNECTIONS:
-            self._start_anew()
+        """End who is too many; cheap enough for a few times a second, not for each frame."""
+        self._topics.sweep()
+        self._door.count(self._topics.of)
 
     @property
     def short(self) -> bool:
@@ -150,21 +152,15 @@ class Publisher:
             self.dropped += 1
         self.joined = False
 
-    def _start_anew(self) -> None:
-        self._close_socket()
-        self.resets += 1
-        reopen(self._open, self.endpoint)
-
-    def _close_socket(self) -> None:
-        self._connections.close()
+    def _end(self) -> None:
         self._socket.close(0)
+        self._context.term()
+        if self._doorkeeper is not None:
+            self._doorkeeper.join()
 
     def close(self) -> None:
         """Release the address; closing twice is fine."""
         if self._context.closed:
             return
-        self._close_socket()
-        self._context.term()
-        if self._doorkeeper is not None:
-            self._doorkeeper.join()
-        release(self.endpoint)
+        self._door.close()
+        self._end()

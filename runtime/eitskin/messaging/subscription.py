@@ -13,15 +13,17 @@ Nobody waits for ever on an address where nobody is: unless told otherwise, the 
 
 import math
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
 
 import zmq
 
 from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
+from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
-from eitskin.messaging.frame import FIRST_BYTE, LARGEST_MESSAGE, Frame, MapMissing, unpack_frame
+from eitskin.messaging.frame import FIRST_BYTE, Frame, MapMissing, unpack_frame
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
 
@@ -31,6 +33,17 @@ _POLLIN: Final = int(zmq.POLLIN)
 
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
+
+LARGEST_TAKEN: Final = 65536
+"""Bytes of a message that is still looked at; whoever sends a larger one is left, which bounds the memory of a queue."""
+
+PATIENCE_S: Final = 1.0
+"""Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
+
+MOST_PATIENCE_S: Final = 16.0
+
+LONGEST_WAIT_MS: Final = 1000
+"""How long the socket waits at a time."""
 
 FIRST_FRAME_S: Final = 5.0
 """How long the first frame may take where no time was named; a runtime that is there sends one within 0.1 s."""
@@ -76,7 +89,7 @@ class Subscription:
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
         self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
         self._waits_ms = -1
-        """What the socket waits at most; -1 for ever. It waits by itself: ``poll`` first would delay each frame."""
+        """What the socket waits at most, as it was told last. It waits by itself: ``poll`` first would delay each frame."""
         self._max_age_s = max_age_s
         self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
@@ -85,16 +98,22 @@ class Subscription:
         """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
         self.rejected = 0
         """Messages that were no frames."""
+        self.reconnected = 0
+        """How often the connection was made anew because it was gone, or nothing had ever come over it."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
         self._known: Frame | None = None
         self._newest_only = mode == "latest" and modest
+        self._connection: Connection | None = None
+        """Over which the last message came, as far as it is known; looked at anew after silence."""
+        self._patience_s = PATIENCE_S
+        self._heard_ns = time.perf_counter_ns()
         self._run = ""
         self._number = 0
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket: Any = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_MESSAGE)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
         if mode == "latest" and not modest:
             self._socket.setsockopt(zmq.CONFLATE, 1)
@@ -122,14 +141,18 @@ class Subscription:
         deadline_ns = time.perf_counter_ns() + timeout_ms * 1_000_000
         left_ms = timeout_ms
         while True:
-            if left_ms != self._waits_ms:
-                self._waits_ms = left_ms
-                self._socket.setsockopt(zmq.RCVTIMEO, left_ms)
+            waits_ms = LONGEST_WAIT_MS if left_ms < 0 else min(left_ms, LONGEST_WAIT_MS)
+            if waits_ms != self._waits_ms:
+                self._waits_ms = waits_ms
+                self._socket.setsockopt(zmq.RCVTIMEO, waits_ms)
             try:
                 frame = self._take()
             except zmq.Again:
-                why = explain_silence(self.endpoint, timeout_ms / 1000)
-                raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
+                self._look_at_connection()
+                if left_ms == waits_ms:
+                    why = explain_silence(self.endpoint, timeout_ms / 1000)
+                    raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
+                frame = None
             if frame is None:
                 if left_ms >= 0:
                     left_ms = max(0, (deadline_ns - time.perf_counter_ns()) // 1_000_000)
@@ -143,9 +166,10 @@ class Subscription:
         """Return the frame of the next message, or of the newest one that waits; None if there is none in it."""
         frame = None
         while True:
-            message = self._socket.recv()
+            message = self._socket.recv() if self._connection is not None else self._recv_first()
+            self._heard_ns = time.perf_counter_ns()
             try:
-                frame = unpack_frame(message, time.perf_counter_ns(), self._known)
+                frame = unpack_frame(message, self._heard_ns, self._known)
             except MapMissing:
                 self.mapless += 1
             except FrameError:
@@ -156,6 +180,32 @@ class Subscription:
                 if frame is not None:
                     self._count(frame)
                 return frame
+
+    def _recv_first(self) -> bytes:
+        """Receive a message and keep in mind over which connection it came."""
+        message = self._socket.recv(copy=False)
+        with suppress(zmq.ZMQError):  # libzmq does not know
+            self._connection = connection_at(message.get(zmq.SRCFD))
+        self._patience_s = PATIENCE_S
+        return bytes(message.bytes)
+
+    def _look_at_connection(self) -> None:
+        """Connect anew if the connection was lost for good.
+
+        libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after
+        a message beyond all bounds, or something that is no ZMTP, such as another program on the port.
+        """
+        if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
+            return
+        if self._connection is not None and connection_at(self._connection[0]) == self._connection:
+            return
+        with suppress(zmq.ZMQError):
+            self._socket.disconnect(self.endpoint)
+        self._socket.connect(self.endpoint)
+        self.reconnected += 1
+        self._connection = None
+        self._heard_ns = time.perf_counter_ns()
+        self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
 
     def _count(self, frame: Frame) -> None:
         if frame.run == self._run and frame.number > self._number:

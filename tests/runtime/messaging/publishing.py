@@ -15,8 +15,8 @@ def send(publisher, packer, number, age_us=100):
 def wait_until_wanted(publisher, subscribers=1):
     """Wait for subscribers to everything."""
     end = time.perf_counter() + 60
-    while publisher._topics.get(b"", 0) < subscribers and time.perf_counter() < end:
+    while publisher.topics.get(b"", 0) < subscribers and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.005)
     assert publisher.wanted
-    assert publisher._topics[b""] >= subscribers
+    assert publisher.topics[b""] >= subscribers

@@ -1,0 +1,112 @@
+"""Open files: how many there are, how many there may be, and which of them are connections.
+
+libzmq 4.3.5 aborts the whole process when its ipc listener finds no descriptor for a connection (``ipc_listener.cpp``;
+a tcp listener survives). So whoever lets somebody in asks here first, and one at a time in the whole process.
+"""
+
+import os
+import resource
+import select
+import socket
+import stat
+import threading
+from typing import Final
+
+RESERVE: Final = 12
+"""Descriptors that stay free for whatever the process opens itself: a port that comes back, a file."""
+
+MANY: Final = 65536
+"""What counts as no limit."""
+
+Connection = tuple[int, int]
+"""A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
+
+
+def connection_at(descriptor: int) -> Connection | None:
+    """Return which socket lies at a descriptor now; None if there is none."""
+    try:
+        found = os.fstat(descriptor)
+    except OSError:
+        return None
+    return (descriptor, found.st_ino) if stat.S_ISSOCK(found.st_mode) else None
+
+
+def end(connection: Connection) -> None:
+    """End a connection, if it still lives: libzmq finds it ended by the other side and cleans up."""
+    try:
+        copy = socket.socket(fileno=os.dup(connection[0]))
+    except OSError:
+        return
+    with copy:
+        if os.fstat(copy.fileno()).st_ino == connection[1]:  # of the copy: what lies there may change at any time
+            try:
+                copy.shutdown(socket.SHUT_RDWR)
+            except OSError:
+                return  # the other side was faster
+
+
+def limit() -> int:
+    """Return how many files may be open."""
+    soft, _ = resource.getrlimit(resource.RLIMIT_NOFILE)
+    return MANY if soft == resource.RLIM_INFINITY else min(soft, MANY)
+
+
+def open_files() -> list[int]:
+    """Return the open descriptors; one more may be among them that was needed to look."""
+    try:
+        return [int(name) for name in os.listdir("/proc/self/fd")]
+    except OSError:  # not even that one is left
+        return [number for number in range(limit()) if _is_open(number)]
+
+
+def _is_open(number: int) -> bool:
+    try:
+        os.fstat(number)
+    except OSError:
+        return False
+    return True
+
+
+def room(used: int | None = None) -> int:
+    """Return how many files may still be opened for others; less than nothing if the reserve is used.
+
+    Args:
+        used: How many are open, if that was just counted.
+    """
+    return limit() - (len(open_files()) if used is None else used) - RESERVE
+
+
+def somebody_waits(listener: int) -> bool:
+    """Return whether a connection to a listening socket waits to be accepted."""
+    poll = select.poll()
+    poll.register(listener, select.POLLIN)
+    return any(event & select.POLLIN for _, event in poll.poll(0))
+
+
+class Promises:
+    """Descriptors that libzmq will take soon: nobody else is promised any before it has.
+
+    One object for the whole process, whose sockets all draw on the same files.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._listeners: set[int] = set()
+        """From which libzmq accepts."""
+
+    def give(self, listener: int, connections: int) -> bool:
+        """Promise descriptors to a listener's connections; False if there is no room, or another is served now."""
+        with self._lock:
+            self._listeners = {other for other in self._listeners if somebody_waits(other)}
+            if self._listeners or room() < connections:
+                return False
+            self._listeners.add(listener)
+            return True
+
+    def withdraw(self, listener: int) -> None:
+        """Take note that a listener is closed."""
+        with self._lock:
+            self._listeners.discard(listener)
+
+
+PROMISES: Final = Promises()

@@ -1,0 +1,105 @@
+"""Attacks by number: honest subscribers up to the promise and beyond it, strangers who hold connections and say nothing."""
+
+import contextlib
+import json
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from eitskin.messaging.curve_keys import make_keys
+
+from ..outcome import Effort, Outcome
+from ..stream import PATIENCE_S, ROOT
+from ..zmtp.peer import GREETING, Peer, connected
+from .ground import TOUCHED, attacked, defended, status
+
+PROMISED = 128
+"""Subscribers that get every frame."""
+
+STRANGERS = 150
+
+
+@contextlib.contextmanager
+def crowd(endpoint: str, number: int) -> Iterator[dict[str, Any]]:
+    """Run a crowd beside the body; afterwards the dictionary says what it got."""
+    found: dict[str, Any] = {}
+    process = subprocess.Popen(
+        [sys.executable, "-m", "tests.attack.subscribers.crowd", endpoint, str(number)],
+        stdout=subprocess.PIPE,
+        text=True,
+        cwd=ROOT,
+    )
+    assert process.stdout is not None
+    try:
+        if process.stdout.readline().strip() != "subscribed":
+            raise RuntimeError(f"{number} subscribers at {endpoint} did not all get a frame")
+        yield found
+        process.terminate()
+        out, _ = process.communicate(timeout=PATIENCE_S)
+        found.update(json.loads(out.splitlines()[-1]))
+    finally:
+        process.kill()
+        process.communicate()
+
+
+def honest_crowds(effort: Effort) -> Outcome:
+    """Be many and honest: everybody up to the promised number gets every frame, whoever comes then costs nobody any."""
+    outcome = Outcome("honest-crowds")
+    rates = outcome.figures["frames_per_s_of_each"] = {}
+    for number in (1, 8, 32, 64, 100, PROMISED) if effort.long else (8, PROMISED):
+        with attacked(**TOUCHED) as stream, crowd(stream.frames, number) as found:
+            late = []
+            if number == PROMISED:
+                for _ in range(effort.count(3, 20)):
+                    with contextlib.suppress(OSError):
+                        newcomer = Peer(stream.frames, patience_s=0.2)
+                        newcomer.subscribe(b"")
+                        late.append(newcomer)
+            first = status(stream)["frames"]
+            while status(stream)["frames"] < first + effort.count(400, 4000):
+                time.sleep(0.05)
+            for newcomer in late:
+                newcomer.close()
+        outcome.frames_lost += found["lost"]
+        rates[number] = [round(found[name] / found["span_s"], 1) for name in ("fewest", "most")]
+        whole = found["lost"] == 0 and found["ended"] == 0 and found["behind"] < 100
+        outcome.note(whole, f"{number} subscribers: {found}")
+    return outcome
+
+
+def silent_crowds(effort: Effort) -> Outcome:
+    """Hold connections and say nothing, half a greeting or no subscription, on TCP with and without keys, and on ipc."""
+    outcome = Outcome("silent-crowds")
+    with tempfile.TemporaryDirectory(prefix="k") as folder:
+        make_keys(folder)
+        mine = (f"{folder}/server.key", f"{folder}/client.key_secret")
+        tcp = ("--publish", "tcp://127.0.0.1:*")
+        for what, arguments, keys in (
+            ("TCP", tcp, ()),
+            ("TCP with keys", (*tcp, "--curve-keys", folder), mine),
+            ("ipc", (), ()),
+        ):
+            with defended(outcome, what, keys, arguments) as stream:
+                held = []
+                for turn in range(effort.count(1, 5)):
+                    for index in range(STRANGERS):
+                        with contextlib.suppress(OSError):
+                            held.append(connected(stream.frames, 0.05))
+                            held[-1].send((b"", GREETING[: 1 + 9 * turn], GREETING)[index % 3])
+                    first = status(stream)["frames"]
+                    while status(stream)["frames"] < first + effort.count(
+                        600, 1000
+                    ):  # longer than a handshake may take
+                        time.sleep(0.05)
+                for one in held:
+                    one.close()
+    return outcome
+
+
+def descriptors_of(pid: int) -> int:
+    """Return how many files a process has open."""
+    return len(list(Path(f"/proc/{pid}/fd").iterdir()))

@@ -1,0 +1,105 @@
+"""Attacks by connecting faster than anybody looks, where descriptors are many and where they are few."""
+
+import os
+import random
+import signal
+import tempfile
+import threading
+from pathlib import Path
+from typing import Any
+
+from eitskin.messaging.curve_keys import make_keys
+
+from ..outcome import Effort, Outcome
+from ..stream import attacked
+from ..zmtp import flood
+from ..zmtp.peer import Peer
+from .ground import TOUCHED, defended, ends, stoppable_skin
+
+MANY_TOPICS = [b"t%d" % index for index in range(600)]
+
+AT_ONCE = 1500
+"""Connections while nobody looks."""
+
+
+def connect_floods(effort: Effort) -> Outcome:
+    """Connect as fast as it goes, beside a subscriber of 600 topics; and while the device is silent; then SIGTERM."""
+    outcome = Outcome("connect-floods")
+    rng = random.Random(effort.seed)
+    within_s = 1.0 if effort.long else 10.0
+    with tempfile.TemporaryDirectory(prefix="k") as folder:
+        make_keys(folder)
+        mine = (f"{folder}/server.key", f"{folder}/client.key_secret")
+        tcp = ("--publish", "tcp://127.0.0.1:*")
+        grounds: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
+            ("ipc", (), ()),
+            ("TCP", tcp, ()),
+            ("TCP with keys", (*tcp, "--curve-keys", folder), mine),
+        )
+        for what, arguments, keys in grounds:
+            for _ in range(effort.count(1, 7)):
+                with defended(outcome, f"{what}, seed {effort.seed}", keys, arguments) as stream:
+                    if not keys:
+                        _with_many_topics(stream)
+                    made = flood.connect(stream.frames, effort.count(2, 5), rng)
+                    outcome.figures[f"{what}, connections"] = made + outcome.figures.get(f"{what}, connections", 0)
+                with (
+                    stoppable_skin(**TOUCHED) as (port, skin),
+                    attacked(*arguments, port=port) as stream,
+                ):
+                    stream.join(*keys)
+                    if not keys:
+                        _with_many_topics(stream)
+                    os.kill(skin, signal.SIGSTOP)
+                    flood.connect(stream.frames, 0.4, rng, AT_ONCE, AT_ONCE)
+                    ends(stream, outcome, f"{what}, the device silent", within_s)
+    return outcome
+
+
+def few_descriptors(effort: Effort) -> Outcome:
+    """Use up the files that a runtime may open, while it publishes and while its reference is captured."""
+    outcome = Outcome("few-descriptors")
+    rng = random.Random(effort.seed)
+    for files in (64, 256, 1024):
+        for what, arguments in (("ipc", ()), ("TCP", ("--publish", "tcp://127.0.0.1:*"))):
+            for _ in range(effort.count(1, 4)):
+                with defended(outcome, f"{files} files, {what}", arguments=arguments, files=files) as stream:
+                    flood.connect(stream.frames, effort.count(1, 5), rng, 1500)
+        for _ in range(effort.count(1, 4)):
+            _during_capture(files, outcome, rng)
+    return outcome
+
+
+def _during_capture(files: int, outcome: Outcome, rng: random.Random) -> None:
+    """Flood the publishing and the control socket from the first instant on."""
+    with tempfile.TemporaryDirectory(prefix="a") as name:
+        folder = Path(name)
+        over = threading.Event()
+
+        def flooded(path: Path) -> None:
+            while not over.is_set():
+                flood.connect(f"ipc://{path}", 0.2, rng, 1500)
+
+        where = ["--publish", f"ipc://{folder}/f", "--control", f"ipc://{folder}/c"]
+        options: dict[str, Any] = {**TOUCHED, "touches": []}
+        with flood.meanwhile(lambda: flooded(folder / "f")), flood.meanwhile(lambda: flooded(folder / "c")):
+            try:
+                with attacked("--reference-frames", "300", files=files, endpoints=where, **options) as stream:
+                    over.set()
+                    found = stream.join().leave()
+                    outcome.frames_lost += found["lost"]
+                    alive = stream.runtime.poll() is None
+                    outcome.note(alive and found["frames"] > 0, f"{files} files, capture: {found}")
+            except RuntimeError as error:
+                outcome.note(False, f"{files} files, capture: {error}")
+            finally:
+                over.set()
+
+
+def _with_many_topics(stream: Any) -> None:
+    """Leave a connection open that has 600 topics, as far as it gets; it is collected with the flood."""
+    peer = Peer(stream.frames)
+    try:
+        peer.subscribe(*MANY_TOPICS)
+    except OSError:
+        peer.close()

@@ -1,0 +1,71 @@
+"""Attacks by what is subscribed to: topics of others taken back, more topics than fit anywhere."""
+
+import random
+import time
+
+import eitskin
+
+from ..outcome import Effort, Outcome
+from ..zmtp import flood
+from ..zmtp.peer import Peer
+from .ground import TOUCHED, attacked, defended, memory_mib, status
+
+MODEST = (b"eitskin/region/0/30/0/45", b"eitskin/region/10/20/10/20", b"eitskin/unchanged", b"eitskin/always", b"\xde")
+
+GROWTH_MIB = 48.0
+"""What a flood may leave in the runtime's memory."""
+
+
+def unknown_unsubscriptions(effort: Effort) -> Outcome:
+    """Take back what others subscribed to: everything, the first byte of a frame, a region."""
+    outcome = Outcome("unknown-unsubscriptions")
+    rng = random.Random(effort.seed)
+    with defended(outcome, "everything was unsubscribed by somebody else") as stream:
+        for _ in range(effort.count(5, 200)):
+            peer = Peer(stream.frames)
+            peer.unsubscribe(b"", *rng.sample(MODEST, 3))
+            peer.subscribe(rng.choice(MODEST))
+            peer.unsubscribe(b"")
+            peer.close()
+        _wait_for_frames(stream, effort.count(100, 1000))
+    with attacked(**TOUCHED) as stream:
+        part = (100.0, 60.0, 150.0, 100.0)
+        with eitskin.subscribe(stream.frames, mode="all", region_mm=part, timeout_s=60) as frames:
+            wanted = (frames.region,)
+            next(frame for frame in frames if frame.regions == wanted)
+            peer = Peer(stream.frames)
+            peer.subscribe(b"\xde", b"eitskin/region/0/1/0/1")
+            next(frame for frame in frames if len(frame.regions) == 2)
+            peer.unsubscribe(frames.region.topic, b"eitskin/always", b"\xde", b"\xde")
+            kept = [next(frames).regions for _ in range(effort.count(100, 1000))]
+            outcome.note(all(frames.region in regions for regions in kept), f"a region was taken away: {set(kept)}")
+            peer.close()
+            outcome.note(next(frame.regions == wanted for frame in frames if len(frame.regions) == 1), "one pixel left")
+            outcome.frames_lost += frames.lost
+    return outcome
+
+
+def topic_floods(effort: Effort) -> Outcome:
+    """Subscribe without end: to ever new topics, and in one message that never ends."""
+    outcome = Outcome("topic-floods")
+    span_s = effort.count(2, 20)
+    for what, flags, endpoints in (
+        ("topics over ipc", 0, ()),
+        ("topics over TCP", 0, ("tcp",)),
+        ("parts of one message", flood.MORE, ()),
+    ):
+        named = ("--publish", "tcp://127.0.0.1:*") if endpoints else ()
+        with defended(outcome, what, arguments=named) as stream:
+            before = memory_mib(stream)
+            sent = flood.ask(stream.frames, span_s, flags)
+            outcome.figures[f"{what}, MB/s"] = round(sent / span_s / 1e6, 2)
+            grown = memory_mib(stream) - before
+            outcome.figures[f"{what}, MiB grown"] = round(grown, 1)
+            outcome.note(grown < GROWTH_MIB, f"{what}: {sent} bytes left {grown:.0f} MiB in memory")
+    return outcome
+
+
+def _wait_for_frames(stream: object, number: int) -> None:
+    first = status(stream)["frames"]  # type: ignore[arg-type]
+    while status(stream)["frames"] < first + number:  # type: ignore[arg-type]
+        time.sleep(0.05)
