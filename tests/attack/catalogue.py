@@ -4,7 +4,9 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "denormals": "numbers.denormals:denormals",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 
