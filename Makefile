@@ -6,7 +6,7 @@
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
-# make attack                              everything at once, for long; how much of it was withstood, as one JSON line last
+# make attack                              everything at once, for long; how much was withstood, as one JSON line last
 #
 # Every target makes its own virtual environment. PYTHON names the interpreter to start from.
 

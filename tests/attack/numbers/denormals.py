@@ -40,7 +40,7 @@ def denormals(effort: Effort) -> Outcome:
     """Try to get a denormal to the gate, a network or the projection."""
     outcome = Outcome("denormals", figures={"frames_published": 0})
     bundle = load_bundle(default_path("units"))
-    for number in range(effort.count(12, 400)):
+    for number in range(effort.count(12, 150)):
         seed = (effort.seed, number)
         rng = np.random.default_rng(seed)
         with _clouds_given() as given:
