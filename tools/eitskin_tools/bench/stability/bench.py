@@ -25,17 +25,8 @@ if TYPE_CHECKING:
     from eitskin_tools.bench.stability.harness.sweep import Effort
 
 FAMILIES: Final = (
-    "noise",
-    "frontend",
-    "material",
-    "shape",
-    "meshes",
-    "precision",
-    "int8",
-    "inputs",
-    "denormals",
-    "repeat",
-)
+    "noise", "frontend", "material", "shape", "meshes", "precision", "int8", "inputs", "denormals", "repeat"
+)  # fmt: skip
 """What ``--only`` takes."""
 
 
