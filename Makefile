@@ -6,7 +6,7 @@
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
 # make powercut | fuzz | hotplug | soak    the device under fault, each with its figures as one JSON line last
-# make attack                              everything at once, for long; how much of it was withstood, as one JSON line last
+# make attack                              everything at once, for long; how much was withstood, as one JSON line last
 #
 # Every target makes its own virtual environment. PYTHON names the interpreter to start from.
 
@@ -21,7 +21,7 @@ OTHER_PYTHONS ?= 3.11 3.12 3.13
 
 .DEFAULT_GOAL := help
 .PHONY: help demo docs test test-quick test-rest test-all check lint types unit slow wheel wheel-test \
-        wheel-test-others firmware-test system-packages bench clean \
+        wheel-test-others wheel-test-lowest wheel-test-newest firmware-test system-packages bench clean \
         firmware qemu powercut fuzz hotplug soak attack
 
 help:
@@ -58,7 +58,7 @@ docs: $(VENV)/.docs
 test: check wheel-test
 
 # The rest: what `make test` leaves out, so that both together are everything.
-test-rest: slow wheel-test-others docs
+test-rest: slow wheel-test-others wheel-test-lowest wheel-test-newest docs
 
 test-all: test test-rest
 
@@ -100,6 +100,18 @@ wheel-test-others: wheel
 	    if python=$$(tools/find-python.sh $$version); then tools/wheel-test.sh "$$python" --once || exit 1; \
 	    else echo "wheel-test: skipped Python $$version: no interpreter with venv found on the path or under pyenv"; fi; \
 	done
+
+# At the floors of pyproject.toml, which differ between the oldest Python that is claimed and the newest.
+wheel-test-lowest: wheel
+	@for version in $(firstword $(OTHER_PYTHONS)) $(lastword $(OTHER_PYTHONS)); do \
+	    if python=$$(tools/find-python.sh $$version); then tools/wheel-test.sh "$$python" --once --lowest || exit 1; \
+	    else echo "wheel-test: skipped the lowest dependencies: no Python $$version found"; fi; \
+	done
+
+# Without constraints: what a release of today breaks is a failure to be seen here, before a user sees it.
+wheel-test-newest: wheel
+	@python=$$(tools/find-python.sh $(lastword $(OTHER_PYTHONS))) || python=$(PYTHON); \
+	    tools/wheel-test.sh "$$python" --once --newest
 
 # Half an hour of a core in all. `bench tradeoff` needs phantoms, `bench ablation` data, `bench peer` a package index.
 bench: $(VENV)/.dev

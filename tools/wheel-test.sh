@@ -1,20 +1,47 @@
 #!/bin/sh
+# wheel-test.sh PYTHON [--once] [--lowest | --newest]
+#
 # Installs the wheel in .build/wheel for an interpreter and runs the runtime's tests against it, away from the package
-# folders, where torch and scipy are absent. A second interpreter of a version that was tested is left out.
+# folders, where torch and scipy are absent. Its dependencies are those that constraints.txt pins, the lowest that
+# pyproject.toml allows, or the newest there are; pytest and hypothesis are the pinned ones in any case.
+# --once: leave out what was tested with this wheel already.
 set -eu
-version=$("$1" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
+interpreter=$1
+shift
+versions=pinned once=
+for option; do
+    case $option in
+        --once) once=yes ;;
+        --lowest | --newest) versions=${option#--} ;;
+        *) echo "wheel-test: $option: expected --once, --lowest or --newest" >&2; exit 2 ;;
+    esac
+done
+version=$("$interpreter" -c 'import sys; print("%d.%d" % sys.version_info[:2])')
 wheel=$(ls .build/wheel/*.whl)
-here=$(pwd)/.build/wheel-$version
-done_mark=$here/tested-$(sha256sum "$wheel" | cut -c1-16)
-if [ "${2:-}" = --once ] && [ -f "$done_mark" ]; then
-    echo "wheel-test: Python $version was tested with this wheel"
+here=$(pwd)/.build/wheel-$version-$versions
+done_mark=$here/tested-$(cat "$wheel" constraints*.txt | sha256sum | cut -c1-16)
+if [ -n "$once" ] && [ -f "$done_mark" ]; then
+    echo "wheel-test: Python $version with $versions dependencies was tested with this wheel"
     exit 0
 fi
 rm -rf "$here"
-"$1" -m venv "$here"
+"$interpreter" -m venv "$here"
 python=$here/bin/python
-"$python" -m pip --disable-pip-version-check --quiet --retries 10 --timeout 60 install \
-    --constraint constraints.txt "$wheel" pytest pytest-xdist hypothesis
+pip="$python -m pip --disable-pip-version-check --quiet"
+tools=$(grep -E '^(pytest|pytest-xdist|hypothesis)==' constraints.txt)
+case $versions in
+    pinned) set -- --constraint constraints.txt ;;
+    lowest) set -- --constraint constraints-lowest.txt ;;
+    newest) set -- --upgrade --upgrade-strategy eager ;;
+esac
+# A folder of wheels, or no network, offers one version of a package or none; an index offers all that were released.
+if [ "$versions" != pinned ] && ! $pip --retries 1 --timeout 20 download --no-deps --dest "$here" numpy==0 2>&1 |
+    grep -q 'from versions: .*,'; then
+    echo "wheel-test: skipped the $versions dependencies under Python $version: no package index answers"
+    exit 0
+fi
+# shellcheck disable=SC2086 # words on purpose
+$pip --retries 10 --timeout 60 install "$@" "$wheel" $tools
 "$python" - <<'PY'
 import importlib.util
 import sys
@@ -30,7 +57,9 @@ rm "$away/tests/proto/test_generated.py" # compares files of the repository, not
 cp firmware_proto/SPEC.md "$away/firmware_proto/"
 cp pyproject.toml "$away/"
 cd "$away"
-"$python" -c 'import sys, eitskin
-print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)'
+"$python" -c 'import importlib.metadata as found, sys, eitskin
+names = ("numpy", "onnxruntime", "pyserial", "pyusb", "msgpack", "pyzmq", "cobs", "google-crc32c")
+print("wheel-test: Python", sys.version.split()[0], "eitskin from", eitskin.__file__)
+print("wheel-test:", *(f"{name} {found.version(name)}" for name in names))'
 "$python" -m pytest -q --numprocesses auto --maxprocesses 8 --dist loadfile tests
 touch "$done_mark"

@@ -23,6 +23,7 @@ ATTACKS: dict[str, str] = {
     "silent-crowds": "subscribers.crowds:silent_crowds",
     "honest-crowds": "subscribers.crowds:honest_crowds",
     "giant-messages": "subscribers.giants:giant_messages",
+    "denormals": "numbers.denormals:denormals",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
+from eitskin.model.denormals import flushed
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
 
 Single = npt.NDArray[np.float32]
@@ -68,7 +69,7 @@ class Layers:
                     f"consistency.npz: {name} found {value.shape}, expected {shape} finite numbers; make the bundle "
                     "again with 'eitskin export'"
                 )
-        return cls(*found)
+        return cls(*map(flushed, found))
 
 
 class Correction:

@@ -200,7 +200,9 @@ class Imputation:
             self._logs[self._filled] = self._part
             self._part[self._corrected] += self._correction.of(self._logs, predicted)
         np.add(self._expected, self._part, out=self._part)
-        change[self._filled] = change_of_log(self._part, self._ratio_range, out=self._part)
+        change_of_log(self._part, self._ratio_range, out=self._part)
+        np.add(self._part, 1.0, out=self._part)  # V / V0, so that dV is 0 or at least 1e-16 as everywhere else
+        change[self._filled] = np.subtract(self._part, 1.0, out=self._part)
 
     def filled(self, changes: Array) -> Array:
         """Return (n, 104) dV with the rows filled in as :meth:`fill` does, without the small network's correction."""

@@ -16,6 +16,7 @@ import numpy.typing as npt
 from eitskin.errors import UncutError
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
+from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, onnxruntime, open_session
 from eitskin_proto.sensor.grid import N_PIXELS
 
@@ -104,7 +105,8 @@ class ProjectionEngine:
 
     def __init__(self, bundle: Bundle, buffers: Buffers, pixels: npt.NDArray[np.intp] | None = None) -> None:
         self.name = "tikhonov"
-        self._whole = bundle.tikhonov() if pixels is None else bundle.tikhonov()[pixels]
+        whole = flushed(bundle.tikhonov())
+        self._whole = whole if pixels is None else whole[pixels]
         self._matrix = self._whole
         self._change = buffers.change[0]
         self._map = buffers.map[0]
@@ -113,7 +115,7 @@ class ProjectionEngine:
 
     def change_matrix(self, change: Callable[[npt.NDArray[np.float32]], npt.NDArray[np.float32]]) -> None:
         """Use what ``change`` makes of the bundle's matrix from the next frame on: one without some rows."""
-        self._matrix = change(self._whole)
+        self._matrix = flushed(change(self._whole))
 
     def infer(self) -> None:
         """Fill the map; what is negative becomes 0, since a touch only adds, and the largest value becomes 1."""

@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
+from eitskin.model.denormals import flushed
 from eitskin.model.small_products import product
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -73,11 +74,11 @@ class Gate:
         weights = values["w1"] / scale[:, None]
         bias = values["b1"] - values["mean"] @ weights
         start = 0 if weights[:rows].any() else rows  # a gate that goes by logarithms alone reads half of the weights
-        self._first = np.ascontiguousarray(np.vstack([weights[start:], bias[None]]), dtype=np.float32)
+        self._first = np.ascontiguousarray(flushed(np.vstack([weights[start:], bias[None]])), dtype=np.float32)
         self._second: npt.NDArray[np.float32] | None = None
         if deep:
             layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
-            self._second = np.ascontiguousarray(layers, dtype=np.float32)
+            self._second = np.ascontiguousarray(flushed(layers), dtype=np.float32)
         self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
         self._shift = float(values["b3" if deep else "b2"].reshape(-1)[0])
         self.usual_threshold = float(values["threshold"].reshape(-1)[0])

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.model.bundle import Bundle
+from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, open_session
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
@@ -69,11 +70,11 @@ class GeometryGraph:
         Raises:
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
-        points = network_input(flat_cloud() if cloud is None else cloud)
+        points = flushed(network_input(flat_cloud() if cloud is None else cloud))
         bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
         if not np.isfinite(bias).all():
             raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted
-        return Geometry(bias, predicted, revision)
+        return Geometry(flushed(bias), flushed(predicted), revision)

@@ -19,6 +19,7 @@ import onnxruntime  # noqa: E402 -- behind the variable
 
 from eitskin.errors import BundleError, MismatchError  # noqa: E402
 from eitskin.model.bundle import EXPORT_HINT, Bundle  # noqa: E402
+from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID  # noqa: E402
 
 __all__ = ["NO_TELEMETRY", "check_signature", "onnxruntime", "open_session"]
@@ -44,6 +45,7 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.log_severity_level = 3
     try:
+        graph = without_small_weights(graph)
         session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
         raise BundleError(f"{bundle.path}: {file} cannot be loaded ({_first_line(error)}); {EXPORT_HINT}") from error

@@ -1,5 +1,7 @@
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.sensor.normalise import relative_change
@@ -51,3 +53,30 @@ def test_what_is_not_plausible_is_reported_and_leaves_the_output_alone(counts, v
     normaliser.load(counts)
     assert not normaliser.change_into(out)
     assert np.all(out == 7)
+
+
+@given(
+    seed=st.integers(0, 2**32 - 1),
+    volts_per_count=st.floats(5e-324, 1e30),
+    largest_V=st.floats(1e-30, 1e30),
+    full=st.booleans(),
+)
+def test_no_counts_and_no_reference_make_a_change_that_is_small_but_not_0(seed, volts_per_count, largest_V, full):
+    rng = np.random.default_rng(seed)
+    reference = largest_V * rng.uniform(-1, 1, 104) * 10.0 ** rng.uniform(-8, 0, 104)
+    reference[rng.random(104) < 0.1] *= rng.choice([0.0, 1e-300])
+    reference[rng.integers(104)] = largest_V
+    counts = rng.integers(-(2**31), 2**31, 208 if full else 104, dtype=np.int32)
+    near = rng.random(len(counts)) < 0.7  # where dV comes closest to 0
+    with np.errstate(all="ignore"):
+        exact = np.rint(np.resize(reference, len(counts)) / volts_per_count) + rng.integers(-1, 2, len(counts))
+    counts[near] = np.clip(exact[near], -(2**31), 2**31 - 1).astype(np.int32)
+    if full:
+        counts[RECIPROCAL_IN_FULL] = counts[ROW_IN_FULL]
+    normaliser, out = Normaliser(volts_per_count), np.zeros(104, np.float32)
+    normaliser.use(reference)
+    normaliser.load(counts)
+    with np.errstate(all="ignore"):
+        normaliser.change_into(out)
+    size = np.abs(out[out != 0.0])
+    assert not size.size or size.min() >= 2.0**-53

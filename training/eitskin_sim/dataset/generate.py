@@ -19,7 +19,7 @@ import numpy as np
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
-from eitskin_sim.dataset.cluster import Made, shards_on_cluster
+from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import FORMAT, HINT, VERSION
 from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
@@ -41,6 +41,7 @@ def generate(
     *,
     workers: int = 1,
     scheduler: str | None = None,
+    certificates: Certificates | None = None,
     progress: Progress = lambda done, total: None,
 ) -> dict[str, Any]:
     """Write a data set, or go on with one, and return its index.
@@ -49,12 +50,14 @@ def generate(
         plan: What it holds.
         folder: Where to; made if it is not there.
         workers: Processes on this machine; 0 computes in this one.
-        scheduler: Address of a Dask scheduler that makes the shards instead, such as "tcp://10.0.0.1:8786".
+        scheduler: Address of a Dask scheduler that makes the shards instead, such as "tls://10.0.0.1:8786".
+        certificates: For a scheduler at ``tls://``; None takes those of Dask's own configuration.
         progress: Told after every shard.
 
     Raises:
         DataSetError: The folder holds another data set.
-        ValueError: ``workers`` is negative.
+        SkinError: The scheduler cannot be reached, or its certificates are missing or useless.
+        ValueError: ``workers`` is negative, or the scheduler's address is none.
     """
     if workers < 0:
         raise ValueError(f"workers is {workers}; it must be at least 0")
@@ -67,7 +70,7 @@ def generate(
     progress(done, sum(counts))
     together = [[number for number in shard if number in missing] for shard in plan.shards()]
     jobs = [shard_job(plan, shard) for shard in together if shard]
-    for numbers, files in _run(jobs, workers, scheduler):
+    for numbers, files in _run(jobs, workers, scheduler, certificates):
         for number, arrays in zip(numbers, files, strict=True):
             _write(out / names[number], pack_arrays(arrays))
             done += counts[number]
@@ -94,12 +97,14 @@ def _claim(plan: Plan, out: Path) -> None:
     _write(path, content)
 
 
-def _run(jobs: list[dict[str, Any]], workers: int, scheduler: str | None) -> Iterator[Made]:
+def _run(
+    jobs: list[dict[str, Any]], workers: int, scheduler: str | None, certificates: Certificates | None
+) -> Iterator[Made]:
     """Yield shards as they come."""
     if not jobs:
         return
     if scheduler is not None:
-        yield from shards_on_cluster(jobs, scheduler)
+        yield from shards_on_cluster(jobs, scheduler, certificates)
     elif workers == 0:
         for job in jobs:
             yield job["deformations"], make_shard(job)

@@ -24,7 +24,9 @@ if TYPE_CHECKING:
     from eitskin_tools.bench.stability.harness.rows import Curve, Row
     from eitskin_tools.bench.stability.harness.sweep import Effort
 
-FAMILIES: Final = ("noise", "frontend", "material", "shape", "meshes", "precision", "int8", "inputs", "repeat")
+FAMILIES: Final = (
+    "noise", "frontend", "material", "shape", "meshes", "precision", "int8", "inputs", "denormals", "repeat"
+)  # fmt: skip
 """What ``--only`` takes."""
 
 
@@ -159,6 +161,7 @@ def _line(row: "Row") -> str:
 _FIGURES: Final = {
     "unstressed": "unstressed",
     "worst": "worst",
+    "unguarded": "unguarded",
     "degrades_10pct_at": "loses a tenth at",
     "breaks_at": "breaks at",
     "withheld": "withheld",

@@ -34,7 +34,7 @@ SOLVE_MS: Final = {3.0: 130.0, 6.0: 35.0}
 """About what a forward solve costs, by element size in mm."""
 
 OTHER_MS: Final = {"shape": 500.0, "meshes": 4000.0, "precision": 4000.0, "int8": 2.2, "inputs": 15_000.0,
-                   "repeat": 3000.0}  # fmt: skip
+                   "denormals": 2000.0, "repeat": 3000.0}  # fmt: skip
 """About what the rows cost that are no sweeps; ``int8`` for each step."""
 
 Found = list[tuple[Row, Curve | None]]
@@ -145,6 +145,7 @@ def _sweep_ms(stress: Stress, effort: Effort, subjects: Subjects) -> float:
 def _other_jobs(setup: Setup, families: Sequence[str], *, quick: bool) -> Iterator[Job]:
     """Yield the jobs that are no sweeps of samples."""
     from eitskin_tools.bench.stability.sweeps.constant import constant_rows
+    from eitskin_tools.bench.stability.sweeps.denormals import denormal_rows
     from eitskin_tools.bench.stability.sweeps.inputs import input_rows
     from eitskin_tools.bench.stability.sweeps.meshes import triangle_rows
     from eitskin_tools.bench.stability.sweeps.repeat import repeat_rows
@@ -157,6 +158,7 @@ def _other_jobs(setup: Setup, families: Sequence[str], *, quick: bool) -> Iterat
         "precision": ("float32 and float64", lambda: _precision(setup)),
         "int8": ("worst input", lambda: [worst_row(subjects.plain, setup.samples, steps)]),
         "inputs": ("absurd inputs", lambda: input_rows(subjects.bundle, setup.samples[0], subjects.tally)),
+        "denormals": ("numbers that are slow to compute", lambda: denormal_rows(subjects.bundle)),
         "repeat": ("the same twice", lambda: repeat_rows(subjects.bundle, setup.samples)),
     }
     if "vd2t-int8" not in subjects.plain.engines:

@@ -6,9 +6,12 @@ import os
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.errors import UsageError
+
+if TYPE_CHECKING:
+    from eitskin_sim.dataset.cluster import Certificates
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -36,19 +39,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--near", type=float, metavar="SHARE", help="share of free touch sets drawn close together (default 1/3)"
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
-    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tcp://HOST:8786, instead")
+    parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
+    parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
+    parser.add_argument("--tls-cert", type=Path, metavar="FILE", help="your certificate, signed by it")
+    parser.add_argument("--tls-key", type=Path, metavar="FILE", help="your private key")
     parser.add_argument("--json", action="store_true", help="print one JSON object on what was written")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Make the data set and report it."""
+    from eitskin_sim.dataset.cluster import Certificates
     from eitskin_sim.dataset.generate import generate
     from eitskin_sim.dataset.plan import make_plan
 
     if arguments.workers < 1:
         raise UsageError(f"--workers is {arguments.workers}; it must be at least 1")
-    if arguments.scheduler is not None and "://" not in arguments.scheduler:
-        raise UsageError(f"--scheduler is {arguments.scheduler!r}; expected an address such as tcp://10.0.0.1:8786")
+    certificates = Certificates(arguments.tls_ca, arguments.tls_cert, arguments.tls_key)
+    _check_scheduler(arguments.scheduler, certificates)
     plan = make_plan(
         arguments.set_name,
         arguments.seed,
@@ -61,7 +68,12 @@ def run(arguments: argparse.Namespace) -> int:
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
         index = generate(
-            plan, arguments.out, workers=arguments.workers, scheduler=arguments.scheduler, progress=progress.tell
+            plan,
+            arguments.out,
+            workers=arguments.workers,
+            scheduler=arguments.scheduler,
+            certificates=certificates,
+            progress=progress.tell,
         )
     seconds = time.perf_counter() - start
     report = {
@@ -79,6 +91,30 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(report) if arguments.json else _text(report))
     return 0
+
+
+def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> None:
+    """Refuse what cannot be meant, and warn of a cluster that anybody may be."""
+    from eitskin_sim.dataset.cluster import check_address, is_exposed
+
+    options = ", ".join(f"--tls-{name}" for name in certificates.given)
+    if scheduler is None:
+        if options:
+            raise UsageError(f"{options} given without --scheduler; expected --scheduler tls://HOST:PORT beside it")
+        return
+    try:
+        check_address(scheduler)
+    except ValueError as error:
+        raise UsageError(str(error)) from error
+    if options and not scheduler.startswith("tls://"):
+        raise UsageError(f"{options} given for {scheduler}, which uses no certificates; expected tls://HOST:PORT")
+    if is_exposed(scheduler):
+        print(
+            f"eitskin dataset: warning: {scheduler} is not encrypted and nobody proves who they are; whoever reaches "
+            "it, or sits on the way, can run code there and here: use tls:// with --tls-ca, --tls-cert and --tls-key",
+            file=sys.stderr,
+            flush=True,
+        )
 
 
 def _text(report: dict[str, Any]) -> str:

@@ -1,0 +1,221 @@
+"""A Dask cluster over TLS, a real one with certificates made here: nobody works for or with one it cannot trust."""
+
+import shutil
+import subprocess
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eitskin_proto.errors import SkinError
+from eitskin_sim.dataset import cluster as cluster_module
+from eitskin_sim.dataset.cluster import Certificates, is_exposed
+from eitskin_sim.dataset.generate import generate
+from eitskin_sim.dataset.plan import make_plan
+from eitskin_tools import cli
+
+PLAN = make_plan("paper", 0, deformations=1, touch_sets=10, kept=0)
+FILES = ("deformation-0000.npz", "index.json", "plan.json", "touches.npz")
+
+Named = Callable[[str], Certificates]
+
+
+@pytest.fixture(scope="module")
+def authority(tmp_path_factory: pytest.TempPathFactory) -> Named:
+    """Make an authority of a name, with a certificate that it signed."""
+    if shutil.which("openssl") is None:
+        pytest.skip("needs the program openssl, which makes the certificates")
+
+    def make(name: str) -> Certificates:
+        folder = tmp_path_factory.mktemp(name)
+        new = ("-newkey", "ec", "-pkeyopt", "ec_paramgen_curve:prime256v1", "-nodes")
+        signs = ("-addext", "basicConstraints=critical,CA:TRUE", "-addext", "keyUsage=critical,keyCertSign")
+        files = ("-keyout", "ca.key", "-out", "ca.pem")
+        subprocess.run(
+            ["openssl", "req", "-x509", *new, "-subj", f"/CN={name}", *signs, *files],
+            cwd=folder,
+            check=True,
+            capture_output=True,
+        )
+        signed = ("-CA", "ca.pem", "-CAkey", "ca.key", "-addext", "basicConstraints=critical,CA:FALSE")
+        files = ("-keyout", "own.key", "-out", "own.pem")
+        subprocess.run(
+            ["openssl", "req", "-x509", *new, "-subj", "/CN=someone", *signed, *files],
+            cwd=folder,
+            check=True,
+            capture_output=True,
+        )
+        return Certificates(folder / "ca.pem", folder / "own.pem", folder / "own.key")
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def ours(authority: Named) -> Certificates:
+    return authority("ours")
+
+
+@pytest.fixture(scope="module")
+def theirs(authority: Named) -> Certificates:
+    return authority("theirs")
+
+
+@pytest.fixture(scope="module")
+def scheduler(ours: Certificates, tmp_path_factory: pytest.TempPathFactory) -> Iterator[str]:
+    """Address of a cluster of one worker that shows our authority's certificates, and asks for them."""
+    distributed = pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    from dask import config
+    from distributed.security import Security
+
+    scratch = tmp_path_factory.mktemp("scratch")
+    pairs: dict[str, Any] = {"tls_ca_file": str(ours.ca), "require_encryption": True}
+    for role in ("scheduler", "worker", "client"):
+        pairs |= {f"tls_{role}_cert": str(ours.cert), f"tls_{role}_key": str(ours.key)}
+    with (
+        config.set(temporary_directory=str(scratch)),
+        distributed.LocalCluster(
+            n_workers=1, threads_per_worker=1, processes=False, protocol="tls://", security=Security(**pairs),
+            dashboard_address=None, local_directory=scratch,
+        ) as running,
+    ):  # fmt: skip
+        assert running.scheduler_address.startswith("tls://")
+        yield running.scheduler_address
+
+
+def words(folder: Path, scheduler: str, found: Certificates) -> list[str]:
+    """Return a command line."""
+    options = [word for name in found.given for word in (f"--tls-{name}", str(getattr(found, name)))]
+    sizes = ["--bends", "1", "--touch-sets", "10", "--kept", "0"]
+    return ["dataset", "--set", "paper", *sizes, "--out", str(folder), "--scheduler", scheduler, *options]
+
+
+@pytest.fixture(scope="module")
+def made_here(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Of the same data set, made in this process."""
+    folder = tmp_path_factory.mktemp("data") / "here"
+    generate(PLAN, folder, workers=0)
+    return folder
+
+
+@pytest.mark.heavy
+@pytest.mark.process
+def test_a_cluster_that_both_sides_vouch_for_makes_the_same_files(
+    scheduler: str, ours: Certificates, made_here: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(words(tmp_path / "there", scheduler, ours)) == 0
+    assert "warning" not in capsys.readouterr().err
+    for name in FILES:
+        assert (tmp_path / "there" / name).read_bytes() == (made_here / name).read_bytes(), name
+
+
+@pytest.mark.heavy
+@pytest.mark.process
+def test_certificates_may_stand_in_dasks_own_configuration(
+    scheduler: str, ours: Certificates, made_here: Path, tmp_path: Path
+) -> None:
+    from dask import config
+
+    tls = "distributed.comm.tls"
+    values = {f"{tls}.ca-file": ours.ca, f"{tls}.client.cert": ours.cert, f"{tls}.client.key": ours.key}
+    with config.set({name: str(value) for name, value in values.items()}):
+        generate(PLAN, tmp_path / "there", scheduler=scheduler)
+    assert (tmp_path / "there" / "index.json").read_bytes() == (made_here / "index.json").read_bytes()
+
+
+@pytest.mark.heavy
+@pytest.mark.process
+def test_who_shows_another_authoritys_certificate_gets_no_answer(
+    scheduler: str, ours: Certificates, theirs: Certificates, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_module, "CONNECT_S", 1.0)
+    stranger = Certificates(ours.ca, theirs.cert, theirs.key)  # the scheduler sees that it is not one of its own
+    misled = Certificates(theirs.ca, ours.cert, ours.key)  # the user sees that the scheduler is not theirs
+    for number, found in enumerate((stranger, misled, theirs)):
+        with pytest.raises(SkinError, match=r"^no Dask scheduler answers at tls://.*same authority vouch for both\?$"):
+            generate(PLAN, tmp_path / str(number), scheduler=scheduler, certificates=found)
+        assert not (tmp_path / str(number) / "index.json").exists()
+
+
+@pytest.mark.heavy
+@pytest.mark.process
+def test_a_scheduler_that_wants_certificates_does_not_answer_without(
+    scheduler: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cluster_module, "CONNECT_S", 1.0)
+    with pytest.raises(SkinError, match=r"^no Dask scheduler answers at tcp://"):
+        generate(PLAN, tmp_path / "d", scheduler=scheduler.replace("tls://", "tcp://"))
+
+
+@pytest.mark.process
+def test_certificates_that_are_none_are_named_before_anybody_is_called(
+    ours: Certificates, theirs: Certificates, tmp_path: Path
+) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    empty = tmp_path / "empty.pem"
+    empty.touch()
+    for found in (
+        Certificates(tmp_path / "nowhere", ours.cert, ours.key),
+        Certificates(empty, ours.cert, ours.key),
+        Certificates(ours.ca, ours.cert, theirs.key),
+        Certificates(ours.ca, ours.key, ours.cert),
+    ):
+        with pytest.raises(SkinError, match=r"^the certificates [^\n]* cannot be used: [^\n]+$"):
+            generate(PLAN, tmp_path / "d", scheduler="tls://127.0.0.1:9", certificates=found)
+
+
+@pytest.mark.parametrize(
+    ("given", "missing"),
+    [([], "--tls-ca, --tls-cert, --tls-key"), (["cert", "key"], "--tls-ca"), (["ca"], "--tls-cert")],
+)
+def test_tls_without_certificates_is_refused_in_one_line(
+    given: list[str], missing: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    found = Certificates(**{name: tmp_path / name for name in given})
+    assert cli.main(words(tmp_path / "d", "tls://127.0.0.1:9", found)) == 1
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert f"a scheduler at tls:// needs certificates: {missing}" in said
+
+
+@pytest.mark.parametrize(
+    ("scheduler", "expected"),
+    [
+        ("tcp://127.0.0.1:8786", False), ("tcp://127.5.0.1:8786", False), ("tcp://[::1]:8786", False),
+        ("tls://10.0.0.1:8786", False), ("tcp://10.0.0.1:8786", True), ("tcp://localhost:8786", True),
+        ("tcp://0.0.0.0:8786", True), ("tcp://127.0.0.1.example.org:8786", True),
+    ],
+)  # fmt: skip
+def test_only_loopback_addresses_and_tls_are_out_of_reach(scheduler: str, expected: bool) -> None:
+    assert is_exposed(scheduler) is expected
+
+
+def test_a_cluster_that_anybody_may_be_is_warned_of(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    monkeypatch.setattr(cluster_module, "CONNECT_S", 0.5)
+    for scheduler, warnings in (("tcp://localhost:9", 1), ("tcp://127.0.0.1:9", 0)):
+        assert cli.main(words(tmp_path / "d", scheduler, Certificates())) == 1
+        said = capsys.readouterr().err
+        assert said.count("warning: tcp://localhost:9 is not encrypted and nobody proves who they are") == warnings
+        assert said.count("\n") == 1 + warnings
+
+
+@pytest.mark.parametrize(
+    "scheduler", ["here", "inproc://1", "ws://10.0.0.1:80", "tcp://10.0.0.1", "tcp://:8786", "tls://a:b", "tcp://[:1"]
+)
+def test_what_is_no_address_is_bad_usage(scheduler: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    assert cli.main(words(tmp_path / "d", scheduler, Certificates())) == 2
+    assert f"--scheduler is {scheduler!r}; expected tls://HOST:PORT or tcp://HOST:PORT" in capsys.readouterr().err
+
+
+def test_certificates_that_nothing_would_use_are_bad_usage(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
+    found = Certificates(ca=tmp_path / "ca.pem")
+    assert cli.main(words(tmp_path / "d", "tcp://127.0.0.1:9", found)) == 2
+    assert "--tls-ca given for tcp://127.0.0.1:9, which uses no certificates" in capsys.readouterr().err
+    assert cli.main(["dataset", "--set", "paper", "--out", str(tmp_path / "d"), "--tls-ca", "x"]) == 2
+    assert "--tls-ca given without --scheduler" in capsys.readouterr().err
