@@ -80,7 +80,7 @@ def stuck(effort: Effort) -> Outcome:
         for kind, seconds in (("saturated", 1), ("lowest", 1), ("frozen", 20))[: effort.count(2, 3)]:
             at, before = len(running.witness.frames), running.witness.frames[-1].counts["withheld"]
             said = running.device.order(do="rows", kind=kind, frames=200 * seconds, seconds=seconds + 20)
-            running.recovered()
+            running.recovered(said)
             frames = [frame for frame in running.witness.frames[at:] if frame.sequence < said["next"]]
             events = {event for frame in frames for event in frame.events} - {"saturated"}
             withheld = running.witness.frames[-1].counts["withheld"] - before
@@ -106,8 +106,8 @@ def greetings(effort: Effort) -> Outcome:
         outcome.tried += 1
         with trial("--reconnect", "60") as running:
             at = len(running.witness.frames)
-            running.device.order(do="changed", hello=hello, frames=200, seconds=4)
-            recovered_s = running.recovered(20.0)
+            said_last = running.device.order(do="changed", hello=hello, frames=200, seconds=4)
+            recovered_s = running.recovered(said_last, 20.0)
             status, said = running.stream.runtime.poll(), running.stream.said()
             problems = running.wrong(running.witness.frames[at:])[:1]
             if "Traceback" in said or "\x1b" in said:

@@ -49,8 +49,7 @@ def test_run_reads_every_frame_of_every_size(options: dict[str, int], tmp_path: 
 def test_what_is_published_is_what_was_sent_to_the_last_frame() -> None:
     with trial() as running:
         at = running.device.order(do="report")["next"]
-        running.device.order(do="nothing", frames=200)
-        assert running.recovered() is not None
+        assert running.recovered(running.device.order(do="nothing", frames=200)) is not None
         numbers = [frame.sequence for frame in running.witness.frames if frame.sequence >= at]
         assert numbers == list(range(at, at + len(numbers)))
         assert len(numbers) >= 200
@@ -62,6 +61,5 @@ def test_what_is_published_is_what_was_sent_to_the_last_frame() -> None:
 def test_a_changed_content_would_be_seen() -> None:
     with trial() as running:
         at = len(running.witness.frames)
-        running.device.order(do="rows", kind="turned", frames=20)
-        assert running.recovered() is not None
+        assert running.recovered(running.device.order(do="rows", kind="turned", frames=20)) is not None
         assert len(running.wrong(running.witness.frames[at:])) == 20

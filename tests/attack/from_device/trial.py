@@ -127,20 +127,28 @@ class Trial:
                 found.append(f"frame {frame.sequence}: gate {frame.logit}, expected {self.logits[number]}")
         return found
 
-    def recovered(self, timeout_s: float = 60.0) -> float | None:
-        """Return after how many seconds frames came in a row again; None if they did not."""
+    def recovered(self, said: dict[str, Any] | None = None, timeout_s: float = 60.0) -> float | None:
+        """Return after how many seconds frames came in a row again; None if they did not, or the runtime ended.
+
+        Args:
+            said: The device's account at the end of an attack: only frames of after it count.
+            timeout_s: How long to wait.
+        """
         began_s = time.monotonic()
         start = len(self.witness.frames)
+        first = None if said is None else said["next"]
 
         def clean(frames: list[Seen]) -> bool:
             if len(frames) < start + CLEAN:
                 return False
-            last = frames[-CLEAN:]
-            return last[-1].sequence - last[0].sequence == CLEAN - 1 and last[-1].n - last[0].n == CLEAN - 1
+            one, last = frames[-CLEAN], frames[-1]
+            after = first is None or (one.sequence - first) % 2**32 < 2**31
+            return after and last.sequence - one.sequence == last.n - one.n == CLEAN - 1
 
-        if not self.witness.wait(clean, timeout_s):
-            return None
-        return time.monotonic() - began_s
+        while time.monotonic() < began_s + timeout_s and self.stream.runtime.poll() is None:
+            if self.witness.wait(clean, 0.2):
+                return time.monotonic() - began_s
+        return None
 
     def memory_kB(self) -> int:
         """Return how much memory the runtime has."""
@@ -180,7 +188,7 @@ class Trial:
         before = self.device.order(do="report")
         counts = self.witness.frames[-1].counts
         said = self.device.order(**order)
-        recovered_s = self.recovered()
+        recovered_s = self.recovered(said)
         after = self.device.order(do="report")
         frames, broken = self.witness.frames[at:], list(self.witness.broken)
         wrong = [] if recovered_s is not None else [f"no frames within a minute: {self.stream.said()[-300:]!r}"]
