@@ -24,6 +24,22 @@ ATTACKS: dict[str, str] = {
     "honest-crowds": "subscribers.crowds:honest_crowds",
     "giant-messages": "subscribers.giants:giant_messages",
     "denormals": "numbers.denormals:denormals",
+    "device.damage": "from_device.wire:damage",
+    "device.floods": "from_device.wire:floods",
+    "device.foreign": "from_device.wire:foreign",
+    "device.numbers": "from_device.lying:numbers",
+    "device.wrap": "from_device.lying:wrap",
+    "device.clocks": "from_device.lying:clocks",
+    "device.heads": "from_device.lying:heads",
+    "device.rows": "from_device.lying:rows",
+    "device.stuck": "from_device.lying:stuck",
+    "device.greetings": "from_device.lying:greetings",
+    "device.answers": "from_device.silences:answers",
+    "device.restarts": "from_device.silences:restarts",
+    "device.hangs": "from_device.silences:hangs",
+    "device.terminated": "from_device.silences:terminated",
+    "device.hello": "from_device.commands:hello",
+    "device.stored": "from_device.commands:stored",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
