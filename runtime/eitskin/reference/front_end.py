@@ -50,8 +50,11 @@ MOST_CUT_OFF: Final = 8
 """Rows that may be cut off at more than ``LARGEST_GROWTH`` times their reference."""
 
 LEAST_ALIKE: Final = 0.02
-"""Median distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
+"""Mean distance, in log, of a row from the mean of those of all drives: 0.6 and more while the demonstration plays,
 noise where all drives are one."""
+
+FEW_FOLD: Final = 3.0
+"""Of what a row beside its drive reads more than one across: below it, all of them are looked at."""
 
 HEAVIEST: Final = 50.0
 """A touch of this contrast on the whole sheet leaves every row a fiftieth, and of its noise as much."""
@@ -60,14 +63,20 @@ QUIET_REPEATS: Final = 400
 """Repetitions in a row where noise is a few counts: no touch of the heaviest kind is held still for so long."""
 
 
-def _averaging(column: int) -> Array:
-    """Return (104, 104) what takes the mean over all rows with the same drive (0) or measurement (1)."""
+def _row(drive: int, measure: int) -> int:
+    return int(np.flatnonzero((TABLE[:, 0] == drive) & (TABLE[:, 1] == measure))[0])
+
+
+def _wire(column: int, strong: int, what: str) -> tuple[int, Array, Array, str]:
+    """Return of rows with one drive (0) or measurement (1): a strong row, distance from the mean, weights, name."""
     same = TABLE[:, column][:, None] == TABLE[:, column][None, :]
-    return np.asarray(same / same.sum(axis=1, keepdims=True))
+    judged = same.sum(axis=1) >= 4
+    return strong, np.eye(N_ROWS) - same / same.sum(axis=1, keepdims=True), judged / judged.sum(), what
 
 
-_DEPART: Final = tuple(np.eye(N_ROWS) - _averaging(column) for column in (0, 1))
-_JUDGED: Final = tuple(np.bincount(TABLE[:, column], minlength=16)[TABLE[:, column]] >= 4 for column in (0, 1))
+_ACROSS: Final = _row(0, 8)
+"""A row across the sheet; one beside the same drive, or the same measurement, reads a hundred times as much."""
+_WIRES: Final = (_wire(0, _row(0, 2), "measurements"), _wire(1, _row(6, 8), "drives"))
 
 
 def stuck(
@@ -86,58 +95,55 @@ def stuck(
         limit: Largest count of the converter.
         symmetric: Rows that may read the same by symmetry, where there is no reference.
     """
-    judged = counts != 0
+    marked = None
     if cut_off:
         whole = np.frombuffer(cut_off.to_bytes(N_ROWS // 8, "little"), np.uint8)
         marked = np.unpackbits(whole, bitorder="little", count=len(counts)) > 0
-        judged &= ~marked
         if reference is not None:
             strange = int((marked & (np.abs(reference) * LARGEST_GROWTH < limit)).sum())
             if strange > MOST_CUT_OFF:
                 return f"{strange} rows are cut off at {limit:g} counts, of which the reference has an eighth at most"
-    rows = np.flatnonzero(judged)
-    if len(rows) < 2:
-        return ""
-    rows = rows[np.argsort(counts[rows], kind="stable")]
-    ordered = counts[rows]
-    borders = np.flatnonzero(ordered[1:] != ordered[:-1]) + 1
-    if len(borders) + 1 < len(rows):
-        found = _alike(ordered, rows, borders, len(counts), reference, symmetric)
+        counts = np.where(marked, 0, counts)
+    ordered = np.sort(counts)
+    again = ordered[1:] == ordered[:-1]
+    if np.count_nonzero(again) > 1:
+        found = _alike(counts, ordered[1:][again], reference, symmetric)
         if found:
             return found
-    if len(counts) == len(rows) == N_ROWS:
-        logs = np.log(np.abs(counts, dtype=np.float64))
-        for depart, enough, what in zip(_DEPART, _JUDGED, ("measurements", "drives"), strict=True):
-            if float(np.median(np.abs(depart @ logs)[enough])) < LEAST_ALIKE:
-                return f"the rows of all {what} are alike"
+    if len(counts) == N_ROWS:
+        weak = FEW_FOLD * abs(float(counts[_ACROSS]))
+        for strong, depart, weights, what in _WIRES:
+            if abs(float(counts[strong])) < weak and counts.all():
+                logs = np.abs(counts, dtype=np.float64)
+                apart = depart @ np.log(logs, out=logs)
+                if float(np.abs(apart, out=apart) @ weights) < LEAST_ALIKE:
+                    return f"the rows of all {what} are alike"
     return ""
 
 
 def _alike(
-    ordered: npt.NDArray[np.number],
-    rows: npt.NDArray[np.intp],
-    borders: npt.NDArray[np.intp],
-    total: int,
+    counts: npt.NDArray[np.number],
+    again: npt.NDArray[np.number],
     reference: npt.NDArray[np.number] | None,
     symmetric: int,
 ) -> str:
-    chance, same, most, value = 0.0, 0, 0, 0.0
-    for group in np.split(np.arange(len(rows)), borders):
-        if len(group) < 2:
-            continue
-        many = _different(rows[group], reference, symmetric)
+    """Return whether rows share counts as no sheet's do; ``again`` are the counts that come more than once."""
+    chance, same, most, which, total = 0.0, 0, 0, 0.0, len(counts)
+    for value in set(again.tolist()) - {0}:
+        group = np.flatnonzero(counts == value)
+        many = _different(group, reference, symmetric)
         if len(group) >= 0.75 * total:
             chance = -math.inf
         elif many < 2:
             continue
         if len(group) > most:
-            most, value = len(group), float(ordered[group[0]])
+            most, which = len(group), value
         same += len(group)
-        size = abs(float(ordered[group[0]]))
+        size = abs(float(value))
         chance += min(0.0, math.log(size) + many * math.log(DENSEST / size) - math.lgamma(many + 1.0))
     if chance >= UNLIKELY:
         return ""
-    return f"{same} of {total} rows share counts, {most} of them {value:g}"
+    return f"{same} of {total} rows share counts, {most} of them {which:g}"
 
 
 def _different(rows: npt.NDArray[np.intp], reference: npt.NDArray[np.number] | None, symmetric: int) -> int:
