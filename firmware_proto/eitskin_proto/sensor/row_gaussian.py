@@ -53,8 +53,24 @@ def rows_of(electrodes: tuple[int, ...]) -> Rows:
 
 def precision_of(covariance: Array) -> Array:
     """Return the inverse of a covariance, symmetric to the last digit."""
-    found = np.linalg.inv(covariance)
+    found = _inverse(covariance)
     return np.asarray((found + found.T) / 2.0)
+
+
+def _inverse(covariance: Array) -> Array:
+    """Return the inverse of a covariance by halves of its Cholesky factor, for which BLAS takes one thread.
+
+    A runtime takes a new reference between two frames, and its host's BLAS may have threads that wait for a core.
+    """
+    half = len(covariance) // 2
+    try:
+        lower = np.linalg.cholesky(covariance)
+    except np.linalg.LinAlgError:
+        return np.asarray(np.linalg.inv(covariance))
+    first, second = np.linalg.inv(lower[:half, :half]), np.linalg.inv(lower[half:, half:])
+    corner = -(second @ lower[half:, :half]) @ first
+    across = corner.T @ second
+    return np.block([[first.T @ first + corner.T @ corner, across], [across.T, second.T @ second]])
 
 
 def missing_weights(precision: Array, missing: Rows) -> Array:

@@ -21,6 +21,7 @@ import numpy.typing as npt
 from eitskin.health.imputation import Consistency, Imputation, Rows
 from eitskin.model.gate import Gate
 from eitskin.model.small_products import product
+from eitskin_proto.sensor.row_gaussian import precision_of
 from eitskin_proto.sensor.table import N_ROWS
 
 Array = npt.NDArray[np.float64]
@@ -53,7 +54,7 @@ class GateWithoutRows:
         self._gate, self._sigma = gate, sigma
         covariance = consistency.untouched_covariance
         self._mean, self._half = consistency.untouched_mean, np.linalg.cholesky(covariance)
-        self._precision: Array = np.asarray(np.linalg.inv(covariance + np.diag(sigma**2)), dtype=np.float64)
+        self._precision: Array = precision_of(covariance + np.diag(sigma**2))
         self._filling = Imputation(self._mean, self._precision, consistency.ratio_range)
         self._logits: list[npt.NDArray[np.float32]] = []
         self._rng = np.random.default_rng(SEED)

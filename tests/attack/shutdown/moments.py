@@ -33,6 +33,9 @@ MOST_S: Final = 1.0
 SURELY_S: Final = 20.0
 """After which it is no longer waited for."""
 
+OLDEST_S: Final = 150.0
+"""After which a lane's skin is replaced: it ends by itself after 300."""
+
 LANES: Final = 6
 
 LIVES: Final = {"start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1}
@@ -52,7 +55,7 @@ class Lane:
         self._context: Any = zmq.Context()
         self._start_s = 1.0
         """How long it took until frames came, the last time."""
-        self._skin, self._port = _skin()
+        self._skin, self._port, self._skin_since_s = *_skin(), time.monotonic()
 
     def close(self) -> None:
         """End the skin."""
@@ -68,8 +71,9 @@ class Lane:
 
     def one(self, life: str, number: int, draw: random.Random) -> tuple[ExitTime | None, str]:
         """End one runtime, and return how long that took and what was wrong; nothing if all was well."""
-        if self._skin.poll() is not None:
-            self._skin, self._port = _skin()
+        if time.monotonic() - self._skin_since_s > OLDEST_S or self._skin.poll() is not None:
+            self._end_skin()
+            self._skin, self._port, self._skin_since_s = *_skin(), time.monotonic()
         frames, control = self._folder / "f", self._folder / "c"
         out = self._folder / "out"
         words = [sys.executable, "-m", "eitskin_tools.cli", "run", "--bundle", TINY, "--port", self._port, "--json"]
@@ -163,8 +167,8 @@ def _finish(process: "subprocess.Popen[bytes]") -> None:
 def _judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
     """Return what was wrong with an end; nothing if all was well."""
     last = text.strip()[-LAST:]
-    if status == -number and "firmware" not in text:  # it had opened nothing yet, and Python's own ways hold
-        return f"it said: {last}" if _wrong(text) and not _interrupted_early(number, text) else ""
+    if _interrupted_early(number, status, text) or (status == -number and "firmware" not in text and not _wrong(text)):
+        return ""  # it had opened nothing yet
     if _wrong(text):
         return f"it said: {last}"
     if status != 0:
@@ -178,9 +182,11 @@ def _wrong(text: str) -> bool:
     return any(word in text for word in WRONG)
 
 
-def _interrupted_early(number: int, text: str) -> bool:
-    """Return whether Ctrl-C met Python while it started, before any of our code could say what it does then."""
-    return number == signal.SIGINT and "KeyboardInterrupt" in text and "live/run.py" not in text
+def _interrupted_early(number: int, status: int, text: str) -> bool:
+    """Return whether Ctrl-C met Python while it started, whose own ways hold until ``eitskin run`` has begun."""
+    if number != signal.SIGINT:
+        return False
+    return (status == 128 + number and not text) or ("KeyboardInterrupt" in text and "live/run.py" not in text)
 
 
 def _last(out: Path) -> str:
@@ -189,9 +195,13 @@ def _last(out: Path) -> str:
 
 def random_moments(effort: Effort) -> Outcome:
     """End runtimes at random moments."""
-    outcome = Outcome("shutdown")
     draw = random.Random(effort.seed)
-    lives = list(LIVES) * 2 if not effort.long else draw.choices(list(LIVES), list(LIVES.values()), k=1000)
+    return at_moments(effort, draw.choices(list(LIVES), list(LIVES.values()), k=1000) if effort.long else list(LIVES))
+
+
+def at_moments(effort: Effort, lives: list[str]) -> Outcome:
+    """End a runtime in each of these lives."""
+    outcome = Outcome("shutdown")
     moments = list(enumerate(lives))
     moments.reverse()
     ctrl_c = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # as behind a shell's "&", and runtimes inherit that
@@ -215,7 +225,7 @@ def random_moments(effort: Effort) -> Outcome:
         finally:
             lane.close()
 
-    threads = [threading.Thread(target=work) for _ in range(effort.count(2, LANES))]
+    threads = [threading.Thread(target=work) for _ in range(effort.count(1, LANES))]
     for thread in threads:
         thread.start()
     for thread in threads:

@@ -1,13 +1,20 @@
-"""The short form; ``make attack`` runs the long one."""
+"""The short form, in two halves; ``make attack`` runs the long one."""
 
 import pytest
 
-from ..catalogue import load
 from ..outcome import Effort
+from .moments import LIVES, at_moments
+
+HALVES = (["start", "capture", "stream", "control", "start"], ["regions", "silent", "unplugged", "regions"])
+
+
+def test_the_halves_are_the_whole():
+    assert {life for half in HALVES for life in half} == set(LIVES)
 
 
 @pytest.mark.process
 @pytest.mark.heavy
-def test_a_runtime_ends_cleanly_within_a_second_whenever_it_is_told_to():
-    outcome = load("shutdown")(Effort())
+@pytest.mark.parametrize("half", [0, 1])
+def test_a_runtime_ends_cleanly_within_a_second_whenever_it_is_told_to(half):
+    outcome = at_moments(Effort(seed=half), HALVES[half])
     assert outcome.held, outcome.as_dict()

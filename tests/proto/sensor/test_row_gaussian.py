@@ -10,6 +10,7 @@ from eitskin_proto.sensor.row_gaussian import (
     log_of_change,
     missing_spread,
     missing_weights,
+    precision_of,
     rows_of,
 )
 
@@ -17,6 +18,23 @@ from eitskin_proto.sensor.row_gaussian import (
 def gaussian(seed: int = 0) -> RowGaussian:
     causes = np.random.default_rng(seed).standard_normal((8, 104))
     return RowGaussian(np.linspace(-0.2, 0.2, 104), causes.T @ causes + 0.1 * np.eye(104))
+
+
+@pytest.mark.parametrize("rows", [1, 2, 7, 104])
+@pytest.mark.parametrize("condition", [1e2, 1e6])
+def test_a_precision_is_the_inverse_of_its_covariance(rows: int, condition: float) -> None:
+    rng = np.random.default_rng(rows)
+    turned, _ = np.linalg.qr(rng.standard_normal((rows, rows)))
+    covariance = turned * np.geomspace(1.0, 1.0 / condition, rows) @ turned.T
+    covariance = (covariance + covariance.T) / 2.0
+    found = precision_of(covariance)
+    # rounding of 2^-53, times the condition, times a few for the number of rows
+    np.testing.assert_allclose(found @ covariance, np.eye(rows), rtol=0, atol=20 * condition * 2.0**-53 * rows)
+    np.testing.assert_array_equal(found, found.T)
+
+
+def test_the_inverse_of_what_is_no_covariance_is_still_its_inverse() -> None:
+    np.testing.assert_allclose(precision_of(np.diag([2.0, -4.0])), np.diag([0.5, -0.25]), rtol=1e-15)
 
 
 @pytest.mark.parametrize("electrodes", [(0,), (3, 4), (1, 7, 12)])

@@ -50,9 +50,10 @@ def fail(consistency, gate, failing):
     """Let a failure happen, and return how often the pool was woken and what was found."""
     reference = consistency.reference
     health = Health(consistency)
-    health.use(reference, np.abs(reference) * 0.003, gate)
     rng = np.random.default_rng(1)
     before = at_rest()
+    health.use(reference, np.abs(reference) * 0.02, gate)  # noisy, so that the gate's threshold is set anew
+    health.use(reference, np.abs(reference) * 0.003, gate)
     for number in range(FRAMES):
         change = (0.003 * rng.standard_normal(N_ROWS)).astype(np.float32)
         if number >= 20:
