@@ -20,8 +20,11 @@ def damage(effort: Effort) -> Outcome:
 
 
 def floods(effort: Effort) -> Outcome:
-    """Bytes without an end, ends without bytes, noise; nothing gets through, then everything again."""
-    with attack("device.floods") as (running, outcome):
+    """Bytes without an end, ends without bytes, noise; nothing gets through, then everything again.
+
+    Without ``--reconnect`` a flood of seconds ends the runtime with a line that says so.
+    """
+    with attack("device.floods", "--reconnect", "60") as (running, outcome):
         for kind in ("flood", "ends", "garbage"):
             running.endure(outcome, do=kind, seed=effort.seed, seconds=effort.count(1, 8), frames=10**6)
     return outcome
