@@ -31,9 +31,8 @@ def pattern(sequence: int, quiet: int, first: int = 0) -> int:
 
     Neighbours differ in noise and mostly in touch, and none comes again within ``NOISES`` scans.
     """
-    if (sequence - first) % 2**32 < quiet:
-        return sequence % NOISES
-    return sequence * 77 % PATTERNS  # 77 is odd: each of them once in so many scans
+    drawn = sequence * 77 % PATTERNS  # 77 is odd: each of them once in so many scans
+    return drawn % NOISES if (sequence - first) % 2**32 < quiet else drawn
 
 
 def touched(number: int) -> bool:

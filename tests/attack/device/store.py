@@ -46,7 +46,9 @@ class Configuration(NamedTuple):
 
 def blob(**changes: Any) -> bytes:
     """Return a configuration: 104 rows of 24 bit, 200 a second, unless changed."""
-    usual = dict(magic=codec.BLOB_MAGIC, format=1, rows=104, size=64, hardware_id=HARDWARE, revision=1, name=b"own")
+    usual: dict[str, Any] = dict(
+        magic=codec.BLOB_MAGIC, format=1, rows=104, size=64, hardware_id=HARDWARE, revision=1, name=b"own"
+    )
     usual |= dict(frequency_Hz=20_000, rate_mHz=200_000, idle_rate_mHz=20_000, current_uA=1000, settle_us=100)
     usual |= dict(averages=5, gain=8, drives=0xFFFF, idle_drives=0x000F, sample_bytes=3, reserved=0)
     packed = struct.pack(codec.CONFIGURATION, *Configuration(**(usual | changes), crc=0))[:-4]

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from . import codec, sheet
-from .device import GRID_ID, PROTOCOL_ID, Device, Options
+from .device import GRID_ID, NOISES, PATTERNS, PROTOCOL_ID, Device, Options, pattern, touched
 from .store import HARDWARE, Configuration, Store, blob
 
 ROOT = Path(__file__).parents[3]
@@ -120,6 +120,14 @@ def test_the_sheet_is_reciprocal_and_feels_a_touch() -> None:
     turned = [every.index((m, k)) for k, m in every]
     assert flat == pytest.approx(flat[turned], rel=1e-9)
     assert abs(touched / flat - 1).max() > 0.05
+
+
+@pytest.mark.parametrize("first", [0, 2**32 - 400, 2**32 - 700])
+def test_no_pattern_comes_again_within_64_scans_and_neither_over_the_wrap(first: int) -> None:
+    numbers = [pattern((first + scan) % 2**32, 150, first) for scan in range(1000)]
+    assert all(len(set(numbers[at : at + NOISES])) == NOISES for at in range(1000 - NOISES))
+    assert set(numbers) == set(range(PATTERNS))
+    assert not any(map(touched, numbers[:150]))
 
 
 def test_what_cannot_be_read_is_answered_by_what_was_wrong(device: Device) -> None:

@@ -63,7 +63,7 @@ def terminated(effort: Effort) -> Outcome:
         {"do": "ends"},
     )
     longest_s = 0.0
-    for turn in range(effort.count(3, 40)):
+    for turn in range(effort.count(3, 20)):
         order = orders[turn % len(orders)]
         with trial(*WAITS, learn=False) as running:
             running.device.start(**({"frames": 10**6, "seconds": 60} | order))

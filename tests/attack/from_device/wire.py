@@ -20,16 +20,19 @@ def damage(effort: Effort) -> Outcome:
 
 
 def floods(effort: Effort) -> Outcome:
-    """Bytes without an end, ends without bytes, noise; nothing gets through, then everything again."""
-    with attack("device.floods") as (running, outcome):
+    """Bytes without an end, ends without bytes, noise; nothing gets through, then everything again.
+
+    Without ``--reconnect`` a flood of seconds ends the runtime with a line that says so.
+    """
+    with attack("device.floods", "--reconnect", "60") as (running, outcome):
         for kind in ("flood", "ends", "garbage"):
-            running.endure(outcome, do=kind, seed=effort.seed, seconds=effort.count(1, 15), frames=10**6)
+            running.endure(outcome, do=kind, seed=effort.seed, seconds=effort.count(1, 8), frames=10**6)
     return outcome
 
 
 def foreign(effort: Effort) -> Outcome:
     """Intact packets of every type and length between the frames; nothing happens."""
-    frames = effort.count(80, 2400)
+    frames = effort.count(80, 1200)
     with attack("device.foreign") as (running, outcome):
         for kind in ("lengths", "foreign", "torrent", "greeting"):
             running.endure(outcome, do=kind, seed=effort.seed, frames=frames, seconds=120)

@@ -7,6 +7,7 @@ own subscriber made of it.
 import math
 import struct
 import threading
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Self
@@ -87,7 +88,7 @@ class Witness:
         numbers = [frame.n for frame in self.frames]
         return sum(b - a - 1 for a, b in pairwise(numbers))
 
-    def wait(self, reached: Any, timeout_s: float) -> bool:
+    def wait(self, reached: Callable[[list[Seen]], bool], timeout_s: float) -> bool:
         """Wait until ``reached(frames)``; return whether it came to that."""
         with self._changed:
             return self._changed.wait_for(lambda: reached(self.frames), timeout_s)
