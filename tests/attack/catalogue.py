@@ -4,7 +4,10 @@ from importlib import import_module
 
 from .outcome import Attack
 
-ATTACKS: dict[str, str] = {}
+ATTACKS: dict[str, str] = {
+    "files": "files.attack:files",
+    "runs": "files.attack:runs",
+}
 """Name of an attack, and ``folder.module:function`` below this folder."""
 
 

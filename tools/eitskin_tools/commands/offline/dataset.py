@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -49,6 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--workers is {arguments.workers}; it must be at least 1")
     if arguments.scheduler is not None and "://" not in arguments.scheduler:
         raise UsageError(f"--scheduler is {arguments.scheduler!r}; expected an address such as tcp://10.0.0.1:8786")
+    files.folder(arguments.out)
     plan = make_plan(
         arguments.set_name,
         arguments.seed,
