@@ -7,6 +7,7 @@ from .outcome import Attack
 ATTACKS: dict[str, str] = {
     "files": "files.attack:files",
     "runs": "files.attack:runs",
+    "command-line": "files.command_line:command_line",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

@@ -1,4 +1,4 @@
-"""Graphs that a bundle's author could have made in bad faith: without end, without bound, or that break when they run."""
+"""Graphs that a bundle's author could make in bad faith: without end, without bound, or that break when they run."""
 
 import random
 from collections.abc import Callable
@@ -185,8 +185,8 @@ def _wires(model: Any, rng: random.Random) -> bytes:
 
 def _operator(model: Any, rng: random.Random) -> bytes:
     rng.choice(list(model.graph.node)).op_type = rng.choice(
-        ("Loop", "Scan", "If", "Expand", "Tile", "Range", "RandomNormal", "Resize", "Pad", "NonZero", "MaxPool", "Gather",
-         "Concat", "Softmax", "Einsum", "StringSplit", "Relu", "\x1b[2J", "")
+        ("Loop", "Scan", "If", "Expand", "Tile", "Range", "RandomNormal", "Resize", "Pad", "NonZero", "MaxPool",
+         "Gather", "Concat", "Softmax", "Einsum", "StringSplit", "Relu", "\x1b[2J", "")
     )  # fmt: skip
     return bytes(model.SerializeToString())
 
@@ -201,7 +201,7 @@ def _bytes(model: Any, rng: random.Random) -> bytes:
 
 
 def _ort(model: Any, _: random.Random) -> bytes:
-    return b"\x12\x06ORTM\x00\x00" + bytes(model.SerializeToString())
+    return b"\x12\x08xxORTMxx" + bytes(model.SerializeToString())
 
 
 WAYS: Final[dict[str, Callable[[Any, random.Random], bytes]]] = {

@@ -10,8 +10,6 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from . import graphs, mutations, samples
 
 Make = Callable[[Path, random.Random | None], tuple[Path, str]]
@@ -246,10 +244,6 @@ def _phantoms() -> Any:
     return [{"name": "1", "scene": samples.scene(), "truth": "area"}, {"scene": {}, "truth": "units"}]
 
 
-def _recorded() -> Any:
-    return np.tile(np.linspace(0.1, 1.0, 104), (500, 1))
-
-
 def _xyz() -> bytes:
     return "\n".join(" ".join(f"{v:g}" for v in row) for row in samples.points()).encode()
 
@@ -265,7 +259,7 @@ KINDS: Final[dict[str, Kind]] = {
     "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan),
     "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan),
     "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),
-    "recording": Kind(_file("r.npy", partial(_npy, _recorded)), samples.read_recording),
+    "recording": Kind(_file("r.npy", partial(_npy, samples.recording)), samples.read_recording),
     "data-set": Kind(partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA)),
     "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN)),
 }

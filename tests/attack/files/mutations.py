@@ -170,8 +170,10 @@ def archive(parts: dict[str, bytes], rng: random.Random) -> bytes:
     return data
 
 
-SPECIAL: Final = ("missing", "folder", "fifo", "socket", "link to zero", "link to nothing", "link to itself", "unreadable",
-                  "endless", "device")  # fmt: skip
+SPECIAL: Final = (
+    "missing", "folder", "fifo", "socket", "link to zero", "link to nothing", "link to itself", "unreadable", "endless",
+    "device",
+)  # fmt: skip
 
 
 def special(path: Path, rng: random.Random) -> str:

@@ -85,6 +85,11 @@ def points() -> Any:
     return np.frombuffer(data, dtype="<f4", offset=at).reshape(-1, 3)
 
 
+def recording() -> Any:
+    """Return (500, 104) V of frames."""
+    return np.tile(np.linspace(0.1, 1.0, 104), (500, 1))
+
+
 def ply_text() -> bytes:
     """Return an ASCII .ply file."""
     rows = points()

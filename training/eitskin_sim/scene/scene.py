@@ -7,11 +7,12 @@ Where touches overlap, the later one in the list holds.
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Literal, cast
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import FileError, read_text
 from eitskin_proto.sensor.grid import SHEET_MM, UNIT_SHAPE
+from eitskin_sim.scene import limits
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
@@ -33,28 +34,6 @@ __all__ = [
     "parse_scene",
     "scene_json",
 ]
-
-MOST_STRETCH: Final = 5.0
-"""In either direction, and of one to the other: at 25 to 1 the weakest voltages are 1e-26 of the largest, and wrong."""
-
-LARGEST_FILE: Final = 4 << 20
-"""Bytes of a file of scenes."""
-
-MOST_SHAPES: Final = 500
-"""Rectangles, discs and polygons of a scene; the sheet has 126 units."""
-
-MOST_CORNERS: Final = 200
-"""Of a polygon; whether its sides cross is looked at for every two of them."""
-
-MOST_BUMPS: Final = 100
-MOST_PHANTOMS: Final = 1000
-MOST_ASPECT: Final = 20.0
-MOST_TURN_DEG: Final = 36_000.0
-FARTHEST: Final = 1e5
-"""mm; of what lies beside the sheet."""
-
-ON_BORDER_MM: Final = 1e-6
-"""How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -79,7 +58,7 @@ def load_phantoms(path: str | Path) -> tuple[Phantom, ...]:
 
 def _read(path: str | Path) -> object:
     try:
-        text = read_text(path, LARGEST_FILE)
+        text = read_text(path, limits.LARGEST_FILE)
     except FileError as error:
         raise SceneError(str(error)) from error
     return loads(text, str(path))
@@ -92,7 +71,7 @@ def parse_phantoms(value: object) -> tuple[Phantom, ...]:
         SceneError: An entry is no phantom.
     """
     found = []
-    for index, item in enumerate(sequence(value, "phantoms", MOST_PHANTOMS)):
+    for index, item in enumerate(sequence(value, "phantoms", limits.MOST_PHANTOMS)):
         fields = Fields(item, f"phantoms[{index}]")
         name, truth = fields.take("name", str(index + 1)), fields.take("truth", "area")
         scene = fields.take("scene", {})
@@ -120,7 +99,7 @@ def parse_scene(value: object) -> Scene:
         bend=_bend(fields.take("bend", {}), sheet),
         touches=tuple(
             _touch(item, sheet, f"scene.touches[{i}]")
-            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches", MOST_SHAPES))
+            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches", limits.MOST_SHAPES))
         ),
         current_A=fields.number("current_A", 1.0, above=0.0, low=1e-9, high=1e6),
         element_size_mm=fields.number("element_size_mm", 1.5, above=0.0),
@@ -133,8 +112,10 @@ def parse_scene(value: object) -> Scene:
 def check_scene(scene: Scene) -> None:
     """Raise SceneError if a scene cannot be solved: an overlap, a touch off the sheet or too small, a fold."""
     count = sum(len(touch.shapes) for touch in scene.touches)
-    if count > MOST_SHAPES:
-        raise SceneError(f"scene.touches has {count} shapes, units counted singly; expected at most {MOST_SHAPES}")
+    if count > limits.MOST_SHAPES:
+        raise SceneError(
+            f"scene.touches has {count} shapes, units counted singly; expected at most {limits.MOST_SHAPES}"
+        )
     length, width = scene.sheet.size_mm
     number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
     place(scene.sheet, scene.electrodes)
@@ -148,7 +129,7 @@ def _check_shape(shape: Shape, scene: Scene, where: str) -> None:
     length, width = scene.sheet.size_mm
     x0, y0, x1, y1 = shape.bounds_mm
     for name, found, high in (("x", x0, length), ("y", y0, width), ("x", x1, length), ("y", y1, width)):
-        if not -ON_BORDER_MM <= found <= high + ON_BORDER_MM:
+        if not -limits.ON_BORDER_MM <= found <= high + limits.ON_BORDER_MM:
             raise SceneError(f"{where} reaches outside the sheet: {name} = {found:g} mm; it must be from 0 to {high:g}")
     if shape.width_mm < scene.element_size_mm:
         raise SceneError(
@@ -162,9 +143,9 @@ def _sheet(value: object) -> Sheet:
     size = numbers(fields.take("size_mm", list(SHEET_MM)), "scene.sheet.size_mm", 2)
     for index, side in enumerate(size):
         number(side, f"scene.sheet.size_mm[{index}]", above=0.0, low=1.0, high=10_000.0)
-    if max(size) > MOST_ASPECT * min(size):
+    if max(size) > limits.MOST_ASPECT * min(size):
         raise SceneError(
-            f"scene.sheet.size_mm is {size[0]:g} x {size[1]:g}; one side must be at most {MOST_ASPECT:g} others"
+            f"scene.sheet.size_mm is {size[0]:g} x {size[1]:g}; one side must be at most {limits.MOST_ASPECT:g} others"
         )
     sheet = Sheet(
         size_mm=(size[0], size[1]),
@@ -202,29 +183,29 @@ def _bend(value: object, sheet: Sheet) -> Bend:
     where = "scene.bend"
     fields = Fields(value, where)
     bumps = []
-    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm", MOST_BUMPS)):
+    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm", limits.MOST_BUMPS)):
         at = f"{where}.bumps_mm[{index}]"
         x, y, height, sigma = numbers(item, at, 4)
-        number(sigma, f"{at}[3] (sigma)", above=0.0, low=min(sheet.size_mm) / 1000, high=FARTHEST)
+        number(sigma, f"{at}[3] (sigma)", above=0.0, low=min(sheet.size_mm) / 1000, high=limits.FARTHEST)
         for part, name in ((x, "x"), (y, "y"), (height, "height")):
-            number(part, f"{at} ({name})", low=-FARTHEST, high=FARTHEST)
+            number(part, f"{at} ({name})", low=-limits.FARTHEST, high=limits.FARTHEST)
         bumps.append((x, y, height, sigma))
     bend = Bend(
-        angle_deg=fields.number("angle_deg", 0.0, low=-MOST_TURN_DEG, high=MOST_TURN_DEG),
-        axis_deg=fields.number("axis_deg", 0.0, low=-MOST_TURN_DEG, high=MOST_TURN_DEG),
+        angle_deg=fields.number("angle_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
+        axis_deg=fields.number("axis_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
         skew=fields.number("skew", 0.0, low=-1.0, high=1.0),
-        twist_deg=fields.number("twist_deg", 0.0, low=-MOST_TURN_DEG, high=MOST_TURN_DEG),
-        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
-        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
-        nonuniformity=fields.number("nonuniformity", 0.0, low=-MOST_STRETCH, high=MOST_STRETCH),
+        twist_deg=fields.number("twist_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
+        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        nonuniformity=fields.number("nonuniformity", 0.0, low=-limits.MOST_STRETCH, high=limits.MOST_STRETCH),
         bumps_mm=tuple(bumps),
     )
     fields.close()
     ratio = bend.stretch_along / bend.stretch_across
-    if not 1.0 / MOST_STRETCH <= ratio <= MOST_STRETCH:
+    if not 1.0 / limits.MOST_STRETCH <= ratio <= limits.MOST_STRETCH:
         raise SceneError(
             f"{where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their ratio "
-            f"is {ratio:g}, it must be from {1.0 / MOST_STRETCH:g} to {MOST_STRETCH:g}"
+            f"is {ratio:g}, it must be from {1.0 / limits.MOST_STRETCH:g} to {limits.MOST_STRETCH:g}"
         )
     return bend
 
@@ -257,7 +238,7 @@ def _disc(value: object, where: str) -> Shape:
 
 
 def _polygon(value: object, where: str) -> Shape:
-    listed = sequence(value, where, MOST_CORNERS)
+    listed = sequence(value, where, limits.MOST_CORNERS)
     corners = [numbers(item, f"{where}[{i}]", 2) for i, item in enumerate(listed)]
     if len(corners) > 1 and corners[0] == corners[-1]:
         corners.pop()
