@@ -13,7 +13,7 @@ from typing import Final
 
 from tests.attack.outcome import Effort, Outcome
 
-from .kinds import LIGHT
+from .kinds import KINDS, LIGHT
 
 ROOT: Final = Path(__file__).parents[3]
 
@@ -86,8 +86,8 @@ class Worker:
         return found
 
 
-def damaged(kinds: tuple[str, ...], name: str, effort: Effort, count: int) -> Outcome:
-    """Try so many damaged files of each kind."""
+def damaged(kinds: tuple[str, ...], name: str, effort: Effort, short: int) -> Outcome:
+    """Try damaged files of each kind: so many in the short form."""
     outcome = Outcome(name)
     ways: Counter[str] = Counter()
     seconds: dict[str, float] = {}
@@ -99,7 +99,8 @@ def damaged(kinds: tuple[str, ...], name: str, effort: Effort, count: int) -> Ou
             worker = Worker(kind, place)
             began = time.monotonic()
             try:
-                for seed in range(effort.seed * 1_000_000, effort.seed * 1_000_000 + count):
+                first = effort.seed * 1_000_000
+                for seed in range(first, first + effort.count(short, KINDS[kind].long)):
                     found = worker.attempt(seed)
                     held = found["how"] in ("read", "refused")
                     ways[f"{kind}: {found['how'] if held else str(found['how']).partition(':')[0]}"] += 1
@@ -114,9 +115,9 @@ def damaged(kinds: tuple[str, ...], name: str, effort: Effort, count: int) -> Ou
 
 def files(effort: Effort) -> Outcome:
     """Damage bundles, references, configurations, scenes, scans, clouds, recordings and data sets."""
-    return damaged(LIGHT, "files", effort, effort.count(30, 2500))
+    return damaged(LIGHT, "files", effort, 20)
 
 
 def runs(effort: Effort) -> Outcome:
     """Damage the folders of training runs."""
-    return damaged(("run",), "runs", effort, effort.count(25, 600))
+    return damaged(("run",), "runs", effort, 20)

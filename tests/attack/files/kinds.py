@@ -26,6 +26,8 @@ class Kind:
     """What its reader says that it raises besides the package's own errors."""
     prepare: Callable[[Path], None] = lambda _: None
     """Called once with a folder that stays."""
+    long: int = 4000
+    """Tries of the long form; fewer where each takes longer."""
 
 
 def _file(name: str, data: Callable[[random.Random | None], tuple[bytes, str]]) -> Make:
@@ -249,19 +251,21 @@ def _xyz() -> bytes:
 
 
 KINDS: Final[dict[str, Kind]] = {
-    "bundle": Kind(_file("b.eitskin", _bundle), samples.read_bundle),
+    "bundle": Kind(_file("b.eitskin", _bundle), samples.read_bundle, long=1500),
     "reference": Kind(_file("r.json", _reference), samples.read_reference),
     "configuration": Kind(_file("c.toml", _configuration), samples.read_configuration, (OSError, ValueError)),
-    "scene": Kind(_file("s.json", partial(_json, samples.scene)), samples.read_scene),
-    "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms),
-    "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan),
-    "scan-ply-text": Kind(_file("s.ply", partial(_bytes, samples.ply_text)), samples.read_scan),
-    "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan),
-    "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan),
+    "scene": Kind(_file("s.json", partial(_json, samples.scene)), samples.read_scene, long=400),
+    "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms, long=1500),
+    "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan, long=600),
+    "scan-ply-text": Kind(_file("s.ply", partial(_bytes, samples.ply_text)), samples.read_scan, long=600),
+    "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan, long=600),
+    "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan, long=600),
     "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),
     "recording": Kind(_file("r.npy", partial(_npy, samples.recording)), samples.read_recording),
-    "data-set": Kind(partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA)),
-    "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN)),
+    "data-set": Kind(
+        partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA), long=800
+    ),
+    "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN), long=400),
 }
 """By name."""
 
