@@ -19,7 +19,7 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.cloud import check_cloud
+from eitskin_proto.sensor.cloud import align_cloud, check_cloud
 from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -89,7 +89,9 @@ def load_surface(path: str | Path) -> Surface:
                 hint="run 'eitskin surface' again",
             )
         predicted = [_rows(file[name]) if name in file else None for name in ("predicted", "predicted_flat")]
-        return Surface(check_cloud(file["cloud"]), *predicted)
+        cloud = check_cloud(file["cloud"])
+        align_cloud(cloud)  # refuses what has no pose
+        return Surface(cloud, *predicted)
     except OSError as error:
         raise CloudFileError(
             f"cloud file {path} cannot be read: {error.strerror or error}; make one with 'eitskin surface'"

@@ -78,6 +78,8 @@ class GeometryGraph:
             raise
         except Exception as error:  # onnxruntime's exceptions share no base of their own
             raise BundleError(f"geometry.onnx cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
+        if cloud is None and not np.isfinite(bias).all():
+            raise BundleError(f"geometry.onnx answers the flat sheet with non-finite values; {EXPORT_HINT}")
         if not np.isfinite(bias).all():
             raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)

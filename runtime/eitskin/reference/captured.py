@@ -190,6 +190,7 @@ def load(path: str | Path) -> Reference:
             configuration_name=text_of(content["configuration_name"], 16, "configuration_name"),
             captured_utc=text_of(content["captured_utc"], 64, "captured_utc"),
         )
+        lost_rows(reference.voltages_V, reference.spread_V)  # refuses voltages of no front end
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadReference(f"reference {where} is malformed ({error}); {hint}") from error
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
