@@ -34,8 +34,9 @@ ROOMS: dict[str, Arrows] = {
     "eitskin_proto": {
         "__init__": set(),
         "errors": set(),
-        "sensor": {"errors"},
-        "wire": {"errors", "sensor"},
+        "files": {"errors"},
+        "sensor": {"errors", "files"},
+        "wire": {"errors", "files", "sensor"},
     },
     "eitskin": {
         "errors": set(),

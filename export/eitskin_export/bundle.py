@@ -13,7 +13,6 @@ date, so the same contents give the same file.
 
 import io
 import json
-import os
 import zipfile
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +20,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.errors import MismatchError, SkinError
+from eitskin.errors import BundleError
+from eitskin.model.bundle import load_bundle
+from eitskin_proto.errors import SkinError
+from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.grid import N_PIXELS
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_proto.sensor.table import N_ROWS
@@ -76,11 +78,9 @@ def write(path: Path, files: dict[str, bytes], facts: dict[str, Any]) -> str:
     """
     head = manifest(files, facts)
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_name(path.name + ".new")
-    with zipfile.ZipFile(beside, "w", zipfile.ZIP_STORED) as archive:
+    with replacing(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in {MANIFEST: head, **files}.items():
             archive.writestr(zipfile.ZipInfo(name, date_time=_DATE), data)
-    os.replace(beside, path)
     return id_of(head)
 
 
@@ -92,16 +92,11 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
         OSError: The file cannot be read.
     """
     try:
-        with zipfile.ZipFile(path) as archive:
-            facts = json.loads(archive.read(MANIFEST))
-            listed = facts.pop("files")
-            files = {name: archive.read(name) for name in listed}
-    except (KeyError, ValueError, zipfile.BadZipFile) as error:
+        found = load_bundle(path, lazily=True)
+        files, facts = dict(found.files), {**found.manifest}
+    except BundleError as error:
         raise SkinError(f"{path} is no bundle ({error}); make one with 'eitskin export'") from error
-    for name, data in files.items():
-        found = sha256_of(data)
-        if found != listed[name]["sha256"]:
-            raise MismatchError(f"{path}: {name}", found=found, expected=listed[name]["sha256"], hint="export it again")
+    del facts["files"]
     for name in ("format", "version", "protocol_id", "grid_id"):
         del facts[name]
     return files, facts

@@ -40,6 +40,9 @@ ATTACKS: dict[str, str] = {
     "device.terminated": "from_device.silences:terminated",
     "device.hello": "from_device.commands:hello",
     "device.stored": "from_device.commands:stored",
+    "files": "files.attack:files",
+    "runs": "files.attack:runs",
+    "command-line": "files.command_line:command_line",
 }
 """Name of an attack, and ``folder.module:function`` below this folder."""
 

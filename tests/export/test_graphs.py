@@ -7,6 +7,7 @@ import torch
 from torch import nn
 
 from eitskin.messaging.regions import Region, pixels
+from eitskin.model.onnx.allowed import check_graph
 from eitskin.model.onnx.crop import cut
 from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
@@ -103,6 +104,8 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     differences = parity.parity(model, graph["geometry"], graph["head"])
     assert set(differences) == {"bias", "map"}
     assert max(differences.values()) < parity.TOLERANCE
+    for content in (*graph.values(), quantise.int8_head(graph["head"])):
+        check_graph(content)  # what the runtime allows
     for content in graph.values():
         assert b".py" not in content, "a stack trace of the exporting machine"
         loaded = onnx.load_from_string(content)

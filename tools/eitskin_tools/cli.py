@@ -15,6 +15,7 @@ from collections.abc import Sequence
 from typing import Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.errors import UsageError
@@ -122,6 +123,8 @@ def _main(words: list[str]) -> int:
         return _fail(arguments, str(error), 2)
     except (SkinError, ValueError, OSError, ModuleNotFoundError) as error:
         return _fail(arguments, _one_line(error), 1)
+    except MemoryError:
+        return _fail(arguments, "there is not enough memory for this; give it less to read or to make", 1)
 
 
 def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
@@ -129,7 +132,7 @@ def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
     if getattr(arguments, "log_format", "text") == "json":
         print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
     else:
-        print(f"eitskin {arguments.command}: {text}", file=sys.stderr)
+        print(f"eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
     return status
 
 

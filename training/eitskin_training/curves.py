@@ -1,12 +1,19 @@
 """The losses of a run as a picture, where matplotlib is installed; several runs side by side."""
 
 import importlib.util
-import json
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import is_whole, read_json
+from eitskin_proto.files.writing import replacing
 from eitskin_training.train import Epoch
+
+LARGEST_NUMBER: Final = 1e12
+"""Of losses, seconds and epochs."""
 
 
 def draw(history: Sequence[Epoch], path: Path, *, title: str = "") -> bool:
@@ -34,7 +41,8 @@ def draw(history: Sequence[Epoch], path: Path, *, title: str = "") -> bool:
     axes.set(xlabel="epoch", ylabel="binary cross-entropy a pixel", title=title)
     axes.legend()
     axes.grid(alpha=0.3)
-    figure.savefig(path, dpi=120)
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=120, format=path.suffix.removeprefix(".") or "png")
     return True
 
 
@@ -46,11 +54,23 @@ def history_of(run: Path) -> list[Epoch]:
     """
     path = run / "history.json"
     try:
-        return [Epoch(**epoch) for epoch in json.loads(path.read_text(encoding="utf-8"))]
+        found = [_epoch(epoch) for epoch in read_json(path)]
+        if not found:
+            raise ValueError("it lists no epoch")
+        return found
     except FileNotFoundError as error:
         raise SkinError(f"{run} holds no run ({path.name} is missing); run 'eitskin train --out {run}'") from error
-    except (ValueError, TypeError) as error:
+    except (ValueError, TypeError, AttributeError) as error:
         raise SkinError(f"{path} is no history of a training run: {error}; train again") from error
+
+
+def _epoch(value: Any) -> Epoch:
+    epoch = Epoch(**value)
+    for field in fields(epoch):
+        found = getattr(epoch, field.name)
+        if not isinstance(found, float) and not (is_whole(found) and abs(found) <= LARGEST_NUMBER):
+            raise ValueError(f"{field.name} is {quoted(found)}, expected a number")
+    return epoch
 
 
 def compare(histories: Mapping[str, Sequence[Epoch]], path: Path) -> None:
@@ -83,4 +103,5 @@ def compare(histories: Mapping[str, Sequence[Epoch]], path: Path) -> None:
     for axes in (loss, correlation):
         axes.grid(alpha=0.3)
     correlation.legend(loc="lower right")
-    figure.savefig(path, dpi=120)
+    with replacing(path) as stream:
+        figure.savefig(stream, dpi=120, format=path.suffix.removeprefix(".") or "png")

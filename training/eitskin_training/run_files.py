@@ -5,7 +5,6 @@ A run's folder holds ``checkpoint.pt`` and ``best.pt`` (:mod:`eitskin_training.t
 ``weights_only``.
 """
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +14,9 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.plain import plain, stated
+from eitskin_proto.files.reading import opened
+from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
@@ -23,6 +25,13 @@ from eitskin_training.samples.joined import load_all
 
 FORMAT: Final = 1
 """Version of both .pt files."""
+
+LARGEST_FILE: Final = 1 << 30
+"""Bytes of a .pt file; the largest of ours has 50 MB."""
+
+MOST_LAYERS: Final = 64
+MOST_TIMES: Final = 4
+"""The squares of all widths are at most so many times the weights; 0.75 times in the recipes that there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,8 +63,16 @@ def trained(run: Path) -> Trained:
         SkinError: There is none, or it was made for another protocol or grid.
     """
     content = read(run / "best.pt")
-    recipe = Recipe.from_dict(content["recipe"])
-    return Trained(network(recipe, content["weights"]), recipe, content, run)
+    try:
+        recipe = Recipe.from_dict(content["recipe"])
+        check_weights(recipe, content["weights"])
+        found = Trained(network(recipe, content["weights"]), recipe, content, run)
+        _ = found.seed, content["data"], content["data_digest"]
+        return found
+    except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
+        raise SkinError(
+            f"{run / 'best.pt'} is no file of a training run: {plain(str(error))[:200]}; train again"
+        ) from error
 
 
 def data_of(found: Trained, directories: Sequence[str] | None = None) -> TrainingData:
@@ -78,6 +95,30 @@ def data_of(found: Trained, directories: Sequence[str] | None = None) -> Trainin
     return data
 
 
+def check_weights(recipe: Recipe, state: dict[str, Tensor]) -> None:
+    """Refuse an architecture that is larger than the weights beside it, before memory is taken for its network.
+
+    Args:
+        recipe: With the architecture.
+        state: Weights by name.
+
+    Raises:
+        ValueError: It is, or the weights are no tensors that hold what their shapes say.
+    """
+    if not all(isinstance(value, Tensor) and _is_stored(value) for value in state.values()):
+        raise ValueError("its weights are no tensors that are stored in full")
+    given = sum(value.numel() for value in state.values())
+    shape = recipe.architecture
+    widths = (*shape.widths, *shape.convolutions, *shape.cloud_channels, *shape.sharpening, shape.hidden)
+    if len(widths) > MOST_LAYERS or min(widths) < 1 or sum(width**2 for width in widths) > MOST_TIMES * given:
+        raise ValueError(f"layers of widths {plain(str(widths))[:80]} do not fit {given} weights")
+
+
+def _is_stored(value: Tensor) -> bool:
+    """Return whether every element has its own place: a view could show one number a billion times."""
+    return value.untyped_storage().nbytes() >= value.numel() * value.element_size()
+
+
 def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
     """Return a network in evaluation mode with the given weights."""
     model = VD2T(recipe.architecture)
@@ -87,12 +128,8 @@ def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
 
 def write_file(path: Path, content: dict[str, Any]) -> None:
     """Write a run's .pt file beside and rename it, so that an interruption leaves the one before whole."""
-    beside = path.with_suffix(".new")
-    with beside.open("wb") as file:
+    with replacing(path) as file:
         torch.save(content, file)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(beside, path)
 
 
 def read(path: Path) -> dict[str, Any]:
@@ -103,7 +140,8 @@ def read(path: Path) -> dict[str, Any]:
         SkinError: It is no file of a run.
     """
     try:
-        content = torch.load(path, map_location="cpu", weights_only=True)
+        with opened(path, LARGEST_FILE) as file:
+            content = torch.load(file, map_location="cpu", weights_only=True)
     except FileNotFoundError as error:
         raise SkinError(
             f"{path.parent} holds no finished epoch ({path.name} is missing); run 'eitskin train'"
@@ -114,6 +152,6 @@ def read(path: Path) -> dict[str, Any]:
         found = content.get(name) if isinstance(content, dict) else None
         if found != expected:
             raise MismatchError(
-                f"{path}: {name}", found=found, expected=expected, hint="train again with 'eitskin train'"
+                f"{path}: {name}", found=stated(found), expected=expected, hint="train again with 'eitskin train'"
             )
     return dict(content)

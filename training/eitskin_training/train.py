@@ -13,7 +13,6 @@ plain values only, and are read with ``weights_only``.
 
 import json
 import math
-import os
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field
@@ -25,6 +24,8 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.plain import plain
+from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
@@ -264,13 +265,17 @@ def _save(run: Run, out: Path) -> None:
     if run.best is run.history[-1]:
         write_file(out / "best.pt", {**common, "weights": run.averaged})
     write_file(out / "checkpoint.pt", state)
-    beside = out / "history.json.new"
-    beside.write_text(json.dumps(common["history"], indent=1) + "\n")
-    os.replace(beside, out / "history.json")
+    write_bytes(out / "history.json", (json.dumps(common["history"], indent=1) + "\n").encode())
 
 
 def _restore(run: Run, path: Path) -> None:
-    content = read(path)
+    try:
+        _take(run, read(path), path)
+    except (LookupError, TypeError, ValueError, AttributeError, RuntimeError) as error:
+        raise SkinError(f"{path} is no file of a training run: {plain(str(error))[:200]}; train again") from error
+
+
+def _take(run: Run, content: dict[str, Any], path: Path) -> None:
     for name, found, expected in (
         ("recipe", content["recipe"], run.recipe.as_dict()),
         ("seed", content["seed"], run.seed),

@@ -11,13 +11,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
-from zipfile import BadZipFile
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.sensor.cloud import check_cloud
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.plain import stated
+from eitskin_proto.files.writing import replacing
+from eitskin_proto.sensor.cloud import align_cloud, check_cloud
 from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -28,6 +30,9 @@ MAGIC: Final = "eitskin-cloud"
 
 VERSION: Final = 1
 """Layout of a cloud file."""
+
+LARGEST_FILE: Final = 1 << 20
+"""Bytes; a cloud has 36,000."""
 
 
 class CloudFileError(SkinError):
@@ -55,12 +60,13 @@ def save_surface(path: str | Path, surface: Surface, about: Mapping[str, Any] | 
         about: More fields, for people.
 
     Raises:
+        FileError: It is no regular file.
         OSError: The file cannot be written.
     """
     fields: dict[str, Any] = {"magic": MAGIC, "version": VERSION, "grid_id": GRID_ID, "cloud": surface.cloud_mm}
     if surface.predicted_V is not None and surface.predicted_flat_V is not None:
         fields |= {"predicted": surface.predicted_V, "predicted_flat": surface.predicted_flat_V}
-    with Path(path).open("wb") as file:
+    with replacing(path) as file:
         np.savez(file, **fields, **(about or {}))
 
 
@@ -72,24 +78,29 @@ def load_surface(path: str | Path) -> Surface:
         MismatchError: The cloud was made for another grid.
     """
     try:
-        with Path(path).open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            if str(file["magic"]) != MAGIC:
-                raise CloudFileError(f"{path} is no cloud: make one with 'eitskin surface'")
-            if str(file["grid_id"]) != GRID_ID:
-                raise MismatchError(
-                    f"{path}: grid_id", found=str(file["grid_id"]), expected=GRID_ID, hint="run 'eitskin surface' again"
-                )
-            predicted = [_rows(file[name]) if name in file else None for name in ("predicted", "predicted_flat")]
-            return Surface(check_cloud(file["cloud"]), *predicted)
+        file = read_npz(path, LARGEST_FILE)
+        if str(file["magic"]) != MAGIC:
+            raise CloudFileError(f"{path} is no cloud: make one with 'eitskin surface'")
+        if str(file["grid_id"]) != GRID_ID:
+            raise MismatchError(
+                f"{path}: grid_id",
+                found=stated(str(file["grid_id"])),
+                expected=GRID_ID,
+                hint="run 'eitskin surface' again",
+            )
+        predicted = [_rows(file[name]) if name in file else None for name in ("predicted", "predicted_flat")]
+        cloud = check_cloud(file["cloud"])
+        align_cloud(cloud)  # refuses what has no pose
+        return Surface(cloud, *predicted)
     except OSError as error:
         raise CloudFileError(
             f"cloud file {path} cannot be read: {error.strerror or error}; make one with 'eitskin surface'"
         ) from error
-    except (ValueError, KeyError, EOFError, BadZipFile, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError) as error:
         raise CloudFileError(f"{path} is no cloud ({error}): make one with 'eitskin surface'") from error
 
 
 def _rows(values: npt.NDArray[Any]) -> Array:
-    if values.shape != (N_ROWS,):
-        raise ValueError(f"a prediction of shape {values.shape}, expected ({N_ROWS},)")
+    if values.shape != (N_ROWS,) or values.dtype.kind not in "fiu":
+        raise ValueError(f"a prediction of shape {values.shape} and {values.dtype}, expected ({N_ROWS},) numbers")
     return np.asarray(values, dtype=np.float64)

@@ -12,11 +12,12 @@
     [idle]      drives = [0, 1, 2, 3]   rate_Hz = 20.0          (the table may be left out)
 """
 
-import tomllib
 from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
@@ -44,8 +45,8 @@ def _unknown(key: str, table: str) -> str:
         for known in keys:
             if known.split("_")[0].lower() == stem and (known != key or other_table != table):
                 what = "in another unit or spelling" if known != key else "there"
-                return f"unknown key {key!r} in {_where(table)}: {_where(other_table)} has {known!r} {what}"
-    return f"unknown key {key!r} in {_where(table)}; known are {', '.join(KEYS[table])}"
+                return f"unknown key {quoted(key)} in {_where(table)}: {_where(other_table)} has {known!r} {what}"
+    return f"unknown key {quoted(key)} in {_where(table)}; known are {', '.join(KEYS[table])}"
 
 
 def _value(content: dict[str, Any], table: str, key: str) -> Any:
@@ -57,15 +58,14 @@ def _value(content: dict[str, Any], table: str, key: str) -> Any:
     if kind is list:
         fits = fits and all(isinstance(item, int) and not isinstance(item, bool) for item in value)
     if not fits:
-        raise ValueError(
-            f"{key} in {_where(table)} is {value!r}, expected {'a list of int' if kind is list else kind.__name__}"
-        )
+        expected = "a list of int" if kind is list else kind.__name__
+        raise ValueError(f"{key} in {_where(table)} is {quoted(value)}, expected {expected}")
     return value
 
 
 def _rate_mHz(rate_hz: float, table: str) -> int:
     if not 0.001 <= rate_hz <= 4e6:
-        raise ValueError(f"rate_Hz in [{table}] is {rate_hz!r}, expected 0.001 to 4e6")
+        raise ValueError(f"rate_Hz in [{table}] is {quoted(rate_hz)}, expected 0.001 to 4e6")
     return round(rate_hz * 1000)
 
 
@@ -75,16 +75,13 @@ def parse(text: str) -> Configuration:
     Raises:
         ValueError: Not TOML, an unknown or missing key, a wrong type or an impossible value; each named.
     """
-    try:
-        content: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
-        raise ValueError(f"not a TOML file: {error}") from error
+    content = parse_toml(text)
     tables: dict[str, dict[str, Any]] = {"": {}}
     for key, value in content.items():
         if isinstance(value, dict) and key in KEYS:
             tables[key] = value
         elif isinstance(value, dict):
-            raise ValueError(f"unknown table [{key}]; known are " + ", ".join(f"[{t}]" for t in KEYS if t))
+            raise ValueError(f"unknown table [{plain(key)}]; known are " + ", ".join(f"[{t}]" for t in KEYS if t))
         else:
             tables[""][key] = value
     for table, entries in tables.items():
@@ -99,10 +96,10 @@ def parse(text: str) -> Configuration:
         return _value(tables[table], table, key)
 
     if get("", "format") != FORMAT:
-        raise ValueError(f"format is {get('', 'format')}, this release reads format {FORMAT}")
+        raise ValueError(f"format is {quoted(get('', 'format'))}, this release reads format {FORMAT}")
     bits = get("measure", "sample_bits")
     if bits not in (16, 24, 32):
-        raise ValueError(f"sample_bits is {bits}, expected 16, 24 or 32")
+        raise ValueError(f"sample_bits is {quoted(bits)}, expected 16, 24 or 32")
     idle = "idle" in tables
     return Configuration(
         name=get("", "name"),
@@ -165,7 +162,7 @@ def load(path: str | Path) -> Configuration:
     """
     if str(path) in NAMED and not Path(path).exists():
         return named(str(path))
-    text = Path(path).read_text(encoding="utf-8")
+    text = read_text(path, LARGEST_TOML)
     try:
         return parse(text)
     except ValueError as error:

@@ -26,6 +26,8 @@ from eitskin.health.reciprocity import LARGEST_RECORDED_GAP, electrode_gaps, row
 from eitskin.reference.captured import Reference
 from eitskin.reference.front_end import front_end_faults
 from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.files.arrays import read_npy
+from eitskin_proto.files.reading import FileError
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS, N_ROWS
 
@@ -34,6 +36,8 @@ MODEL_SPREAD: Final = 0.02
 
 UNKNOWN: Final = "unknown"
 """State of an electrode of which a front end that hangs says nothing."""
+LARGEST_RECORDING: Final = 256 << 20
+"""Bytes of a recording: 27 minutes at 200 frames/s."""
 
 ADVICE: Final[dict[str, str]] = {
     WELL: "nothing to do",
@@ -110,11 +114,11 @@ def load_recording(path: str | Path) -> Recording:
         BadReference: It cannot be read, or is of another shape.
     """
     try:
-        found = np.load(path, allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+        found = read_npy(path, LARGEST_RECORDING)
+    except (OSError, FileError) as error:
         raise BadReference(f"{path} cannot be read as .npy: {error}") from error
-    if not isinstance(found, np.ndarray) or found.ndim != 2 or found.shape[1] != N_ROWS or len(found) < WINDOW:
-        raise BadReference(f"{path}: found {getattr(found, 'shape', '?')}, expected at least ({WINDOW}, {N_ROWS}) V")
+    if found.ndim != 2 or found.shape[1] != N_ROWS or len(found) < WINDOW:
+        raise BadReference(f"{path}: found {found.shape}, expected at least ({WINDOW}, {N_ROWS}) V")
     if found.dtype.kind != "f" or not np.isfinite(found).all():
         raise BadReference(f"{path}: expected finite numbers in V")
     return Recording(found.astype(np.float64), None)

@@ -16,9 +16,8 @@ SHA-256 of the manifest, which holds the SHA-256 of everything else. Files are r
 each time: a session keeps its own copy of the weights, so that another one in Python would only cost memory.
 """
 
-import io
-import json
 from collections.abc import Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Self
@@ -27,7 +26,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, MismatchError
-from eitskin.model.archive import BadArchiveError, Member, members
+from eitskin_proto.files.archive import BadArchiveError, Member, members
+from eitskin_proto.files.arrays import parse_npy, parse_npz
+from eitskin_proto.files.plain import plain, quoted, stated
+from eitskin_proto.files.reading import FileError, opened, parse_json
 from eitskin_proto.sensor.grid import N_PIXELS
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_proto.sensor.table import N_ROWS
@@ -42,8 +44,12 @@ REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files without which a bundle is no bundle."""
 
 LARGEST_MANIFEST: Final = 1 << 20
-LARGEST_FILE: Final = 256 << 20
-"""Bounds in bytes on what a file may claim; a default bundle is a few MB."""
+LARGEST_FILE: Final = 64 << 20
+LARGEST_BUNDLE: Final = 256 << 20
+"""Bounds in bytes on what a file, and all of them, may have; a default bundle is a few MB."""
+
+LARGEST_ARRAYS: Final = 16 << 20
+"""Bytes of all arrays of a gate, or of what healthy frames look like."""
 
 EXPORT_HINT: Final = "make it again with 'eitskin export'"
 
@@ -116,9 +122,12 @@ class Bundle:
         Raises:
             BundleError: It has another shape or type, or is not finite.
         """
-        matrix = _load_array(self.files["tikhonov.npy"], "tikhonov.npy")
-        if not isinstance(matrix, np.ndarray) or matrix.shape != (N_PIXELS, N_ROWS) or matrix.dtype.kind != "f":
-            found = f"{getattr(matrix, 'shape', '?')} {getattr(matrix, 'dtype', '?')}"
+        try:
+            matrix = parse_npy(self.files["tikhonov.npy"], "tikhonov.npy")
+        except FileError as error:
+            raise BundleError(f"{self.path}: {error}; {EXPORT_HINT}") from error
+        if matrix.shape != (N_PIXELS, N_ROWS) or matrix.dtype.kind != "f":
+            found = f"{matrix.shape} {matrix.dtype}"
             raise BundleError(f"tikhonov.npy: found {found}, expected ({N_PIXELS}, {N_ROWS}) float32; {EXPORT_HINT}")
         if not np.isfinite(matrix).all():
             raise BundleError(f"tikhonov.npy: holds values that are not finite; {EXPORT_HINT}")
@@ -136,10 +145,15 @@ class Bundle:
         if name not in self.files:
             return None
         try:
-            found = members(self.files[name])
-            return {key.removesuffix(".npy"): _load_array(found[key].read(LARGEST_MANIFEST), name) for key in found}
-        except BadArchiveError as error:
-            raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error
+            arrays = parse_npz(self.files[name], LARGEST_ARRAYS, name)
+        except FileError as error:
+            raise BundleError(f"{self.path}: {error}; {EXPORT_HINT}") from error
+        for key, array in arrays.items():
+            if array.dtype.kind not in "fiub":
+                raise BundleError(
+                    f"{self.path}: {name}: {quoted(key)} is {array.dtype}, expected numbers; {EXPORT_HINT}"
+                )
+        return arrays
 
 
 def default_path(labels: str = "area") -> Path:
@@ -167,12 +181,14 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
     where = default_path() if path is None else Path(path)
     with _Opened(where) as archive:
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
-        present = set(archive.members)
+        sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = _manifest(raw, where)
     _check_ids(manifest, where)
-    missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in present or name not in manifest["files"]]
+    missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
-        raise BundleError(f"{where} lacks {', '.join(dict.fromkeys(missing))}; {EXPORT_HINT}")
+        raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")
+    if (claimed := sum(sizes[name] for name in manifest["files"])) > LARGEST_BUNDLE:
+        raise BundleError(f"{where} claims {claimed} bytes, expected at most {LARGEST_BUNDLE}; {EXPORT_HINT}")
     files = Files(where, {name: str(entry["sha256"]) for name, entry in manifest["files"].items()})
     if not lazily:
         for name in files:
@@ -189,22 +205,24 @@ class _Opened:
 
     def __enter__(self) -> Self:
         where = self._path
-        try:
-            self._stream = where.open("rb")
-        except FileNotFoundError as error:
-            raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
-        except OSError as error:
-            raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
-        try:
-            self.members = members(self._stream)
-        except BadArchiveError as error:
-            self._stream.close()
-            raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+        with ExitStack() as held:
+            try:
+                stream = held.enter_context(opened(where, LARGEST_BUNDLE))
+                self.members = members(stream)
+            except FileNotFoundError as error:
+                raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
+            except OSError as error:
+                raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
+            except FileError as error:
+                raise BundleError(f"no bundle: {error}") from error
+            except BadArchiveError as error:
+                raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
+            self._held = held.pop_all()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.members = {}
-        self._stream.close()
+        self._held.close()
 
 
 def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -> bytes:
@@ -218,15 +236,18 @@ def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -
 
 def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
     try:
-        manifest = json.loads(raw)
-    except (ValueError, RecursionError) as error:
-        raise BundleError(f"{where}: manifest.json is no JSON ({error}); {EXPORT_HINT}") from error
+        manifest = parse_json(raw)
+    except FileError as error:
+        raise BundleError(f"{where}: manifest.json {error}; {EXPORT_HINT}") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
         found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
-        raise BundleError(f"{where}: format found {found!r}, expected {FORMAT!r}; {EXPORT_HINT}")
+        raise BundleError(f"{where}: format found {quoted(found)}, expected {FORMAT!r}; {EXPORT_HINT}")
     if manifest.get("version") != VERSION:
         raise MismatchError(
-            f"{where}: version", found=manifest.get("version"), expected=VERSION, hint=f"{EXPORT_HINT} of this release"
+            f"{where}: version",
+            found=stated(manifest.get("version")),
+            expected=VERSION,
+            hint=f"{EXPORT_HINT} of this release",
         )
     problem = _shape_problem(manifest)
     if problem:
@@ -236,8 +257,11 @@ def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
 
 def _shape_problem(manifest: dict[str, Any]) -> str | None:
     files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
-    if labels not in LABELS:
-        return f"labels found {labels!r}, expected one of {', '.join(LABELS)}"
+    if not isinstance(labels, str) or labels not in LABELS:
+        return f"labels found {quoted(labels)}, expected one of {', '.join(LABELS)}"
+    for name in ("gate", "metrics", "recipe"):
+        if not isinstance(manifest.get(name), dict | None):
+            return f"{name} found {quoted(manifest[name])}, expected an object"
     if not isinstance(files, dict) or len(files) > 32:
         return "files must be an object of at most 32 names"
     if not all(isinstance(entry, dict) and isinstance(entry.get("sha256"), str) for entry in files.values()):
@@ -246,7 +270,7 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
         return "head.inputs must be a list"
     bias = head.get("bias")
     if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
-        return f"head.bias found {bias!r}, expected a width from 1 to 65536"
+        return f"head.bias found {quoted(bias)}, expected a width from 1 to 65536"
     return None
 
 
@@ -254,11 +278,4 @@ def _check_ids(manifest: dict[str, Any], where: Path) -> None:
     for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if manifest.get(name) != expected:
             hint = f"take a bundle of this release, or {EXPORT_HINT}"
-            raise MismatchError(f"{where}: {name}", found=manifest.get(name), expected=expected, hint=hint)
-
-
-def _load_array(data: bytes, name: str) -> Any:
-    try:
-        return np.load(io.BytesIO(data), allow_pickle=False)
-    except (ValueError, OSError, EOFError) as error:
-        raise BundleError(f"{name}: {error}; {EXPORT_HINT}") from error
+            raise MismatchError(f"{where}: {name}", found=stated(manifest.get(name)), expected=expected, hint=hint)

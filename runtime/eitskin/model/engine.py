@@ -13,11 +13,11 @@ from typing import Final, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import UncutError
+from eitskin.errors import BundleError, UncutError
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import Bundle
+from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
-from eitskin.model.session import check_signature, onnxruntime, open_session
+from eitskin.model.session import check_signature, first_line, onnxruntime, open_session
 from eitskin_proto.sensor.grid import N_PIXELS
 
 HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx"}
@@ -86,8 +86,15 @@ class HeadEngine:
         self._binding.bind_ortvalue_output("map", self._values["map"])
 
     def infer(self) -> None:
-        """Fill the map, or its pixels."""
-        self._session.run_with_iobinding(self._binding)
+        """Fill the map, or its pixels.
+
+        Raises:
+            BundleError: The graph cannot be computed.
+        """
+        try:
+            self._session.run_with_iobinding(self._binding)
+        except Exception as error:  # onnxruntime's exceptions share no base of their own
+            raise BundleError(f"{self.name} cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
         if self._pixels is not None:
             self._map[self._pixels] = self._cropped[0]
 
@@ -202,7 +209,7 @@ def default_solver(bundle: Bundle) -> str:
     names = solvers(bundle)
     try:
         flipped = float(bundle.manifest["metrics"]["int8"]["flipped"])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         flipped = 1.0
     return QUANTISED if QUANTISED in names and 0.0 <= flipped < 1.0 / N_PIXELS else names[0]
 
@@ -212,7 +219,8 @@ def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.ND
         return HeadEngine(bundle, file, name, buffers)
     from eitskin.model.onnx.crop import cut  # noqa: PLC0415 -- only regions need it
 
+    graph = bundle.files[file]
     try:
-        return HeadEngine(bundle, file, name, buffers, pixels, cut(bundle.files[file], pixels, N_PIXELS))
-    except UncutError:
+        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, N_PIXELS))
+    except (UncutError, LookupError, ValueError, TypeError, StopIteration):  # a graph that was built in another way
         return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)

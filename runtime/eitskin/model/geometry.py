@@ -9,9 +9,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.bundle import Bundle
+from eitskin.errors import BundleError
+from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
-from eitskin.model.session import check_signature, open_session
+from eitskin.model.session import check_signature, first_line, open_session
 from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -68,10 +69,18 @@ class GeometryGraph:
             revision: Number of this cloud.
 
         Raises:
+            BundleError: The graph cannot be computed.
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
         points = flushed(network_input(flat_cloud() if cloud is None else cloud))
-        bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
+        try:
+            bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
+        except BundleError:
+            raise
+        except Exception as error:  # onnxruntime's exceptions share no base of their own
+            raise BundleError(f"geometry.onnx cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
+        if cloud is None and not np.isfinite(bias).all():
+            raise BundleError(f"geometry.onnx answers the flat sheet with non-finite values; {EXPORT_HINT}")
         if not np.isfinite(bias).all():
             raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)

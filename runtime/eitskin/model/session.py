@@ -19,10 +19,12 @@ import onnxruntime  # noqa: E402 -- behind the variable
 
 from eitskin.errors import BundleError, MismatchError  # noqa: E402
 from eitskin.model.bundle import EXPORT_HINT, Bundle  # noqa: E402
+from eitskin.model.onnx.allowed import check_graph  # noqa: E402
 from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
+from eitskin_proto.files.plain import plain  # noqa: E402
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID  # noqa: E402
 
-__all__ = ["NO_TELEMETRY", "check_signature", "onnxruntime", "open_session"]
+__all__ = ["NO_TELEMETRY", "check_signature", "first_line", "onnxruntime", "open_session"]
 
 
 def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
@@ -34,7 +36,7 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
         graph: Its bytes.
 
     Raises:
-        BundleError: ONNX Runtime cannot load it.
+        BundleError: It holds what no exported network has, or ONNX Runtime cannot load it.
         MismatchError: It was made for another protocol_id or grid_id.
     """
     options = onnxruntime.SessionOptions()
@@ -43,12 +45,17 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
+    options.add_session_config_entry("session.load_model_format", "ONNX")  # the kind that was checked, whatever it says
     options.log_severity_level = 3
+    try:
+        check_graph(graph)
+    except BundleError as error:
+        raise BundleError(f"{bundle.path}: {file}: {error}; {EXPORT_HINT}") from error
     try:
         graph = without_small_weights(graph)
         session = onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
     except Exception as error:  # onnxruntime's exceptions share no base of their own
-        raise BundleError(f"{bundle.path}: {file} cannot be loaded ({_first_line(error)}); {EXPORT_HINT}") from error
+        raise BundleError(f"{bundle.path}: {file} cannot be loaded ({first_line(error)}); {EXPORT_HINT}") from error
     if hasattr(session, "_model_bytes"):
         session._model_bytes = b""  # kept for a change of provider, which never comes: as many bytes as the weights
     metadata = session.get_modelmeta().custom_metadata_map
@@ -84,5 +91,6 @@ def check_signature(
         raise BundleError(f"{file}: types found {sorted(kinds)}, expected tensor(float) alone; {EXPORT_HINT}")
 
 
-def _first_line(error: BaseException) -> str:
-    return str(error).strip().partition("\n")[0][:200]
+def first_line(error: BaseException) -> str:
+    """Return what ONNX Runtime says went wrong, in a line that can be printed."""
+    return plain(str(error).strip().partition("\n")[0][:200])

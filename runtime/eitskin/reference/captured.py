@@ -13,8 +13,6 @@ reported.
 """
 
 import json
-import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -25,6 +23,9 @@ import numpy.typing as npt
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
+from eitskin_proto.files.plain import quoted, stated
+from eitskin_proto.files.reading import FileError, is_whole, parse_json, read_bytes, text_of
+from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of_values
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.wire.answers import Hello
@@ -139,26 +140,11 @@ def save(reference: Reference, path: str | Path) -> None:
         "spread_V": reference.spread_V.tolist(),
     }
     content["sha256"] = sha256_of_values(content)
-    import tempfile  # noqa: PLC0415 -- 10 ms that a stream does not need
-
     where = Path(path)
     try:
-        handle, name = tempfile.mkstemp(dir=where.parent, prefix=f".{where.name}.")
-        try:
-            with os.fdopen(handle, "w", encoding="ascii") as stream:
-                stream.write(json.dumps(content, indent=1) + "\n")
-                stream.flush()
-                os.fsync(stream.fileno())
-            Path(name).replace(where)
-        except BaseException:
-            with suppress(OSError):
-                Path(name).unlink()
-            raise
-        folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY)
-        try:
-            os.fsync(folder)  # the new name is on disk too
-        finally:
-            os.close(folder)
+        write_bytes(where, (json.dumps(content, indent=1) + "\n").encode("ascii"), mode=0o600)
+    except FileError as error:
+        raise BadReference(str(error)) from error
     except OSError as error:
         raise BadReference(f"{where} cannot be written: {error.strerror or error}") from error
 
@@ -173,35 +159,42 @@ def load(path: str | Path) -> Reference:
     where = Path(path)
     hint = f"capture it again: eitskin reference --port PORT --out {where}"
     try:
-        with where.open("rb") as stream:
-            raw = stream.read(LARGEST_FILE + 1)
+        raw = read_bytes(where, LARGEST_FILE)
+    except FileError as error:
+        raise BadReference(f"no reference: {error}; {hint}") from error
     except OSError as error:
         raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {hint}") from error
     try:
-        content = json.loads(raw) if len(raw) <= LARGEST_FILE else None
-    except (ValueError, RecursionError) as error:
-        raise BadReference(f"reference {where} is damaged ({error}); {hint}") from error
+        content = parse_json(raw)
+    except FileError as error:
+        raise BadReference(f"reference {where} is damaged: it {error}; {hint}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadReference(f"{where} is no reference; {hint}")
     for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if content.get(name) != expected:
-            raise MismatchError(f"reference {where}: {name}", found=content.get(name), expected=expected, hint=hint)
+            raise MismatchError(
+                f"reference {where}: {name}", found=stated(content.get(name)), expected=expected, hint=hint
+            )
     claimed = content.pop("sha256", None)
-    found = sha256_of_values(content)
+    try:
+        found = sha256_of_values(content)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise BadReference(f"reference {where} is damaged ({error}); {hint}") from error
     if claimed != found:
         raise BadReference(
-            f"reference {where} is damaged: sha256 found {found[:16]}, expected {str(claimed)[:16]}; {hint}"
+            f"reference {where} is damaged: sha256 found {found[:16]}, expected {quoted(claimed)[:18]}; {hint}"
         )
     try:
         reference = Reference(
             voltages_V=_rows(content["voltages_V"]),
             spread_V=_rows(content["spread_V"]),
-            frames=int(content["frames"]),
-            serial_number=str(content["serial_number"]),
-            configuration_digest=int(str(content["configuration_digest"]), 16),
-            configuration_name=str(content["configuration_name"]),
-            captured_utc=str(content["captured_utc"]),
+            frames=_count(content["frames"]),
+            serial_number=text_of(content["serial_number"], 16, "serial_number"),
+            configuration_digest=int(text_of(content["configuration_digest"], 8, "configuration_digest"), 16),
+            configuration_name=text_of(content["configuration_name"], 16, "configuration_name"),
+            captured_utc=text_of(content["captured_utc"], 64, "captured_utc"),
         )
+        lost_rows(reference.voltages_V, reference.spread_V)  # refuses voltages of no front end
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadReference(f"reference {where} is malformed ({error}); {hint}") from error
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
@@ -210,7 +203,15 @@ def load(path: str | Path) -> Reference:
 
 
 def _rows(values: Any) -> npt.NDArray[np.float64]:
+    if not isinstance(values, list) or not all(isinstance(value, int | float) for value in values):
+        raise ValueError(f"expected a list of {N_ROWS} voltages")
     rows = np.array(values, dtype=np.float64)
     if rows.shape != (N_ROWS,) or not np.isfinite(rows).all():
         raise ValueError(f"expected {N_ROWS} finite voltages")
     return rows
+
+
+def _count(value: Any) -> int:
+    if not is_whole(value) or not 1 <= value < 1 << 31:
+        raise ValueError(f"frames is {quoted(value)}, expected a number of frames")
+    return int(value)

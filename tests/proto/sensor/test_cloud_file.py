@@ -35,3 +35,10 @@ def test_a_cloud_of_another_grid_is_refused(tmp_path):
     np.savez(tmp_path / "cloud.npz", **fields)
     with pytest.raises(MismatchError, match=r"grid_id: found feed, .*eitskin surface"):
         load_surface(tmp_path / "cloud.npz")
+
+
+def test_a_cloud_without_a_pose_is_no_cloud(tmp_path):
+    path = tmp_path / "cloud.npz"
+    save_surface(path, Surface(np.zeros((3, 30, 45))))
+    with pytest.raises(CloudFileError, match="in one point"):
+        load_surface(path)

@@ -8,6 +8,7 @@ import pytest
 
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.engine import default_solver
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 
 
@@ -145,3 +146,19 @@ def test_labels_choose_the_shipped_bundle_and_unknown_ones_are_refused():
     assert default_path("units").name == "units.eitskin"
     with pytest.raises(ValueError, match="'pressure'"):
         default_path("pressure")
+
+
+@pytest.mark.parametrize(
+    "change", [{"labels": []}, {"gate": "abc"}, {"metrics": [1]}, {"head": {"inputs": 1, "bias": 2}}]
+)
+def test_a_manifest_of_other_types_is_refused_in_a_line(tmp_path, parts, manifest, change):
+    path = write(tmp_path / "b.eitskin", parts, manifest | change)
+    with pytest.raises(BundleError) as caught:
+        load_bundle(path)
+    assert str(caught.value).isprintable()
+
+
+def test_a_share_of_flipped_pixels_that_no_float_can_hold_counts_as_all(tmp_path, parts, manifest):
+    metrics = {"int8": {"flipped": 10**400}}
+    path = write(tmp_path / "b.eitskin", parts, manifest | {"metrics": metrics})
+    assert default_solver(load_bundle(path)) == "vd2t"

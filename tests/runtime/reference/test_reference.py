@@ -141,3 +141,28 @@ def test_a_sheet_that_moves_is_no_reference(frames, hello):
 def test_one_frame_has_no_spread():
     with pytest.raises(ValueError, match="at least 2"):
         ReferenceBuilder(1)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("voltages_V", [1e308] * 104),
+        ("voltages_V", ["1"] * 104),
+        ("voltages_V", [True] * 103),
+        ("frames", 10**400),
+        ("frames", True),
+        ("serial_number", "\x1b[2Jskin"),
+        ("serial_number", None),
+        ("configuration_name", "a\nb"),
+        ("captured_utc", "x" * 999),
+    ],
+)
+def test_a_sealed_reference_of_impossible_values_is_refused_in_a_line(captured, tmp_path, key, value):
+    path = tmp_path / "r.json"
+    references.save(captured, path)
+    content = {**json.loads(path.read_text()), key: value}
+    del content["sha256"]
+    path.write_text(json.dumps({**content, "sha256": references.sha256_of_values(content)}))
+    with pytest.raises(BadReference) as caught:
+        references.load(path)
+    assert str(caught.value).isprintable()

@@ -1,8 +1,10 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
+from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.scene import SceneError, load_scene, parse_phantoms, parse_scene, scene_json
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect
 
@@ -128,3 +130,24 @@ def test_phantoms_keep_name_and_truth() -> None:
     assert (phantom.name, phantom.truth) == ("a", "units")
     with pytest.raises(SceneError, match="'units' or 'area'"):
         parse_phantoms([{"truth": "pixels"}])
+
+
+@pytest.mark.parametrize(
+    ("scene", "text"),
+    [
+        ({"touches": [{"disc_mm": [50, 50, 5]}] * 100_000}, "at most 500"),
+        ({"touches": [{"units": [[1, 1]] * 126}] * 5}, "at most 500"),
+        ({"touches": [{"polygon_mm": [[i, i * i] for i in range(5000)]}]}, "at most 200"),
+        ({"bend": {"bumps_mm": [[1, 1, 1, 1e-300]]}}, "must be at least"),
+        ({"sheet": {"size_mm": [9000, 10]}}, "at most 20"),
+        ({"electrodes": {"contact": []}}, "contact"),
+    ],
+)
+def test_a_scene_without_bound_is_refused(scene: Any, text: str) -> None:
+    with pytest.raises(SceneError, match=text):
+        parse_scene(scene)
+
+
+def test_a_mesh_without_bound_is_refused() -> None:
+    with pytest.raises(SceneError, match="expected at most 120000"):
+        scene_mesh(parse_scene({"element_size_mm": 0.2}))

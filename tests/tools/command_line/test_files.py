@@ -2,6 +2,7 @@
 
 import errno
 import json
+import os
 from importlib import resources
 from pathlib import Path
 
@@ -127,3 +128,58 @@ def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error: OSErro
 
 def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
     assert files.explain(OSError(errno.EIO, "broken")) is None
+
+
+WRITING = {
+    "simulate": ["simulate", "sample", "--out"],
+    "surface": ["surface", "sample", "--out"],
+    "reference": ["reference", "--port", "/dev/null", "--out"],
+    "demo --record": ["demo", "--no-draw", "--record"],
+    "demo --picture": ["demo", "--no-draw", "--picture"],
+    "evaluate --picture": ["evaluate", "--phantoms", "paper_units", "--picture"],
+    "bench stability --plot": ["bench", "stability", "--plot"],
+}
+"""Every way to name a file that is written whole, without torch; the name comes last."""
+
+
+def identity(path: Path) -> tuple[int, int, int]:
+    """Return what would differ if something else stood there."""
+    found = path.lstat()
+    return found.st_ino, found.st_mode, found.st_mtime_ns
+
+
+@pytest.mark.parametrize("command", WRITING)
+@pytest.mark.parametrize("node", ["a FIFO", "a folder", "a device"])
+def test_a_target_that_is_no_regular_file_is_named_before_any_work(
+    command: str, node: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.png"
+    if node == "a FIFO":
+        os.mkfifo(path)
+    elif node == "a folder":
+        path.mkdir()
+    else:
+        path.symlink_to("/dev/null")
+    before = identity(path)
+    assert f"{path} is {node}, expected a regular file" in said(capsys, [*WRITING[command], str(path)])
+    assert identity(path) == before
+
+
+@pytest.mark.parametrize("command", WRITING)
+def test_a_stream_is_no_target(command: str, capsys: pytest.CaptureFixture[str]) -> None:
+    before = identity(Path("/dev/stdout"))
+    assert "names a device or a stream" in said(capsys, [*WRITING[command], "/dev/stdout"])
+    assert identity(Path("/dev/stdout")) == before
+
+
+def test_a_scene_comes_from_a_stream_that_is_handed_over(tmp_path: Path) -> None:
+    scene = resources.files("eitskin_tools.scenes").joinpath("sample.json").read_bytes()
+    reading, writing = os.pipe()
+    os.write(writing, scene)
+    os.close(writing)
+    try:
+        assert (
+            cli.main(["simulate", f"/dev/fd/{reading}", "--element-size-mm", "10", "--out", f"{tmp_path}/v.npz"]) == 0
+        )
+    finally:
+        os.close(reading)

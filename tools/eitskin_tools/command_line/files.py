@@ -8,6 +8,8 @@ from pathlib import Path
 from typing import Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.reading import FileError, kind_of
+from eitskin_proto.files.writing import check_target
 from eitskin_tools.command_line.suggest import did_you_mean
 
 
@@ -63,15 +65,37 @@ def find(name: str | Path, kind: Kind) -> Path:
     raise MissingFileError(f"{_missing(path)}; {expected}{did_you_mean(path.name.removesuffix(kind.suffix), shipped)}")
 
 
+def parent(path: str | Path) -> Path:
+    """Return the path of a file or a stream that is written line by line, after a look whether its folder is there.
+
+    Raises:
+        MissingFileError: It is not.
+    """
+    found = Path(path)
+    if not found.parent.is_dir():
+        raise MissingFileError(f"{_missing(found)}; make it with 'mkdir -p {found.parent}', or name another file")
+    return found
+
+
 def writable(path: str | Path) -> Path:
     """Return the path of a file that is to be written, before the work that fills it.
 
     Raises:
         MissingFileError: Its folder is not there.
+        FileError: It is there and no regular file: a rename would replace a device, a FIFO or a socket.
+    """
+    return check_target(parent(path))
+
+
+def folder(path: str | Path) -> Path:
+    """Return the path of a folder that is to be filled, before the work that fills it; it need not be there.
+
+    Raises:
+        FileError: It is there and no folder.
     """
     found = Path(path)
-    if not found.parent.is_dir():
-        raise MissingFileError(f"{_missing(found)}; make it with 'mkdir -p {found.parent}', or name another file")
+    if found.exists() and not found.is_dir():
+        raise FileError(f"{path} is {kind_of(found.stat().st_mode)}, expected a folder or a new name; name another")
     return found
 
 

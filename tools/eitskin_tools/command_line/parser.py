@@ -7,6 +7,7 @@ import argparse
 from collections.abc import Iterable
 from typing import Any, NoReturn
 
+from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line.suggest import did_you_mean, expected_one_of
 
 
@@ -16,7 +17,7 @@ class Parser(argparse.ArgumentParser):
     def error(self, message: str) -> NoReturn:
         """Print one line and exit with status 2."""
         more = f"; '{self.prog} --help' says what it takes" if "arguments are required" in message else ""
-        self.exit(2, f"{self.prog}: {message}{more}\n")
+        self.exit(2, f"{self.prog}: {plain(message)}{more}\n")
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """Parse, and refuse what is left over here, where the options that there are are known."""

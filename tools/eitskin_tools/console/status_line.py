@@ -1,7 +1,9 @@
-"""One line that is rewritten in place on a terminal, and never longer than the terminal is wide."""
+"""One line that is rewritten in place on a terminal, never longer than the terminal is wide, and never obeyed by it."""
 
 import shutil
 from typing import TextIO
+
+from eitskin_proto.files.plain import plain
 
 
 class StatusLine:
@@ -21,11 +23,12 @@ class StatusLine:
         """Put a text in place of the one before."""
         if self.live:
             width = shutil.get_terminal_size().columns - 1  # a full line would wrap
-            self._write(f"\r{text[:width]}\x1b[K")
+            self._write(f"\r{plain(text)[:width]}\x1b[K")
             self._shown = True
 
     def above(self, text: str) -> None:
         """Print a whole line; the status line moves below it with the next :meth:`show`."""
+        text = plain(text)
         self._write(f"\r\x1b[K{text}\n" if self._shown else f"{text}\n")
         self._shown = False
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.grid import GRID_SHAPE, SHEET_MM
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.pictures.draw import palette
@@ -99,7 +100,8 @@ def picture(record: Record, script: Any, start_us: int, path: Path) -> None:
         f"correlation with the truth {correlation(image, truth):.3f}"
     )
     try:
-        figure.savefig(path)
+        with replacing(path) as stream:
+            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png")
     finally:
         pyplot.close(figure)
 

@@ -22,6 +22,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.writing import write_bytes
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
@@ -105,7 +106,7 @@ def stream(options: Options) -> Streamed:
             skin.stop()
             spoken = _last_object(runtime)
         if options.record:
-            options.record.write_bytes(record.read_bytes())
+            write_bytes(options.record, record.read_bytes())
         found, wire_ns = Record.load(record), np.load(folder / "wire.npy")
         return Streamed(
             found, wire_ns, script_start(log)["device_us"], _told(log, "sent"), _told(log, "dropped"), spoken, start_s

@@ -8,6 +8,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import correlation
@@ -95,7 +96,8 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
             axes.text2D(0.5, 0.02, note, transform=axes.transAxes, ha="center", fontsize=8)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.01, top=0.97, wspace=0.0, hspace=0.0)
     try:
-        figure.savefig(path)
+        with replacing(path) as stream:
+            figure.savefig(stream, format=Path(path).suffix.removeprefix(".") or "png")
     finally:
         pyplot.close(figure)
 

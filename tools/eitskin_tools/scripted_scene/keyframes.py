@@ -15,8 +15,6 @@ solved anew.
 import hashlib
 import itertools
 import os
-import tempfile
-import zipfile
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,6 +23,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.writing import replacing
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.scene import Scene, scene_json
 
@@ -38,6 +39,9 @@ LEAST_STEPS: Final = 6
 
 MODEL: Final = "tensor mesh snapped to touches, biquadratic, kinked; 2"
 """Stands for the forward model in digests; the number grows when its voltages change by more than 1e-3."""
+
+LARGEST_FILE: Final = 64 << 20
+"""Bytes of kept keyframes; those of the demonstration have 110,000."""
 
 SHIPPED: Final = Path(__file__).with_name("solved")
 """Keyframes that come with the package."""
@@ -111,10 +115,12 @@ def cache_folder() -> Path:
 def load(name: str, folder: Path) -> Keyframes | None:
     """Return the keyframes of an earlier run, or None where there are none that can be read."""
     try:
-        with (folder / f"{name}.npz").open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            return Keyframes(file["times_s"], file["voltages"].astype(np.float64))
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        file = read_npz(folder / f"{name}.npz", LARGEST_FILE)
+        times_s, voltages = file["times_s"].astype(np.float64), file["voltages"].astype(np.float64)
+    except (OSError, ValueError, KeyError):
         return None
+    fits = times_s.ndim == 1 and len(times_s) > 0 and voltages.shape == (len(times_s), N_ROWS)
+    return Keyframes(times_s, voltages) if fits and np.isfinite(voltages).all() and np.isfinite(times_s).all() else None
 
 
 def save(name: str, keyframes: Keyframes, folder: Path) -> None:
@@ -124,14 +130,8 @@ def save(name: str, keyframes: Keyframes, folder: Path) -> None:
         OSError: The folder cannot be written.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.NamedTemporaryFile(dir=folder, prefix=f".{name}-", suffix=".npz", delete=False) as file:
-        try:
-            np.savez_compressed(file, times_s=keyframes.times_s, voltages=keyframes.voltages.astype(np.float32))
-            os.chmod(file.name, 0o644)
-            os.replace(file.name, folder / f"{name}.npz")
-        except BaseException:
-            os.unlink(file.name)
-            raise
+    with replacing(folder / f"{name}.npz") as file:
+        np.savez_compressed(file, times_s=keyframes.times_s, voltages=keyframes.voltages.astype(np.float32))
 
 
 def interpolation_error(

@@ -18,10 +18,12 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.reading import FileError, read_bytes
+from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
-from eitskin_sim.dataset.reader import FORMAT, HINT, VERSION
+from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION
 from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
 
 Progress = Callable[[int, int], None]
@@ -72,13 +74,13 @@ def generate(
     jobs = [shard_job(plan, shard) for shard in together if shard]
     for numbers, files in _run(jobs, workers, scheduler, certificates):
         for number, arrays in zip(numbers, files, strict=True):
-            _write(out / names[number], pack_arrays(arrays))
+            write_bytes(out / names[number], pack_arrays(arrays))
             done += counts[number]
         progress(done, sum(counts))
     if not _is_whole(out / "touches.npz"):
-        _write(out / "touches.npz", pack_arrays(touches_file(plan)))
+        write_bytes(out / "touches.npz", pack_arrays(touches_file(plan)))
     index = _index(plan, out, names, counts)
-    _write(out / "index.json", json.dumps(index, indent=1).encode())
+    write_bytes(out / "index.json", json.dumps(index, indent=1).encode())
     return index
 
 
@@ -86,7 +88,11 @@ def _claim(plan: Plan, out: Path) -> None:
     path = out / "plan.json"
     content = json.dumps({"digest": plan.digest, **plan.to_json()}).encode()
     if path.exists():
-        if path.read_bytes() != content:
+        try:
+            same = read_bytes(path, len(content)) == content
+        except FileError:
+            same = False
+        if not same:
             raise DataSetError(
                 f"{out} holds another data set, or one of another version; give --out a new folder, or remove that one"
             )
@@ -94,7 +100,7 @@ def _claim(plan: Plan, out: Path) -> None:
     if out.exists() and any(out.iterdir()):
         raise DataSetError(f"{out} is not empty and holds no data set; give --out a new folder")
     out.mkdir(parents=True, exist_ok=True)
-    _write(path, content)
+    write_bytes(path, content)
 
 
 def _run(
@@ -150,21 +156,9 @@ def _is_whole(path: Path) -> bool:
     return path.exists()
 
 
-def _write(path: Path, content: bytes) -> None:
-    beside = path.with_name(f".{path.name}.{os.getpid()}.part")
-    try:
-        with beside.open("wb") as file:
-            file.write(content)
-            file.flush()
-            os.fsync(file.fileno())
-        beside.replace(path)
-    finally:
-        beside.unlink(missing_ok=True)
-
-
 def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[str, Any]:
     def entry(name: str) -> dict[str, Any]:
-        return {"file": name, "sha256": sha256_of((out / name).read_bytes())}
+        return {"file": name, "sha256": sha256_of(read_bytes(out / name, LARGEST_FILE))}
 
     touches = entry("touches.npz")
     content = plan.to_json()

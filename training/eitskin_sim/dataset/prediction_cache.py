@@ -12,15 +12,16 @@ cover it, because everything in it follows from the clouds.
 """
 
 import contextlib
-import os
-import zipfile
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.dataset.reader import DataSet
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.reading import FileError
+from eitskin_proto.files.writing import replacing
+from eitskin_sim.dataset.reader import LARGEST_FILE, DataSet
 from eitskin_sim.surface.predict import MODEL, flat_voltages, predicted_log
 
 FILE: Final = "predicted.npz"
@@ -39,25 +40,19 @@ def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float3
     if kept is not None:
         return kept
     found = predicted_log(data.clouds)
-    partial = path.with_name(f"{FILE}.{os.getpid()}.tmp")
-    with contextlib.suppress(PermissionError):
-        try:
-            with partial.open("wb") as file:
-                np.savez(file, digest=data.digest, model=MODEL, flat=flat, log_predicted=found)
-            partial.replace(path)
-        finally:
-            partial.unlink(missing_ok=True)
+    with contextlib.suppress(PermissionError, FileError), replacing(path) as file:
+        np.savez(file, digest=data.digest, model=MODEL, flat=flat, log_predicted=found)
     return found
 
 
 def _read(path: Path, data: DataSet, flat: npt.NDArray[np.float64]) -> npt.NDArray[np.float32] | None:
     """The kept predictions, or None where there are none of this data set and this model."""
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            same = str(file["digest"]) == data.digest and str(file["model"]) == MODEL
-            if same and np.allclose(file["flat"], flat, rtol=1e-9, atol=0.0):
-                found = np.asarray(file["log_predicted"], dtype=np.float32)
-                return found if found.shape == (len(data.clouds), len(flat)) else None
-    except (FileNotFoundError, KeyError, ValueError, EOFError, zipfile.BadZipFile):
+        file = read_npz(path, LARGEST_FILE)
+        same = str(file["digest"]) == data.digest and str(file["model"]) == MODEL
+        if same and np.allclose(file["flat"], flat, rtol=1e-9, atol=0.0):
+            found = np.asarray(file["log_predicted"], dtype=np.float32)
+            return found if found.shape == (len(data.clouds), len(flat)) and np.isfinite(found).all() else None
+    except (FileNotFoundError, KeyError, ValueError, TypeError):
         return None
     return None

@@ -16,7 +16,6 @@ when a batch is made. ``index.json`` is written last: a folder without it is unf
 with it.
 """
 
-import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, Literal
@@ -24,10 +23,14 @@ from typing import Any, Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.errors import MismatchError, ProtocolError
+from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
+from eitskin_proto.files.arrays import parse_npz
+from eitskin_proto.files.plain import plain, quoted, stated
+from eitskin_proto.files.reading import FileError, read_bytes, read_json
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
-from eitskin_sim.dataset.plan import SetName
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import unpack
@@ -35,6 +38,13 @@ from eitskin_sim.unit_grid.patterns import unpack
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
 HINT: Final = "make it again with 'eitskin dataset'"
+
+LARGEST_FILE: Final = 1 << 30
+"""Bytes of a file; 700,000 free touch sets take 120 MB."""
+
+MOST_SHARDS: Final = 10_000
+
+Arrays = dict[str, npt.NDArray[Any]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,58 +121,120 @@ def load(path: str | Path) -> DataSet:
     """
     folder = Path(path)
     index = read_index(folder)
-    touches = _read(folder, index["touches"])
-    shards = [_read(folder, entry) for entry in index["deformations"]]
-    unit_bits = touches.get("units")
-    pieces = touches.get("pieces", np.empty((0, 7)))
+    try:
+        return _assembled(index, _read(folder, index["touches"]), [_read(folder, e) for e in index["deformations"]])
+    except (LookupError, TypeError, ValueError, AttributeError) as error:
+        if isinstance(error, SkinError):
+            raise
+        raise ProtocolError(f"data set {folder} is damaged: {_told(error)}; {HINT}") from error
+
+
+def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> DataSet:
+    """Return the data set of its files' arrays, each held against the others."""
+    unit_bits, pieces = touches.get("units"), touches.get("pieces", np.empty((0, 7)))
+    units = np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(_of(unit_bits, "u", (None, 16)))
+    first = _of(touches.get("first", np.zeros(1, dtype=np.int64)), "i", (None,))
+    held_out = _of(touches["validation"], "b", (None,))
+    if first[0] != 0 or np.any(np.diff(first) < 0) or first[-1] != len(pieces):
+        raise ValueError("the pieces of touches do not follow each other")
+    for shard in shards:
+        count = len(_of(shard["touch_set"], "i", (None,)))
+        _of(shard["voltages"], "f", (count, N_ROWS))
+        if count and not 0 <= shard["touch_set"].min() <= shard["touch_set"].max() < len(held_out):
+            raise ValueError("a sample names a touch set that is not there")
+    name = index["set"]
+    sets = len(first) - 1 if name == "free" else len(units)
+    if name not in SET_NAMES or sets != len(held_out):
+        raise ValueError(f"set {quoted(name)} with {sets} touch sets and {len(held_out)} that are told apart")
     return DataSet(
-        set_name=index["set"],
-        seed=index["seed"],
-        digest=index["digest"],
-        reference_V=touches["reference"],
-        untouched_V=np.array([shard["untouched"] for shard in shards]),
-        clouds=np.array([shard["cloud"] for shard in shards]),
+        set_name=name,
+        seed=int(index["seed"]),
+        digest=str(index["digest"]),
+        reference_V=_of(touches["reference"], "f", (N_ROWS,)),
+        untouched_V=np.array([_of(shard["untouched"], "f", (N_ROWS,)) for shard in shards]),
+        clouds=np.array([_of(shard["cloud"], "f", (3, *GRID_SHAPE)) for shard in shards]),
         bends=tuple(bend_from_json(entry["bend"]) for entry in index["deformations"]),
-        deformation_split=tuple(entry["split"] for entry in index["deformations"]),
+        deformation_split=tuple(str(entry["split"]) for entry in index["deformations"]),
         voltages_V=np.concatenate([shard["voltages"] for shard in shards]),
         deformation=np.repeat(
             np.arange(len(shards), dtype=np.int32), [len(shard["touch_set"]) for shard in shards]
         ).astype(np.int32),
         touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
-        touch_split=touches["validation"],
-        units=np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(unit_bits),
-        free=TouchTable(pieces, touches.get("first", np.zeros(1, dtype=np.int64))),
+        touch_split=held_out,
+        units=units,
+        free=TouchTable(_of(pieces, "f", (None, 7)), first),
     )
 
 
 def read_index(folder: Path) -> dict[str, Any]:
-    """Return ``index.json``, its ids checked."""
+    """Return ``index.json``, its ids checked.
+
+    Raises:
+        MismatchError: It was made for another protocol, grid or version.
+        ProtocolError: The folder holds no finished data set.
+        OSError: The file cannot be read.
+    """
     path = folder / "index.json"
     if folder.is_dir() and not path.exists():
         raise ProtocolError(f"{folder} holds no finished data set: index.json is missing; go on with 'eitskin dataset'")
     try:
-        index = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise ProtocolError(f"{path} is no JSON: {error}; {HINT}") from error
+        index = read_json(path)
+    except FileError as error:
+        raise ProtocolError(f"{error}; {HINT}") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise ProtocolError(f"{path} is no index of a data set; {HINT}")
     for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if index.get(name) != expected:
-            raise MismatchError(f"data set {folder}: {name}", found=index.get(name), expected=expected, hint=HINT)
+            raise MismatchError(
+                f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT
+            )
+    shards = index.get("deformations")
+    if not isinstance(shards, list) or not 1 <= len(shards) <= MOST_SHARDS:
+        raise ProtocolError(
+            f"{path}: deformations found {quoted(shards)}, expected a list of up to {MOST_SHARDS}; {HINT}"
+        )
     return index
 
 
-def _read(folder: Path, entry: dict[str, Any]) -> dict[str, npt.NDArray[Any]]:
-    path = folder / entry["file"]
-    content = path.read_bytes()
+def _read(folder: Path, entry: dict[str, Any]) -> Arrays:
+    name = entry["file"]
+    if not isinstance(name, str) or Path(name).name != name:
+        raise ValueError(f"a file is called {quoted(name)}, expected one in the folder")
+    path = folder / name
+    content = read_bytes(path, LARGEST_FILE)
     found = sha256_of(content)
     if found != entry["sha256"]:
-        raise MismatchError(f"{path}: sha256", found=found[:16], expected=entry["sha256"][:16], hint=HINT)
-    with np.load(path, allow_pickle=False) as arrays:
-        return {name: arrays[name] for name in arrays.files}
+        raise MismatchError(f"{path}: sha256", found=found[:16], expected=stated(entry["sha256"])[:16], hint=HINT)
+    return parse_npz(content, LARGEST_FILE, name)
+
+
+def _of(values: npt.NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    """Return an array that has a kind and a shape, of which None leaves a size open; floats are finite."""
+    fits = len(values.shape) == len(shape) and all(
+        wanted in (None, size) for wanted, size in zip(shape, values.shape, strict=True)
+    )
+    if values.dtype.kind != kind or not fits:
+        raise ValueError(f"an array is {values.dtype} {values.shape}, expected kind {kind} of shape {shape}")
+    if kind == "f" and not np.isfinite(values).all():
+        raise ValueError("an array holds numbers that are not finite")
+    return values
+
+
+def _told(error: Exception) -> str:
+    return f"{quoted(error.args[0])} is missing" if isinstance(error, KeyError) and error.args else plain(str(error))
 
 
 def bend_from_json(value: dict[str, Any]) -> Bend:
-    """Return the bend that ``dataclasses.asdict`` made JSON of."""
+    """Return the bend that ``dataclasses.asdict`` made JSON of.
+
+    Raises:
+        ValueError: A number is none, or not finite.
+        TypeError: A key is unknown.
+    """
+    for name, number in value.items():
+        if name != "bumps_mm" and (
+            isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < 1e9
+        ):
+            raise ValueError(f"a bend's {quoted(name)} is {quoted(number)}, expected a finite number")
     bumps = tuple((float(x), float(y), float(height), float(sigma)) for x, y, height, sigma in value["bumps_mm"])
     return Bend(**{**value, "bumps_mm": bumps})

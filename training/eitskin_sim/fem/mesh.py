@@ -16,6 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.scene.strict_json import SceneError
+
 Array = npt.NDArray[np.float64]
 Index = npt.NDArray[np.intp]
 Metric = Callable[[Array], Array]
@@ -26,6 +28,9 @@ MM: Final = 1e-3
 
 GROWTH: Final = 0.8
 """Growth of the element's size per mm of distance from a fixed line; neighbours differ by about exp(0.8) at most."""
+
+MOST_FIXED: Final = 3000
+"""Fixed lines along one direction; each is held against each."""
 
 MERGE_MM: Final = 1e-6
 """Fixed lines nearer than this are one line."""
@@ -126,6 +131,10 @@ def _merged(fixed: Sequence[tuple[float, float]], cap_mm: float) -> tuple[Array,
         else:
             positions.append(position)
             sizes.append(size)
+    if len(positions) > MOST_FIXED:
+        raise SceneError(
+            f"touches and electrodes ask for {len(positions)} lines of the mesh, expected at most {MOST_FIXED}"
+        )
     where, size_there = np.array(positions), np.minimum(sizes, cap_mm)
     spread = size_there[:, None] + GROWTH * np.abs(where[:, None] - where)
     return where, spread.min(axis=0)

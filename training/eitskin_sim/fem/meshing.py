@@ -14,6 +14,7 @@ from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Rect, Shape
+from eitskin_sim.scene.strict_json import SceneError
 
 REFERENCE_MM: Final = 1.5
 """The element size at which the sizes below hold."""
@@ -27,6 +28,8 @@ EDGE_DEPTH_MM: Final = 0.03
 """Behind the border, for the same reason."""
 TOUCH_EDGE_MM: Final = 0.5
 """Beside a touch's border, whose corners are weak singularities."""
+MOST_ELEMENTS: Final = 120_000
+"""About 4 GB and two minutes; 0.5 mm in the open sheet have 71,000."""
 CURVED_MM: Final = 1.0
 """Inside a touch whose border the mesh cannot follow: the laminate's own size."""
 
@@ -71,15 +74,26 @@ def _span(shape: Shape, low: float, high: float) -> Fixed:
 
 
 def scene_mesh(scene: Scene) -> TensorMesh:
-    """Return the mesh on which a scene is solved."""
+    """Return the mesh on which a scene is solved.
+
+    Raises:
+        SceneError: It would have too many elements.
+    """
     x, y = electrode_lines(scene.sheet, scene.electrodes)
     touch_x, touch_y = touch_lines(scene.touches)
     density = REFERENCE_MM / scene.element_size_mm
     length, width = scene.sheet.size_mm
-    return TensorMesh(
-        graded_lines(on_sheet(x + touch_x, length), CAP_MM, density),
-        graded_lines(on_sheet(y + touch_y, width), CAP_MM, density),
-    )
+    lines = [
+        graded_lines(on_sheet(f, extent), CAP_MM, density)
+        for f, extent in ((x + touch_x, length), (y + touch_y, width))
+    ]
+    mesh = TensorMesh(*lines)
+    if mesh.n_elements > MOST_ELEMENTS:
+        raise SceneError(
+            f"the scene needs a mesh of {mesh.n_elements} elements, expected at most {MOST_ELEMENTS}: raise "
+            f"element_size_mm (it is {scene.element_size_mm:g}), or leave touches out"
+        )
+    return mesh
 
 
 def on_sheet(fixed: Fixed, extent: float) -> Fixed:

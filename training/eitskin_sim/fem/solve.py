@@ -1,7 +1,7 @@
 """A scene's voltages, from its own mesh: what ``eitskin simulate`` writes."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -13,10 +13,13 @@ from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Scene
+from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
 Law = Literal["constant", "modes"]
 """How a face contact passes current."""
+
+REMEDY: Final = "conductivities, thickness and contact impedances lie too far apart, or a touch is too thin"
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,13 +35,21 @@ class Solution:
 
 
 def factorise_scene(scene: Scene, law: Law = "constant") -> Factor:
-    """Return the factorised system of a scene on the mesh that it asks for."""
+    """Return the factorised system of a scene on the mesh that it asks for.
+
+    Raises:
+        SceneError: It cannot be solved.
+    """
     metric = bend_metric(scene.bend, scene.sheet)
-    system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, metric)
-    if law == "constant" or scene.electrodes.contact == "edge":
-        return factorise(system, scene.touches)
-    touched = touch(system, scene.touches)
-    return Factor(system, touched.blocks, np.zeros_like(touched.density), plates(system, scene, metric))
+    mesh = scene_mesh(scene)
+    try:
+        system = assemble(mesh, scene.sheet, scene.electrodes, metric)
+        if law == "constant" or scene.electrodes.contact == "edge":
+            return factorise(system, scene.touches)
+        touched = touch(system, scene.touches)
+        return Factor(system, touched.blocks, np.zeros_like(touched.density), plates(system, scene, metric))
+    except (np.linalg.LinAlgError, RuntimeError) as error:  # splu says so of a singular matrix
+        raise SceneError(f"the scene cannot be solved: {error}; {REMEDY}") from error
 
 
 def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
@@ -49,8 +60,13 @@ def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
         law: How a face contact passes current: "constant", by an effective impedance with one fitted constant, which
             data sets and bundles are made with, or "modes", by the modes of the layer's depth, which needs no fit.
             An edge contact has no such modes: both are the same for it.
+
+    Raises:
+        SceneError: It cannot be solved.
     """
     factor = factorise_scene(scene, law)
     full = scene.current_A * factor.voltages(FULL_TABLE)
+    if not np.isfinite(full).all():
+        raise SceneError(f"the scene cannot be solved: its voltages are not finite; {REMEDY}")
     mesh = factor.system.mesh
     return Solution(full[ROW_IN_FULL], full, mesh.n_elements, mesh.n_nodes)

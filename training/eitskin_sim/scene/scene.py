@@ -7,9 +7,12 @@ Where touches overlap, the later one in the list holds.
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Literal, cast
 
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import FileError, read_text
 from eitskin_proto.sensor.grid import SHEET_MM, UNIT_SHAPE
+from eitskin_sim.scene import limits
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
@@ -31,12 +34,6 @@ __all__ = [
     "parse_scene",
     "scene_json",
 ]
-
-MOST_STRETCH: Final = 5.0
-"""In either direction, and of one to the other: at 25 to 1 the weakest voltages are 1e-26 of the largest, and wrong."""
-
-ON_BORDER_MM: Final = 1e-6
-"""How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -61,9 +58,9 @@ def load_phantoms(path: str | Path) -> tuple[Phantom, ...]:
 
 def _read(path: str | Path) -> object:
     try:
-        text = Path(path).read_text(encoding="utf-8")
-    except UnicodeDecodeError as error:
-        raise SceneError(f"{path} is not UTF-8 text: {error}") from error
+        text = read_text(path, limits.LARGEST_FILE)
+    except FileError as error:
+        raise SceneError(str(error)) from error
     return loads(text, str(path))
 
 
@@ -74,14 +71,15 @@ def parse_phantoms(value: object) -> tuple[Phantom, ...]:
         SceneError: An entry is no phantom.
     """
     found = []
-    for index, item in enumerate(sequence(value, "phantoms")):
+    for index, item in enumerate(sequence(value, "phantoms", limits.MOST_PHANTOMS)):
         fields = Fields(item, f"phantoms[{index}]")
         name, truth = fields.take("name", str(index + 1)), fields.take("truth", "area")
         scene = fields.take("scene", {})
         fields.close()
-        if not isinstance(name, str) or truth not in ("units", "area"):
+        if not isinstance(name, str) or not isinstance(truth, str) or truth not in ("units", "area"):
             raise SceneError(
-                f"phantoms[{index}]: found name {name!r}, truth {truth!r}; expected a string, and 'units' or 'area'"
+                f"phantoms[{index}]: found name {quoted(name)}, truth {quoted(truth)}; expected a string, and "
+                "'units' or 'area'"
             )
         found.append(Phantom(name, parse_scene(scene), cast(Literal["units", "area"], truth)))
     return tuple(found)
@@ -101,9 +99,9 @@ def parse_scene(value: object) -> Scene:
         bend=_bend(fields.take("bend", {}), sheet),
         touches=tuple(
             _touch(item, sheet, f"scene.touches[{i}]")
-            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches"))
+            for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches", limits.MOST_SHAPES))
         ),
-        current_A=fields.number("current_A", 1.0, above=0.0),
+        current_A=fields.number("current_A", 1.0, above=0.0, low=1e-9, high=1e6),
         element_size_mm=fields.number("element_size_mm", 1.5, above=0.0),
     )
     fields.close()
@@ -113,6 +111,11 @@ def parse_scene(value: object) -> Scene:
 
 def check_scene(scene: Scene) -> None:
     """Raise SceneError if a scene cannot be solved: an overlap, a touch off the sheet or too small, a fold."""
+    count = sum(len(touch.shapes) for touch in scene.touches)
+    if count > limits.MOST_SHAPES:
+        raise SceneError(
+            f"scene.touches has {count} shapes, units counted singly; expected at most {limits.MOST_SHAPES}"
+        )
     length, width = scene.sheet.size_mm
     number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
     place(scene.sheet, scene.electrodes)
@@ -126,7 +129,7 @@ def _check_shape(shape: Shape, scene: Scene, where: str) -> None:
     length, width = scene.sheet.size_mm
     x0, y0, x1, y1 = shape.bounds_mm
     for name, found, high in (("x", x0, length), ("y", y0, width), ("x", x1, length), ("y", y1, width)):
-        if not -ON_BORDER_MM <= found <= high + ON_BORDER_MM:
+        if not -limits.ON_BORDER_MM <= found <= high + limits.ON_BORDER_MM:
             raise SceneError(f"{where} reaches outside the sheet: {name} = {found:g} mm; it must be from 0 to {high:g}")
     if shape.width_mm < scene.element_size_mm:
         raise SceneError(
@@ -139,11 +142,15 @@ def _sheet(value: object) -> Sheet:
     fields = Fields(value, "scene.sheet")
     size = numbers(fields.take("size_mm", list(SHEET_MM)), "scene.sheet.size_mm", 2)
     for index, side in enumerate(size):
-        number(side, f"scene.sheet.size_mm[{index}]", above=0.0)
+        number(side, f"scene.sheet.size_mm[{index}]", above=0.0, low=1.0, high=10_000.0)
+    if max(size) > limits.MOST_ASPECT * min(size):
+        raise SceneError(
+            f"scene.sheet.size_mm is {size[0]:g} x {size[1]:g}; one side must be at most {limits.MOST_ASPECT:g} others"
+        )
     sheet = Sheet(
         size_mm=(size[0], size[1]),
-        thickness_mm=fields.number("thickness_mm", 2.0, above=0.0),
-        conductivity_S_per_m=fields.number("conductivity_S_per_m", 1.0, above=0.0),
+        thickness_mm=fields.number("thickness_mm", 2.0, above=0.0, low=1e-3, high=1e3),
+        conductivity_S_per_m=fields.number("conductivity_S_per_m", 1.0, above=0.0, low=1e-6, high=1e8),
     )
     fields.close()
     return sheet
@@ -159,13 +166,13 @@ def _electrodes(value: object, sheet: Sheet) -> Electrodes:
     where = "scene.electrodes"
     fields = Fields(value, where)
     contact = fields.take("contact", "patch")
-    if contact not in ("patch", "edge"):
-        raise SceneError(f"{where}.contact is {contact!r}; it must be 'patch' or 'edge'")
+    if not isinstance(contact, str) or contact not in ("patch", "edge"):
+        raise SceneError(f"{where}.contact is {quoted(contact)}; it must be 'patch' or 'edge'")
     even = list(even_arc_length_mm(sheet.size_mm))
     electrodes = Electrodes(
         contact=cast(Literal["patch", "edge"], contact),
-        size_mm=fields.number("size_mm", 4.0, above=0.0),
-        contact_impedance_ohm_m2=fields.number("contact_impedance_ohm_m2", 1e-4, above=0.0),
+        size_mm=fields.number("size_mm", 4.0, above=0.0, low=0.01),
+        contact_impedance_ohm_m2=fields.number("contact_impedance_ohm_m2", 1e-4, above=0.0, low=1e-9, high=1e6),
         arc_length_mm=numbers(fields.take("arc_length_mm", even), f"{where}.arc_length_mm", 16),
     )
     fields.close()
@@ -176,27 +183,29 @@ def _bend(value: object, sheet: Sheet) -> Bend:
     where = "scene.bend"
     fields = Fields(value, where)
     bumps = []
-    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm")):
+    for index, item in enumerate(sequence(fields.take("bumps_mm", []), f"{where}.bumps_mm", limits.MOST_BUMPS)):
         at = f"{where}.bumps_mm[{index}]"
         x, y, height, sigma = numbers(item, at, 4)
-        number(sigma, f"{at}[3] (sigma)", above=0.0)
+        number(sigma, f"{at}[3] (sigma)", above=0.0, low=min(sheet.size_mm) / 1000, high=limits.FARTHEST)
+        for part, name in ((x, "x"), (y, "y"), (height, "height")):
+            number(part, f"{at} ({name})", low=-limits.FARTHEST, high=limits.FARTHEST)
         bumps.append((x, y, height, sigma))
     bend = Bend(
-        angle_deg=fields.number("angle_deg", 0.0),
-        axis_deg=fields.number("axis_deg", 0.0),
+        angle_deg=fields.number("angle_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
+        axis_deg=fields.number("axis_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
         skew=fields.number("skew", 0.0, low=-1.0, high=1.0),
-        twist_deg=fields.number("twist_deg", 0.0),
-        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
-        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / MOST_STRETCH, high=MOST_STRETCH),
-        nonuniformity=fields.number("nonuniformity", 0.0),
+        twist_deg=fields.number("twist_deg", 0.0, low=-limits.MOST_TURN_DEG, high=limits.MOST_TURN_DEG),
+        stretch_along=fields.number("stretch_along", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        stretch_across=fields.number("stretch_across", 1.0, low=1.0 / limits.MOST_STRETCH, high=limits.MOST_STRETCH),
+        nonuniformity=fields.number("nonuniformity", 0.0, low=-limits.MOST_STRETCH, high=limits.MOST_STRETCH),
         bumps_mm=tuple(bumps),
     )
     fields.close()
     ratio = bend.stretch_along / bend.stretch_across
-    if not 1.0 / MOST_STRETCH <= ratio <= MOST_STRETCH:
+    if not 1.0 / limits.MOST_STRETCH <= ratio <= limits.MOST_STRETCH:
         raise SceneError(
             f"{where}.stretch_along is {bend.stretch_along:g} and stretch_across {bend.stretch_across:g}; their ratio "
-            f"is {ratio:g}, it must be from {1.0 / MOST_STRETCH:g} to {MOST_STRETCH:g}"
+            f"is {ratio:g}, it must be from {1.0 / limits.MOST_STRETCH:g} to {limits.MOST_STRETCH:g}"
         )
     return bend
 
@@ -206,7 +215,7 @@ def _touch(value: object, sheet: Sheet, where: str) -> Touch:
     kinds = [kind for kind in ("rect_mm", "disc_mm", "polygon_mm", "units") if kind in fields]
     if len(kinds) != 1:
         raise SceneError(f"{where}: found {kinds or 'no shape'}, expected one of rect_mm, disc_mm, polygon_mm, units")
-    conductivity = fields.number("conductivity_S_per_m", 50.0, above=0.0)
+    conductivity = fields.number("conductivity_S_per_m", 50.0, above=0.0, low=1e-9, high=1e9)
     shape = fields.take(kinds[0], None)
     fields.close()
     readers = {"rect_mm": _rect, "disc_mm": _disc, "polygon_mm": _polygon}
@@ -229,7 +238,8 @@ def _disc(value: object, where: str) -> Shape:
 
 
 def _polygon(value: object, where: str) -> Shape:
-    corners = [numbers(item, f"{where}[{i}]", 2) for i, item in enumerate(sequence(value, where))]
+    listed = sequence(value, where, limits.MOST_CORNERS)
+    corners = [numbers(item, f"{where}[{i}]", 2) for i, item in enumerate(listed)]
     if len(corners) > 1 and corners[0] == corners[-1]:
         corners.pop()
     if len(corners) < 3:
@@ -246,7 +256,7 @@ def _units(value: object, sheet: Sheet, where: str) -> tuple[Shape, ...]:
     rows, columns = UNIT_SHAPE
     dx, dy = sheet.size_mm[0] / columns, sheet.size_mm[1] / rows
     shapes: list[Shape] = []
-    for index, item in enumerate(sequence(value, where)):
+    for index, item in enumerate(sequence(value, where, rows * columns)):
         column, row = numbers(item, f"{where}[{index}]", 2)
         if column != int(column) or row != int(row) or not (0 <= column < columns and 0 <= row < rows):
             raise SceneError(

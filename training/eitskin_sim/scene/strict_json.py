@@ -3,12 +3,16 @@
 The scene's parser asks a :class:`Fields` for one key at a time, then closes it; whatever was not asked for is unknown.
 """
 
-import json
 import math
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import FileError, parse_json
+
+MOST_NAMED: Final = 8
+"""Unknown keys that a message names."""
 
 
 class SceneError(SkinError, ValueError):
@@ -53,7 +57,7 @@ class Fields:
     def close(self) -> None:
         """Raise SceneError if a key is left that nobody asked for."""
         if self._rest:
-            unknown = ", ".join(repr(key) for key in sorted(map(str, self._rest)))
+            unknown = ", ".join(quoted(key) for key in sorted(map(str, self._rest))[:MOST_NAMED])
             raise SceneError(f"{self.where}: unknown key {unknown}; known keys are {', '.join(self._known)}")
 
 
@@ -86,10 +90,12 @@ def numbers(value: object, where: str, count: int | None = None) -> tuple[float,
     return tuple(number(item, f"{where}[{i}]") for i, item in enumerate(items))
 
 
-def sequence(value: object, where: str) -> Sequence[object]:
-    """Return a list."""
+def sequence(value: object, where: str, most: int | None = None) -> Sequence[object]:
+    """Return a list, of at most so many items where a bound is given."""
     if not isinstance(value, list | tuple):
         raise SceneError(f"{where}: found {_kind(value)}, expected a list")
+    if most is not None and len(value) > most:
+        raise SceneError(f"{where} has {len(value)} items; it must have at most {most}")
     return value
 
 
@@ -97,23 +103,24 @@ def loads(text: str, where: str) -> object:
     """Return what a JSON text says; a repeated key, NaN or Infinity is an error."""
 
     def pairs(items: list[tuple[str, object]]) -> dict[str, object]:
-        found = dict(items)
-        if len(found) != len(items):
-            keys = [key for key, _ in items]
-            raise SceneError(f"{where}: key {next(k for k in keys if keys.count(k) > 1)!r} stands twice in one object")
+        found: dict[str, object] = {}
+        for key, value in items:
+            if key in found:
+                raise SceneError(f"{where}: key {quoted(key)} stands twice in one object")
+            found[key] = value
         return found
 
     def constant(name: str) -> object:
         raise SceneError(f"{where}: {name} is not a number that a scene can hold")
 
     try:
-        return json.loads(text, object_pairs_hook=pairs, parse_constant=constant)
-    except (json.JSONDecodeError, RecursionError) as error:
-        raise SceneError(f"{where} is not JSON: {error}") from error
+        return parse_json(text, object_pairs_hook=pairs, parse_constant=constant)
+    except FileError as error:
+        raise SceneError(f"{where} {error}") from error
 
 
 def _kind(value: object) -> str:
     if value is None:
         return "null"
     names = {bool: "a truth value", str: "a string", dict: "an object", list: "a list"}
-    return f"{names.get(type(value), 'a number')} ({json.dumps(value, default=str)[:40]})"
+    return f"{names.get(type(value), 'a number')} ({quoted(value)})"

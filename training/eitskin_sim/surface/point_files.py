@@ -3,6 +3,9 @@
 Only the coordinates are taken. Colours, normals, intensities and faces may be there and are passed over.
 """
 
+import io
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
@@ -10,6 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.arrays import read_npy
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import FileError, read_bytes
 
 Array = npt.NDArray[np.float64]
 
@@ -34,6 +40,12 @@ PLY_ORDERS: Final = {"ascii": "", "binary_little_endian": "<", "binary_big_endia
 
 LARGEST_HEADER: Final = 65_536
 """A PLY header is over within so many bytes."""
+
+LARGEST_FILE: Final = 256 << 20
+"""Bytes of a file of points."""
+
+MOST_POINTS: Final = 4_000_000
+"""A scanner of 0.1 mm sees 1,500,000 on the sheet."""
 
 
 class PointFileError(SkinError):
@@ -60,32 +72,52 @@ def read_points(path: str | Path) -> Array:
         raise PointFileError(
             f"points file {path} cannot be read: {error.strerror or error}; name a .ply, .xyz or .npy file"
         ) from error
-    except (ValueError, IndexError, EOFError, UnicodeDecodeError) as error:
+    except (FileError, ValueError, IndexError, LookupError, OverflowError) as error:
         raise PointFileError(f"{path} cannot be read as {path.suffix.lower()}: {error}") from error
+    if points.dtype.kind not in "fiu":
+        raise PointFileError(f"{path} holds {points.dtype}, expected numbers")
     if points.ndim != 2 or points.shape[1] < 3 or len(points) == 0:
         raise PointFileError(f"{path} holds an array of shape {points.shape}, expected (n, 3), n at least 1")
     return np.ascontiguousarray(points[:, :3], dtype=np.float64)
 
 
 def _read_npy(path: Path) -> npt.NDArray[np.generic]:
-    points = np.load(path, allow_pickle=False)
-    if not isinstance(points, np.ndarray) or points.dtype.kind not in "fiu":
-        raise ValueError(f"expected one array of numbers, found {getattr(points, 'dtype', type(points).__name__)}")
-    return points
+    return read_npy(path, LARGEST_FILE)
 
 
 def _read_xyz(path: Path) -> Array:
-    with path.open(encoding="utf-8") as file:
-        rows = [line.replace(",", " ").replace(";", " ").split() for line in file if not line.lstrip().startswith("#")]
-    rows = [row[:3] for row in rows if row]
-    for number, row in enumerate(rows):
-        if len(row) < 3:
-            raise ValueError(f"row {number + 1} has {len(row)} numbers, expected x y z")
-    return np.array(rows, dtype=np.float64)
+    def rows(data: bytes) -> Iterator[list[bytes]]:
+        for number, line in enumerate(io.BytesIO(data)):
+            words = line.replace(b",", b" ").replace(b";", b" ").split(None, 3)
+            if not words or words[0].startswith(b"#"):
+                continue
+            if len(words) < 3:
+                raise ValueError(f"line {number + 1} has {len(words)} numbers, expected x y z")
+            yield words[:3]
+
+    return _table(rows(read_bytes(path, LARGEST_FILE)))
+
+
+def _table(rows: Iterable[list[bytes]]) -> Array:
+    """Return (n, 3) numbers of rows of words, a piece at a time: words take ten times the memory of numbers."""
+    found: list[Array] = []
+    count = 0
+    for piece in _pieces(rows):
+        count += len(piece)
+        if count > MOST_POINTS:
+            raise ValueError(f"more than {MOST_POINTS} points; measure less densely: 7,000 do for a sheet")
+        found.append(np.array([[float(word) for word in row] for row in piece], dtype=np.float64))
+    return np.concatenate(found) if found else np.empty((0, 3))
+
+
+def _pieces(rows: Iterable[list[bytes]]) -> Iterator[list[list[bytes]]]:
+    left = iter(rows)
+    while piece := list(islice(left, 4096)):
+        yield piece
 
 
 def _read_ply(path: Path) -> Array:
-    data = path.read_bytes()
+    data = read_bytes(path, LARGEST_FILE)
     end = data.find(b"end_header", 0, LARGEST_HEADER)
     if not data.startswith(b"ply") or end < 0:
         raise ValueError("no PLY header ('ply' ... 'end_header')")
@@ -95,13 +127,15 @@ def _read_ply(path: Path) -> Array:
         return _ply_ascii(data[body:], elements)
     for name, count, properties in elements:
         if any(kind == "list" for _, kind in properties):
-            raise ValueError(f"element '{name}' with a list stands before the vertices: save the vertices first")
+            raise ValueError(f"element {quoted(name)} with a list stands before the vertices: save the vertices first")
         layout = np.dtype([(label, order + PLY_TYPES[kind]) for label, kind in properties])
         if len(data) - body < count * layout.itemsize:
             raise ValueError(
-                f"{count} entries of '{name}' need {count * layout.itemsize} bytes, found {len(data) - body}"
+                f"{count} entries of {quoted(name)} need {count * layout.itemsize} bytes, found {len(data) - body}"
             )
         if name == "vertex":
+            if count > MOST_POINTS:
+                raise ValueError(f"{count} points, expected at most {MOST_POINTS}; measure less densely")
             table = np.frombuffer(data, dtype=layout, count=count, offset=body)
             return np.stack([table[axis].astype(np.float64) for axis in "xyz"], axis=-1)
         body += count * layout.itemsize
@@ -118,7 +152,7 @@ def _ply_header(header: str) -> tuple[str, list[_Element]]:
     for words in (line.split() for line in header.splitlines()):
         if words[:1] == ["format"]:
             if words[1] not in PLY_ORDERS:
-                raise ValueError(f"format {words[1]!r} is none of {', '.join(PLY_ORDERS)}")
+                raise ValueError(f"format {quoted(words[1])} is none of {', '.join(PLY_ORDERS)}")
             order = PLY_ORDERS[words[1]]
         elif words[:1] == ["element"]:
             if elements and elements[-1][0] == "vertex":
@@ -127,24 +161,29 @@ def _ply_header(header: str) -> tuple[str, list[_Element]]:
         elif words[:1] == ["property"]:
             kind = words[1]
             if kind != "list" and kind not in PLY_TYPES:
-                raise ValueError(f"property type {kind!r} is unknown")
+                raise ValueError(f"property type {quoted(kind)} is unknown")
             elements[-1][2].append((words[-1], kind))
     if order is None:
         raise ValueError("the header has no 'format' line")
     vertices = [properties for name, _, properties in elements if name == "vertex"]
     if not vertices or not {"x", "y", "z"} <= {label for label, _ in vertices[0]}:
         raise ValueError("the header has no element 'vertex' with the properties x, y and z")
-    if any(count < 0 for _, count, _ in elements):
-        raise ValueError("an element has a negative count")
+    if any(not 0 <= count < 1 << 48 for _, count, _ in elements):
+        raise ValueError("an element has a negative count, or one that no file can hold")
     return order, elements
 
 
 def _ply_ascii(body: bytes, elements: list[_Element]) -> Array:
-    lines = body.decode("ascii").splitlines()
     skip = sum(count for _, count, _ in elements[:-1])
     _, count, properties = elements[-1]
-    if len(lines) < skip + count:
-        raise ValueError(f"{count} vertices are announced, {max(len(lines) - skip, 0)} lines are there")
     columns = [[label for label, _ in properties].index(axis) for axis in "xyz"]
-    rows = [line.split() for line in lines[skip : skip + count]]
-    return np.array([[row[column] for column in columns] for row in rows], dtype=np.float64).reshape(-1, 3)
+    lines = body.count(b"\n") + (not body.endswith(b"\n") and bool(body))
+    if lines < skip + count:
+        raise ValueError(f"{quoted(count)} vertices are announced, {max(lines - skip, 0)} lines are there")
+
+    def rows() -> Iterator[list[bytes]]:
+        for line in islice(io.BytesIO(body), skip, skip + count):
+            words = line.split(None, max(columns) + 1)
+            yield [words[column] for column in columns]
+
+    return _table(rows())

@@ -7,9 +7,7 @@ that was adapted, keeps it.
 
 import io
 import json
-import os
 import shutil
-import zipfile
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +16,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.reading import FileError, parse_json
+from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_training.gate import fit, untouched
 from eitskin_training.gate.fit import Arrays, Gate
@@ -25,6 +26,9 @@ from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
 
 NAME: Final = "gate.npz"
+
+LARGEST_FILE: Final = 256 << 20
+"""Bytes of a stored gate with its sheets."""
 
 VERSION: Final = 1
 """Raised whenever a gate that is fitted anew would be another one."""
@@ -95,7 +99,7 @@ def gate_of_run(
     found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
     try:
         _write(folder / NAME, found, expected)
-    except OSError as error:
+    except (OSError, FileError) as error:
         tell(f"gate: not kept for the next time, {error}")
     return found
 
@@ -114,19 +118,17 @@ def _write(path: Path, found: RunGate, origin: dict[str, Any]) -> None:
     buffer = io.BytesIO()
     np.savez(buffer, **arrays, **{name: np.array(text) for name, text in texts.items()})  # type: ignore[arg-type]
     path.parent.mkdir(parents=True, exist_ok=True)
-    beside = path.with_suffix(".new")
-    beside.write_bytes(buffer.getvalue())
-    os.replace(beside, path)
+    write_bytes(path, buffer.getvalue())
 
 
 def _read(path: Path, expected: dict[str, Any]) -> RunGate | None:
     """Return a stored gate, or None where there is none, it cannot be read, or it is of another run."""
     try:
-        with path.open("rb") as raw, np.load(raw, allow_pickle=False) as file:
-            if json.loads(str(file["made_of"])) != expected:
-                return None
-            arrays: Arrays = {name.removeprefix(_GATE): file[name] for name in file.files if name.startswith(_GATE)}
-            sheets = Bends(*(file[_SHEETS + name] for name in _KEPT))
-            return RunGate(Gate(arrays, json.loads(str(file["measures"]))), sheets)
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile):
+        file = read_npz(path, LARGEST_FILE)
+        if parse_json(str(file["made_of"])) != expected:
+            return None
+        arrays: Arrays = {name.removeprefix(_GATE): file[name] for name in file if name.startswith(_GATE)}
+        train, choose, measure = (file[_SHEETS + name] for name in _KEPT)
+        return RunGate(Gate(arrays, parse_json(str(file["measures"]))), Bends(train, choose, measure))
+    except (OSError, ValueError, KeyError, TypeError):
         return None

@@ -18,6 +18,9 @@ GRAPH: Final = 7
 NODE, INITIALISER, OUTPUT, VALUE_INFO = 1, 5, 12, 13
 DIMS, DATA_TYPE, FLOATS, INT32S, INT64S, NAME, RAW = 1, 2, 4, 5, 7, 8, 9
 
+LONGEST_VARINT: Final = 10
+"""Bytes of a number."""
+
 
 @dataclass(frozen=True, slots=True)
 class Field:
@@ -46,14 +49,17 @@ def node_of(field: Field) -> Node | None:
     inside = list(fields_of(content(field)))
 
     def texts(number: int) -> tuple[str, ...]:
-        return tuple(bytes(content(item)).decode() for item in inside if item.number == number)
+        return tuple(decoded(content(item)) for item in inside if item.number == number)
 
-    return Node(texts(4)[0], texts(1), texts(2))
+    kinds = texts(4)
+    if len(kinds) != 1:
+        raise unreadable()  # which of several counts is the library's secret
+    return Node(kinds[0], texts(1), texts(2))
 
 
 def dims_of(tensor: memoryview) -> list[int]:
     """Return a tensor's shape."""
-    return [value for field in fields_of(tensor) if field.number == DIMS for value in _integers(field)]
+    return [value for field in fields_of(tensor) if field.number == DIMS for value in integers(field)]
 
 
 def with_values(fields: list[Field], values: npt.NDArray[np.generic]) -> bytes:
@@ -65,9 +71,9 @@ def with_values(fields: list[Field], values: npt.NDArray[np.generic]) -> bytes:
 
 def values_of(fields: list[Field], kind: np.dtype[np.generic]) -> npt.NDArray[np.generic]:
     """Return a tensor's elements, whichever of ONNX's three ways they are stored in."""
-    integers = [value for field in fields if field.number == INT32S for value in _integers(field)]
-    if integers:
-        return np.array([(value ^ 1 << 63) - (1 << 63) for value in integers]).astype(kind)
+    stored = [value for field in fields if field.number == INT32S for value in integers(field)]
+    if stored:
+        return np.array([signed(value) for value in stored]).astype(kind)
     data = b"".join(content(field) for field in fields if field.number in (RAW, FLOATS))
     return np.frombuffer(data, dtype=kind)
 
@@ -85,29 +91,49 @@ def fields_of(data: memoryview) -> Iterator[Field]:
         if key & 7 == 2:
             size, at = _varint(data, at)
             at += size
+            if at > len(data):
+                raise unreadable()
             yield Field(key >> 3, data[at - size : at], data[start:at])
         elif key & 7 == 0:
             value, at = _varint(data, at)
             yield Field(key >> 3, value, data[start:at])
         elif key & 7 in (1, 5):
             at += 8 if key & 7 == 1 else 4
+            if at > len(data):
+                raise unreadable()
             yield Field(key >> 3, 0, data[start:at])
         else:
-            raise BundleError("the head is no ONNX model that can be read")
+            raise unreadable()
 
 
 def _varint(data: memoryview, at: int) -> tuple[int, int]:
-    value = shift = 0
-    while True:
-        byte = data[at]
-        at += 1
-        value |= (byte & 0x7F) << shift
+    value = 0
+    for number, byte in enumerate(data[at : at + LONGEST_VARINT]):
+        value |= (byte & 0x7F) << 7 * number
         if byte < 0x80:
-            return value, at
-        shift += 7
+            return value & (1 << 64) - 1, at + number + 1
+    raise unreadable()
 
 
-def _integers(field: Field) -> list[int]:
+def unreadable() -> BundleError:
+    """Return the error of bytes that are no ONNX model."""
+    return BundleError("a graph is no ONNX model that can be read")
+
+
+def decoded(data: memoryview) -> str:
+    """Return a text of a message.
+
+    Raises:
+        BundleError: It is none.
+    """
+    try:
+        return bytes(data).decode()
+    except UnicodeDecodeError as error:
+        raise unreadable() from error
+
+
+def integers(field: Field) -> list[int]:
+    """Return the unsigned numbers of a repeated field, packed or not."""
     if isinstance(field.value, int):
         return [field.value]
     found, at = [], 0
@@ -117,6 +143,11 @@ def _integers(field: Field) -> list[int]:
     return found
 
 
+def signed(value: int) -> int:
+    """Return the signed number that 64 bits stand for."""
+    return (value ^ 1 << 63) - (1 << 63)
+
+
 def content(field: Field) -> memoryview:
     """Return the bytes of a field.
 
@@ -124,13 +155,13 @@ def content(field: Field) -> memoryview:
         BundleError: It is a number.
     """
     if isinstance(field.value, int):
-        raise BundleError("the head is no ONNX model that can be read")
+        raise unreadable()
     return field.value
 
 
 def text(field: Field, number: int) -> str:
     """Return a text inside a message, "" if it has none."""
-    return next((bytes(content(item)).decode() for item in fields_of(content(field)) if item.number == number), "")
+    return next((decoded(content(item)) for item in fields_of(content(field)) if item.number == number), "")
 
 
 def number(field: int, value: int) -> bytes:

@@ -46,7 +46,10 @@ def run(arguments: argparse.Namespace) -> int:
     one_blas_thread()
     from eitskin.model.bundle import default_path
     from eitskin_tools.bench.stability.harness.sweep import FULL, QUICK
+    from eitskin_tools.command_line import files
 
+    if arguments.plot:
+        files.writable(arguments.plot)
     bundles = [arguments.bundle] if arguments.bundle else [default_path("units"), default_path("area")]
     effort = QUICK if arguments.quick else FULL
     start = time.process_time()

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from eitskin_proto.files.writing import replacing
 from eitskin_tools.bench.stability.harness.rows import Curve
 
 COLUMNS: Final = 5
@@ -93,7 +94,8 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> None:
         below += " Nobody loses a tenth by: " + "; ".join(unharmed) + "."
     figure.supxlabel(fill(below, 44 * columns), fontsize=8)
     try:
-        figure.savefig(path)
+        with replacing(path) as stream:
+            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png")
     finally:
         pyplot.close(figure)
 

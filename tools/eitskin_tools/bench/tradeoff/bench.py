@@ -62,6 +62,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--phantoms FILE is missing: the error is measured on phantoms, such as the paper's eight")
     if arguments.calls < 10 or arguments.seeds < 1:
         raise UsageError("--calls must be at least 10 and --seeds at least 1")
+    if arguments.plot is not None:
+        files.writable(arguments.plot)
     found: dict[str, list[dict[str, Any]]] = {}
     for path in arguments.phantoms:
         phantoms = load_phantoms(files.find(path, files.PHANTOMS))

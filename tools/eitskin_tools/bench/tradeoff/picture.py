@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_proto.files.writing import replacing
 from eitskin_tools.bench.tradeoff.point_names import beside
 
 SMALLEST_ERROR: Final = 1e-4
@@ -63,7 +64,8 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         shown = _shown(rows)
         beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
     try:
-        figure.savefig(path, dpi=100)
+        with replacing(path) as stream:
+            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png", dpi=100)
     finally:
         pyplot.close(figure)
 

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
 
@@ -69,7 +70,11 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     else:
         recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
     found = electrode_checkup.check_up(recording, Consistency.of(arrays), reference)
-    print(json.dumps(found) if arguments.json else "\n".join(electrode_checkup.lines(found)))
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        for line in electrode_checkup.lines(found):
+            say(line)
     return 0
 
 
@@ -100,17 +105,17 @@ def _make_keys(arguments: argparse.Namespace) -> int:
 
 def _print(found: dict[str, Any]) -> None:
     for port in found["ports"]:
-        print(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
+        say(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
     for device in found["usb"]:
-        print(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
+        say(f"usb      {device['port']}  {device['id']}  {device['node']}  {device['state']}")
     for bundle in found["bundles"]:
-        print(f"bundle   {bundle['path']}  {bundle['state']}")
+        say(f"bundle   {bundle['path']}  {bundle['state']}")
     for endpoint in found["runtimes"]:
-        print(f"runtime  publishing on {endpoint}")
+        say(f"runtime  publishing on {endpoint}")
     for line in found["limits"]:
-        print(f"limit    {line}")
+        say(f"limit    {line}")
     for section in ("device", "configuration"):
         for name, value in found.get(section, {}).items():
-            print(f"{section if section == 'device' else 'config':<8} {name} {value}")
+            say(f"{section if section == 'device' else 'config':<8} {name} {value}")
     for problem in found["problems"]:
-        print(f"to do    {problem}")
+        say(f"to do    {problem}")

@@ -12,6 +12,7 @@ from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
 from eitskin_tools.command_line import files
+from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.flash import procedure, stored
 from eitskin_tools.flash.exchange import Exchange
@@ -127,12 +128,12 @@ def _print(arguments: argparse.Namespace, report: dict[str, Any]) -> int:
     for key, value in report.items():
         if key == "differences":
             for row in value:
-                print(f"  {row['field']}: device {row['device']}, file {row['file']}")
+                say(f"  {row['field']}: device {row['device']}, file {row['file']}")
         elif isinstance(value, dict):
-            print(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
+            say(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
             for field, content in value.items():
                 if field not in ("name", "generation", "digest"):
-                    print(f"  {field}: {content}")
+                    say(f"  {field}: {content}")
         else:
-            print(f"{key}: {value}")
+            say(f"{key}: {value}")
     return 0

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
 
@@ -50,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(_fields(found)))
     else:
         for line in found.report():
-            print(line)
+            say(line)
     return 0
 
 
@@ -79,7 +80,7 @@ def _older(arguments: argparse.Namespace) -> Any:
     try:
         return references.load(arguments.out)
     except SkinError as error:
-        print(f"eitskin reference: {arguments.out} is replaced unseen: {error}", file=sys.stderr)
+        say(f"eitskin reference: {arguments.out} is replaced unseen: {error}", error=True)
         return None
 
 

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
 
@@ -88,10 +89,9 @@ def run(arguments: argparse.Namespace) -> int:
 def _print(frame: Any) -> None:
     peak = f"peak {frame.map.max():.2f}" if frame.touched else "untouched"
     events = f" [{', '.join(frame.events)}]" if frame.events else ""
-    print(
+    say(
         f"{frame.sequence} {peak} solver {frame.solver} age {frame.age_s * 1e3:.2f} ms latency "
         f"{frame.latency_s * 1e3:.2f} ms cloud {frame.cloud}{events}",
-        flush=sys.stdout.isatty(),
     )
 
 

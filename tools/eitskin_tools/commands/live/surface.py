@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.console.say import say
 
 DEFAULT = "default"
 """What ``--send`` without an endpoint means."""
@@ -105,7 +106,7 @@ def _send(endpoint: str, path: str) -> int:
         warnings.simplefilter("always")
         revision = eitskin.send_cloud(path) if endpoint == DEFAULT else eitskin.send_cloud(endpoint, path)
     for doubt in doubts:
-        print(f"eitskin surface: {doubt.message}", file=sys.stderr)
+        say(f"eitskin surface: {doubt.message}", error=True)
     return revision
 
 

@@ -52,9 +52,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
     files.find(arguments.config, files.CONFIGURATION)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
-    for path in (arguments.log, arguments.wire_times):
-        if path is not None:
-            files.writable(path)
+    if arguments.wire_times is not None:
+        files.writable(arguments.wire_times)
+    if arguments.log is not None:  # written as it comes, and so to a stream too
+        files.parent(arguments.log)
     try:
         faults = tuple(parse(text) for text in arguments.fault)
     except ValueError as error:

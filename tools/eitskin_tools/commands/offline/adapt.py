@@ -22,6 +22,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Adapt and report."""
     import torch
 
+    from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_training import adapt
     from eitskin_training.gate import stored
@@ -35,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(str(error)) from error
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    source, out = Path(arguments.run_folder), Path(arguments.out)
+    source, out = Path(arguments.run_folder), files.folder(arguments.out)
     if (out / "best.pt").exists():
         raise UsageError(f"{out} holds a run already; name another folder with --out, or remove it")
     found = trained(source)

@@ -14,6 +14,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Read, draw and print."""
+    from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_training import curves
 
@@ -24,6 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     keys = names if len(set(names)) == len(names) else [str(folder) for folder in folders]
     histories = {key: curves.history_of(folder) for key, folder in zip(keys, folders, strict=True)}
     if arguments.plot:
+        files.writable(arguments.plot)
         curves.compare(histories, Path(arguments.plot))
     found = []
     for name, history in histories.items():

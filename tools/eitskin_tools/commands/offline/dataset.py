@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -56,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--workers is {arguments.workers}; it must be at least 1")
     certificates = Certificates(arguments.tls_ca, arguments.tls_cert, arguments.tls_key)
     _check_scheduler(arguments.scheduler, certificates)
+    files.folder(arguments.out)
     plan = make_plan(
         arguments.set_name,
         arguments.seed,

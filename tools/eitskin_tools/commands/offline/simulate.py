@@ -2,9 +2,7 @@
 
 import argparse
 import json
-import os
 import sys
-import tempfile
 from pathlib import Path
 from time import perf_counter
 
@@ -67,28 +65,22 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _write(out: Path, scene: object, solution: object) -> None:
-    """Write to a temporary file beside the target and rename it."""
+    """Write the voltages, whole or not at all."""
     import numpy as np
 
+    from eitskin_proto.files.writing import replacing
     from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
     from eitskin_sim.fem.solve import Solution
     from eitskin_sim.scene.scene import Scene, scene_json
 
     assert isinstance(scene, Scene)
     assert isinstance(solution, Solution)
-    handle, name = tempfile.mkstemp(prefix=f".{out.name}.", dir=out.parent)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            np.savez(
-                file,
-                voltages=solution.voltages,
-                voltages208=solution.voltages208,
-                scene=np.array(scene_json(scene)),
-                protocol_id=np.array(PROTOCOL_ID),
-                grid_id=np.array(GRID_ID),
-            )
-        Path(name).chmod(0o644)
-        Path(name).replace(out)
-    except BaseException:
-        Path(name).unlink(missing_ok=True)
-        raise
+    with replacing(out) as file:
+        np.savez(
+            file,
+            voltages=solution.voltages,
+            voltages208=solution.voltages208,
+            scene=np.array(scene_json(scene)),
+            protocol_id=np.array(PROTOCOL_ID),
+            grid_id=np.array(GRID_ID),
+        )

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--threads is {arguments.threads}; expected 1 or more, or 0 for torch's choice")
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    out = Path(arguments.out)
+    out = files.folder(arguments.out)
     for folder in arguments.data:
         files.find(folder, files.DATA_SET)
     data = load_all(arguments.data)

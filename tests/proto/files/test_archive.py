@@ -6,7 +6,7 @@ import zipfile
 import numpy as np
 import pytest
 
-from eitskin.model.archive import BadArchiveError, members
+from eitskin_proto.files.archive import BadArchiveError, members
 
 CONTENT = {"a.txt": b"hello", "folder/b.bin": bytes(range(256)) * 40, "empty": b""}
 

@@ -7,6 +7,8 @@ import zlib
 from dataclasses import dataclass
 from typing import BinaryIO, Final
 
+from eitskin_proto.files.plain import plain
+
 DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, struct.error, EOFError, NotImplementedError, OSError, RuntimeError, ValueError,
 )  # fmt: skip
@@ -15,6 +17,14 @@ DAMAGE: Final = (
 
 class BadArchiveError(ValueError):
     """A file is no ZIP file that can be read."""
+
+
+MOST_MEMBERS: Final = 4096
+LARGEST_DIRECTORY: Final = 1 << 20
+"""Bytes of an archive's directory, which ``zipfile`` reads as a whole; a member takes about 60."""
+
+END: Final = struct.Struct("<4s4H2LH")
+"""The record at an archive's end: members and the directory's size are its fifth and sixth field."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +43,7 @@ class Member:
         Raises:
             BadArchiveError: It is longer, damaged, or cannot be unpacked.
         """
-        name, size = self.entry.filename, self.entry.file_size
+        name, size = plain(self.entry.filename[:80]), self.entry.file_size
         if size > largest:
             raise BadArchiveError(f"{name} claims {size} bytes, expected at most {largest}")
         try:
@@ -55,8 +65,30 @@ def members(source: bytes | BinaryIO) -> dict[str, Member]:
     Raises:
         BadArchiveError: It is none, or damaged.
     """
+    stream = io.BytesIO(source) if isinstance(source, bytes) else source
     try:
-        archive = zipfile.ZipFile(io.BytesIO(source) if isinstance(source, bytes) else source)
+        _check_directory(stream)
+        archive = zipfile.ZipFile(stream)
+    except BadArchiveError:
+        raise
     except DAMAGE as error:
         raise BadArchiveError(f"it is no ZIP file, or its directory is damaged: {error}") from error
     return {entry.filename: Member(archive, entry) for entry in archive.infolist()}
+
+
+def _check_directory(stream: BinaryIO) -> None:
+    """Refuse a directory of millions of members before ``zipfile`` makes an object of each."""
+    size = stream.seek(0, io.SEEK_END)
+    stream.seek(max(0, size - (1 << 16) - END.size))
+    tail = stream.read()
+    ends = {len(tail) - END.size, tail.rfind(b"PK\5\6")}  # where zipfile looks, one after the other
+    for at in ends:
+        if at < 0 or tail[at : at + 4] != b"PK\5\6" or at + END.size > len(tail):
+            continue
+        _, _, _, here, count, directory, _, _ = END.unpack_from(tail, at)
+        if max(here, count) > MOST_MEMBERS or directory > LARGEST_DIRECTORY or tail[at - 20 : at - 16] == b"PK\6\7":
+            raise BadArchiveError(
+                f"its directory lists {count} members in {directory} bytes, expected at most {MOST_MEMBERS} in "
+                f"{LARGEST_DIRECTORY}"
+            )
+    stream.seek(0)

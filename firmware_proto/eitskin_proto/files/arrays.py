@@ -1,0 +1,135 @@
+r"""Arrays read within bounds: ``.npy`` and ``.npz`` as numpy writes them, of plain numbers and texts.
+
+numpy's own reader believes a header: it sets memory aside for as many rows as the header claims, and hands a damaged
+one to Python's tokenizer, whose errors are of many kinds. Here a header is one short literal whose size must be that of
+the bytes behind it; nothing is unpickled::
+
+    \x93NUMPY  major minor  length (2 bytes, or 4)  {'descr': '<f8', 'fortran_order': False, 'shape': (104,), }  data
+"""
+
+import ast
+import math
+import re
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.files.archive import BadArchiveError, members
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.files.reading import FileError, opened, read_bytes
+
+MAGIC: Final = b"\x93NUMPY"
+
+LONGEST_HEADER: Final = 1024
+"""Bytes of a header; 128 are usual."""
+
+MOST_AXES: Final = 8
+MOST_ARRAYS: Final = 256
+"""In one ``.npz``."""
+
+DESCRIPTION: Final = re.compile(r"[<>|=]?(?:[?]|b1|[iu][1248]|f[248]|c(?:8|16)|[SU][0-9]{1,6})")
+"""Types of elements: truth values, integers, real and complex numbers, texts."""
+
+Array = npt.NDArray[Any]
+
+
+def parse_npy(data: bytes, what: str = "it") -> Array:
+    """Return the array of a ``.npy`` file's bytes.
+
+    Args:
+        data: All of it.
+        what: How messages call it.
+
+    Raises:
+        FileError: It is none, holds objects, or another number of bytes than its header says.
+    """
+    if data[:2] == b"PK":
+        raise FileError(f"{what} is an archive of arrays (.npz), expected one array (.npy)")
+    if data[: len(MAGIC)] != MAGIC or len(data) < 10:
+        raise FileError(f"{what} is no .npy file, expected one that numpy.save wrote")
+    wide = data[6] > 1
+    start = 12 if wide else 10
+    length = int.from_bytes(data[8:start], "little")
+    if length > LONGEST_HEADER or start + length > len(data):
+        raise FileError(f"{what} has a header of {length} bytes, expected at most {LONGEST_HEADER} and no more than it")
+    kind, fortran, shape = _header(data[start : start + length], what)
+    found = len(data) - start - length
+    needed = math.prod(shape) * kind.itemsize
+    if found != needed:
+        raise FileError(
+            f"{what} holds {found} bytes of data, its header says {quoted(needed)}: it is cut off or damaged"
+        )
+    values = np.frombuffer(data, dtype=kind, count=math.prod(shape), offset=start + length)
+    shaped = values.reshape(shape, order="F" if fortran else "C")
+    return np.array(shaped)  # one that may be written
+
+
+def read_npy(path: str | Path, largest: int) -> Array:
+    """Return the array of a ``.npy`` file.
+
+    Raises:
+        FileError: It is none, longer than ``largest`` bytes, or no regular file.
+        OSError: It cannot be read.
+    """
+    return parse_npy(read_bytes(path, largest), str(path))
+
+
+def parse_npz(source: bytes | BinaryIO, largest: int, what: str = "it") -> dict[str, Array]:
+    """Return the arrays of a ``.npz`` file by name.
+
+    Args:
+        source: Its bytes, or the open file.
+        largest: Most bytes that all of it may have when it is unpacked.
+        what: How messages call it.
+
+    Raises:
+        FileError: It is none, damaged, or longer.
+    """
+    try:
+        found = members(source)
+        if len(found) > MOST_ARRAYS:
+            raise FileError(f"{what} holds {len(found)} arrays, expected at most {MOST_ARRAYS}")
+        arrays: dict[str, Array] = {}
+        for name, member in found.items():
+            content = member.read(largest)
+            largest -= len(content)
+            arrays[name.removesuffix(".npy")] = parse_npy(content, f"{what}: {quoted(name)}")
+        return arrays
+    except BadArchiveError as error:
+        raise FileError(f"{what} is no intact .npz file: {error}") from error
+
+
+def read_npz(path: str | Path, largest: int) -> dict[str, Array]:
+    """Return the arrays of a ``.npz`` file by name.
+
+    Args:
+        path: A regular file.
+        largest: Most bytes that it may have, on disk and when it is unpacked.
+
+    Raises:
+        FileError: It is none, damaged, or longer.
+        OSError: It cannot be read.
+    """
+    with opened(path, largest) as stream:
+        return parse_npz(stream, largest, str(path))
+
+
+def _header(raw: bytes, what: str) -> tuple[np.dtype[Any], bool, tuple[int, ...]]:
+    try:
+        found = ast.literal_eval(raw.decode("latin-1").strip())
+    except (ValueError, SyntaxError, TypeError, RecursionError, MemoryError) as error:
+        raise FileError(
+            f"{what} has a damaged .npy header ({type(error).__name__}), expected what numpy.save writes"
+        ) from error
+    if not isinstance(found, dict) or set(found) != {"descr", "fortran_order", "shape"}:
+        raise FileError(f"{what} has a .npy header that names other things than descr, fortran_order and shape")
+    kind, fortran, shape = found["descr"], found["fortran_order"], found["shape"]
+    if not isinstance(kind, str) or DESCRIPTION.fullmatch(kind) is None:
+        raise FileError(f"{what} holds elements of type {quoted(kind)}, expected plain numbers or texts")
+    if not isinstance(shape, tuple) or len(shape) > MOST_AXES or not isinstance(fortran, bool):
+        raise FileError(f"{what} has the shape {quoted(shape)}, expected at most {MOST_AXES} axes")
+    if not all(isinstance(size, int) and not isinstance(size, bool) and 0 <= size < 1 << 48 for size in shape):
+        raise FileError(f"{what} has a shape that is not made of sizes, expected whole numbers that are not negative")
+    return np.dtype(kind), fortran, shape

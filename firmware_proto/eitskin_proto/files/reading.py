@@ -1,0 +1,195 @@
+"""Files read within bounds: how long they are, what they are, how deep they are nested.
+
+A path may name anything: a device that never ends, a FIFO that nobody writes to, a file that grows while it is read.
+Only regular files are read, up to a bound; a stream that the caller hands over, ``/dev/stdin`` or ``/dev/fd/N`` as a
+shell's ``<(...)`` makes them, is read up to the same bound.
+"""
+
+import json
+import os
+import stat
+import tomllib
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, BinaryIO, Final
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.files.plain import quoted
+
+HANDED_OVER: Final = ("/dev/stdin", "/dev/fd/", "/proc/self/fd/")
+"""How paths of open streams begin."""
+
+DEEPEST: Final = 32
+"""Levels of nested lists and objects; the deepest file of ours has 7."""
+
+TOO_DEEP: Final = f"is not nested at most {DEEPEST} levels deep, as every such file is"
+
+LARGEST_TEXT: Final = 16 << 20
+"""Bytes of a JSON file."""
+
+LARGEST_TOML: Final = 64 << 10
+"""Bytes of a TOML file: a configuration has 500, and the parser takes a time that grows with the square."""
+
+KINDS: Final[tuple[tuple[Callable[[int], bool], str], ...]] = (
+    (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a FIFO"), (stat.S_ISSOCK, "a socket"),
+    (stat.S_ISCHR, "a device"), (stat.S_ISBLK, "a device"),
+)  # fmt: skip
+
+
+class FileError(SkinError, ValueError):
+    """A file that is not read: no regular one, too long, nested too deeply, or no text of its kind."""
+
+
+def kind_of(mode: int) -> str:
+    """Return what a file is, by ``st_mode``."""
+    return next((name for fits, name in KINDS if fits(mode)), "a file")
+
+
+@contextmanager
+def opened(path: str | Path, largest: int) -> Iterator[BinaryIO]:
+    """Open a file to be read; whoever reads a stream holds its bytes against ``largest``.
+
+    Args:
+        path: A regular file, or a stream that was handed over.
+        largest: Most bytes that it may have.
+
+    Raises:
+        FileError: It is neither, or longer.
+        OSError: It cannot be opened.
+    """
+    given = os.path.abspath(path)
+    handed_over = given.startswith(HANDED_OVER)
+    # a FIFO would wait for its writer, a terminal could become the process's own
+    file = os.open(path, os.O_RDONLY | os.O_CLOEXEC | os.O_NOCTTY | (0 if handed_over else os.O_NONBLOCK))
+    try:
+        found = os.fstat(file)
+        if not stat.S_ISREG(found.st_mode) and (not handed_over or stat.S_ISDIR(found.st_mode)):
+            raise FileError(f"{path} is {kind_of(found.st_mode)}, expected a regular file; name one")
+        if found.st_size > largest and stat.S_ISREG(found.st_mode):
+            raise FileError(_too_long(path, largest))
+        stream = open(file, "rb")  # noqa: SIM115 -- closed below, also if this fails
+    except BaseException:
+        os.close(file)
+        raise
+    with stream:
+        yield stream
+
+
+def read_bytes(path: str | Path, largest: int) -> bytes:
+    """Return a file's content.
+
+    Args:
+        path: A regular file, or a stream that was handed over.
+        largest: Most bytes that it may have.
+
+    Raises:
+        FileError: It is neither, or longer.
+        OSError: It cannot be read.
+    """
+    with opened(path, largest) as stream:
+        content = stream.read(largest + 1)
+    if len(content) > largest:
+        raise FileError(_too_long(path, largest))
+    return content
+
+
+def read_text(path: str | Path, largest: int = LARGEST_TEXT) -> str:
+    """Return a UTF-8 file's text.
+
+    Raises:
+        FileError: It is no such file, or longer.
+        OSError: It cannot be read.
+    """
+    try:
+        return read_bytes(path, largest).decode("utf-8")
+    except UnicodeDecodeError as error:
+        raise FileError(f"{path} is not UTF-8 text: {error}; expected a text file") from error
+
+
+def read_json(path: str | Path, largest: int = LARGEST_TEXT) -> Any:
+    """Return what a JSON file holds.
+
+    Raises:
+        FileError: It is none, too long, or nested too deeply.
+        OSError: It cannot be read.
+    """
+    try:
+        return parse_json(read_text(path, largest))
+    except FileError as error:
+        raise FileError(str(error) if str(path) in str(error) else f"{path} {error}") from error
+
+
+def parse_json(text: str | bytes, **hooks: Any) -> Any:
+    """Return what a JSON text says; the error's message goes on from the text's name.
+
+    Args:
+        text: Its length is the caller's to bound.
+        hooks: Of ``json.loads``.
+
+    Raises:
+        FileError: It is no JSON, or nested too deeply.
+    """
+    try:
+        found = json.loads(text, **hooks)
+    except SkinError:
+        raise  # of a hook
+    except RecursionError as error:
+        raise FileError(TOO_DEEP) from error
+    except ValueError as error:
+        raise FileError(f"is not JSON: {error}") from error
+    _check_depth(found)
+    return found
+
+
+def parse_toml(text: str) -> dict[str, Any]:
+    """Return what a TOML text says.
+
+    Raises:
+        FileError: It is no TOML, too long, or nested too deeply.
+    """
+    if len(text) > LARGEST_TOML:
+        raise FileError(f"it has {len(text)} characters, expected at most {LARGEST_TOML}")
+    try:
+        found = tomllib.loads(text)
+    except RecursionError as error:
+        raise FileError(TOO_DEEP) from error
+    except (ValueError, OverflowError, ArithmeticError) as error:
+        raise FileError(f"not a TOML file: {error}") from error
+    _check_depth(found)
+    return found
+
+
+def is_whole(value: object) -> bool:
+    """Return whether a parsed value is an integer, which True and False are not."""
+    return isinstance(value, int) and not isinstance(value, bool)
+
+
+def text_of(value: object, longest: int, what: str) -> str:
+    """Return a parsed value that must be a short text of printable ASCII, as names on the wire are.
+
+    Raises:
+        FileError: It is none; the message quotes it.
+    """
+    if not isinstance(value, str) or len(value) > longest or not value.isascii() or not value.isprintable():
+        raise FileError(f"{what} is {quoted(value)}, expected at most {longest} printable ASCII characters")
+    return value
+
+
+def _check_depth(value: object) -> None:
+    """Refuse what is nested too deeply, without a recursion of its own."""
+    level = [value]
+    for _ in range(DEEPEST):
+        level = [
+            item
+            for value in level
+            for item in (value.values() if isinstance(value, dict) else value if isinstance(value, list) else ())
+            if isinstance(item, dict | list)
+        ]
+        if not level:
+            return
+    raise FileError(TOO_DEEP)
+
+
+def _too_long(path: str | Path, largest: int) -> str:
+    return f"{path} is longer than {largest} bytes, the most that such a file may have; name another"

@@ -1,0 +1,85 @@
+"""Files written whole or not at all: a new file beside the old one, which then takes its name.
+
+A rename replaces whatever has the name: as root a device node too, and a FIFO or a socket under anybody. So only
+regular files are replaced, or new ones made. Where the name is a symbolic link, the link is replaced and what it points
+to stays as it is: nobody who can put a link into a folder decides what is overwritten elsewhere.
+"""
+
+import os
+import secrets
+import stat
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from eitskin_proto.files.reading import FileError, kind_of
+
+SYSTEM: Final = ("/dev/", "/proc/", "/sys/")
+"""Where names stand for devices and processes; /dev/shm is a folder like any."""
+
+
+def check_target(path: str | Path) -> Path:
+    """Return the path of a file that is to be written, or refuse one that must not be replaced.
+
+    Args:
+        path: A regular file, a link to one or to nothing, or a name that is free.
+
+    Raises:
+        FileError: It is a device, a FIFO, a socket or a folder.
+    """
+    found = Path(path)
+    given = os.path.abspath(found)
+    if given.startswith(SYSTEM) and not given.startswith(
+        "/dev/shm/"
+    ):  # /dev/stdout is a link to what is a file at times
+        raise FileError(f"{path} names a device or a stream, expected a regular file to write; name one")
+    with suppress(OSError):
+        mode = found.stat().st_mode
+        if not stat.S_ISREG(mode):
+            raise FileError(f"{path} is {kind_of(mode)}, expected a regular file to write, or a new name; name another")
+    return found
+
+
+@contextmanager
+def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
+    """Give a file to write; when the block ends well its content is on disk under ``path``, else nothing changed.
+
+    Args:
+        path: See :func:`check_target`.
+        mode: Permissions of the file, less the process's umask.
+
+    Raises:
+        FileError: See :func:`check_target`.
+        OSError: It cannot be written.
+    """
+    where = check_target(path)
+    beside = where.with_name(f".{where.name[:200]}.{secrets.token_hex(6)}.part")
+    handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, mode)
+    try:
+        with open(handle, "wb") as stream:
+            yield stream
+            stream.flush()
+            os.fsync(stream.fileno())
+        check_target(where)  # the work may have taken hours
+        beside.replace(where)
+    except BaseException:
+        with suppress(OSError):
+            beside.unlink()
+        raise
+    folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(folder)  # the new name is on disk too
+    finally:
+        os.close(folder)
+
+
+def write_bytes(path: str | Path, content: bytes, mode: int = 0o666) -> None:
+    """Write a file whole or not at all.
+
+    Raises:
+        FileError: See :func:`check_target`.
+        OSError: It cannot be written.
+    """
+    with replacing(path, mode) as stream:
+        stream.write(content)

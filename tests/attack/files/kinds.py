@@ -1,0 +1,273 @@
+"""The kinds of files that are attacked: how a sample is made and damaged, and what reads it."""
+
+import copy
+import json
+import random
+import shutil
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any, Final
+
+from . import graphs, mutations, samples
+
+Make = Callable[[Path, random.Random | None], tuple[Path, str]]
+"""Puts a sample into a folder, damaged unless there is no generator; returns its path and what was done."""
+
+
+@dataclass(frozen=True)
+class Kind:
+    """One kind of file."""
+
+    make: Make
+    read: samples.Read
+    errors: tuple[type[BaseException], ...] = (OSError,)
+    """What its reader says that it raises besides the package's own errors."""
+    prepare: Callable[[Path], None] = lambda _: None
+    """Called once with a folder that stays."""
+    long: int = 4000
+    """Tries of the long form; fewer where each takes longer."""
+
+
+def _file(name: str, data: Callable[[random.Random | None], tuple[bytes, str]]) -> Make:
+    def make(folder: Path, rng: random.Random | None) -> tuple[Path, str]:
+        path = folder / name
+        if rng is not None and rng.random() < 0.04:
+            return path, f"not a file: {mutations.special(path, rng)}"
+        content, what = data(rng)
+        path.write_bytes(content)
+        return path, what
+
+    return make
+
+
+def _bytes(whole: Callable[[], bytes], rng: random.Random | None) -> tuple[bytes, str]:
+    return (whole(), "whole") if rng is None else (mutations.bent(whole(), rng), "bytes")
+
+
+def _json(whole: Callable[[], Any], rng: random.Random | None) -> tuple[bytes, str]:
+    if rng is None:
+        return json.dumps(whole()).encode(), "whole"
+    if rng.random() < 0.15:
+        return mutations.bent(json.dumps(whole()).encode(), rng), "bytes"
+    return mutations.text_of(mutations.changed(whole(), rng)).encode(), "values"
+
+
+def _reference(rng: random.Random | None) -> tuple[bytes, str]:
+    if rng is None:
+        return samples.sealed(samples.reference()), "whole"
+    if rng.random() < 0.2:
+        return mutations.bent(samples.sealed(samples.reference()), rng), "bytes"
+    return samples.sealed(mutations.changed(samples.reference(), rng)), "values, sealed again"
+
+
+def _npy(whole: Callable[[], Any], rng: random.Random | None) -> tuple[bytes, str]:
+    if rng is None:
+        return samples.npy(whole()), "whole"
+    if rng.random() < 0.5:
+        return mutations.array(rng), "another array"
+    return mutations.bent(samples.npy(whole()), rng), "bytes"
+
+
+def _npz(whole: Callable[[], dict[str, Any]], rng: random.Random | None) -> tuple[bytes, str]:
+    arrays = whole()
+    if rng is None:
+        return samples.npz(**arrays), "whole"
+    parts = {f"{name}.npy": samples.npy(value) for name, value in arrays.items()}
+    if rng.random() < 0.4:
+        parts[rng.choice(list(parts))] = mutations.array(rng)
+        return _zipped(parts), "another array"
+    return mutations.archive(parts, rng), "archive"
+
+
+def _zipped(parts: dict[str, bytes]) -> bytes:
+    import io
+    import zipfile
+
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, data in parts.items():
+            archive.writestr(name, data)
+    return out.getvalue()
+
+
+_toml: Final = (samples.ROOT / "firmware_proto" / "eitskin_proto" / "configurations" / "idle.toml").read_bytes()
+
+
+def _configuration(rng: random.Random | None) -> tuple[bytes, str]:
+    if rng is None:
+        return _toml, "whole"
+    if rng.random() < 0.3:
+        return mutations.bent(_toml, rng), "bytes"
+    lines = _toml.decode().splitlines()
+    for _ in range(rng.choice((1, 1, 2))):
+        at = rng.randrange(len(lines))
+        key = lines[at].partition("=")[0]
+        values = (
+            "1e400", "-1", "nan", "inf", "true", "[]", "{}", '"\\u001b[2J"', "1" * 5000, "[" * 60_000, "9" * 400,
+            "1979-05-27", "[[[]]]", '"' + "x" * 99 + '"', "0", "0x7fffffffffffffffffff", "." .join("a" * 9),
+            "[" + "1," * 20_000 + "]", '"""' + "\\n" * 999 + '"""', "{a={a={a={}}}}",
+        )  # fmt: skip
+        lines[at] = (
+            f"{key}= {rng.choice(values)}" if "=" in lines[at] else rng.choice(("[x]", "[drive.x]", "", "[[a]]"))
+        )
+        if rng.random() < 0.1:
+            lines.insert(at, rng.choice((".".join("a" * 4000) + " = 1", lines[at], "\x1b = 1", "[" * 5000)))
+    return "\n".join(lines).encode(), "values"
+
+
+@cache
+def _tiny() -> tuple[dict[str, bytes], Any]:
+    parts = samples.members(samples.TINY)
+    manifest = json.loads(parts.pop("manifest.json"))
+    return parts, manifest
+
+
+def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
+    whole, listed = _tiny()
+    parts, manifest = dict(whole), copy.deepcopy(listed)
+    if rng is None:
+        return samples.bundle(parts, manifest), "whole"
+    how = rng.randrange(10)
+    if how < 3:
+        text = mutations.text_of(mutations.changed(manifest, rng))
+        return _zipped({"manifest.json": text.encode(), **parts}), "manifest"
+    if how < 6:
+        name = rng.choice([name for name in parts if name.endswith(".onnx")])
+        parts[name], what = graphs.hostile(parts[name], rng)
+        return samples.bundle(parts, manifest), f"{name}: {what}"
+    if how < 8:
+        name = rng.choice(list(parts))
+        parts[name] = mutations.array(rng) if name.endswith(".npy") else mutations.bent(parts[name], rng)
+        if name.endswith(".npz"):
+            parts[name] = mutations.archive(samples.members_of(whole[name]), rng)
+        return samples.bundle(parts, manifest), f"{name} is another"
+    data = {"manifest.json": json.dumps(manifest).encode(), **parts}
+    return (mutations.archive(data, rng), "archive") if how == 8 else (mutations.bent(_zipped(data), rng), "bytes")
+
+
+def _data_set(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Path, str]:
+    from eitskin_proto.sensor.ids import sha256_of
+
+    out = folder / "data"
+    shutil.copytree(stays[0], out)
+    if rng is None:
+        return out, "whole"
+    index = json.loads((out / "index.json").read_text())
+    how, name = rng.randrange(6), rng.choice(["touches.npz", "deformation-0000.npz"])
+    if how < 2:
+        (out / "index.json").write_text(mutations.text_of(mutations.changed(index, rng)))
+        return out, "index"
+    if how == 2:
+        (out / "index.json").write_bytes(mutations.bent((out / "index.json").read_bytes(), rng))
+        return out, "index, bytes"
+    target = out / (name if how < 5 or rng.random() < 0.5 else "index.json")
+    if how == 5:
+        target.unlink()
+        return out, f"{target.name} is no file: {mutations.special(target, rng)}"
+    parts = samples.members_of(target.read_bytes())
+    if how == 3:
+        parts[rng.choice(list(parts))] = mutations.array(rng)
+    data = _zipped(parts) if how == 3 else mutations.archive(parts, rng)
+    target.write_bytes(data)
+    for entry in (index["touches"], *index["deformations"]):
+        if entry["file"] == name:
+            entry["sha256"] = sha256_of(data)
+    (out / "index.json").write_text(json.dumps(index))
+    return out, f"{name}, sealed again"
+
+
+def _run(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Path, str]:
+    import torch
+
+    out = folder / "run"
+    shutil.copytree(stays[0], out)
+    if rng is None:
+        return out, "whole"
+    target = out / rng.choice(("best.pt", "history.json"))
+    how = rng.randrange(4)
+    if how == 0:
+        target.unlink()
+        return out, f"{target.name} is no file: {mutations.special(target, rng)}"
+    if target.suffix == ".json":
+        target.write_text(mutations.text_of(mutations.changed(json.loads(target.read_text()), rng)))
+        return out, "history"
+    if how == 1:
+        target.write_bytes(mutations.bent(target.read_bytes(), rng))
+        return out, "best.pt, bytes"
+    content = torch.load(target, weights_only=True)
+    weights = content.pop("weights")
+    changed = mutations.changed(content, rng)
+    if isinstance(changed, dict):
+        if how == 2 and weights:
+            name = rng.choice(list(weights))
+            weights[name] = rng.choice((torch.zeros(3), "text", None, torch.zeros(0), 7))
+        changed["weights"] = weights if rng.random() < 0.95 else rng.choice(mutations.HOSTILE)
+    torch.save(changed, target)
+    return out, "best.pt, values"
+
+
+def _make_run(stays: list[Path], folder: Path) -> None:
+    import torch
+
+    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_training.network.model import VD2T
+    from eitskin_training.recipes import recipe
+
+    torch.set_num_threads(1)
+    out = folder / "run"
+    out.mkdir()
+    chosen = recipe("tiny")
+    epochs = [
+        {"number": 1, "training_loss": 0.5, "validation_loss": 0.4, "validation_cc": 0.9, "seconds": 1.0},
+        {"number": 2, "training_loss": 0.4, "validation_loss": 0.3, "validation_cc": 0.95, "seconds": 1.0},
+    ]
+    content = {
+        "format": 1, "protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "recipe": chosen.as_dict(), "seed": 0,
+        "data_digest": "0" * 16, "data": ["data"], "started_from": None, "history": epochs,
+        "weights": VD2T(chosen.architecture).state_dict(),
+    }  # fmt: skip
+    torch.save(content, out / "best.pt")
+    (out / "history.json").write_text(json.dumps(epochs))
+    stays.append(out)
+
+
+def _make_data_set(stays: list[Path], folder: Path) -> None:
+    samples.data_set(folder / "data")
+    stays.append(folder / "data")
+
+
+_DATA: list[Path] = []
+_RUN: list[Path] = []
+
+
+def _phantoms() -> Any:
+    return [{"name": "1", "scene": samples.scene(), "truth": "area"}, {"scene": {}, "truth": "units"}]
+
+
+def _xyz() -> bytes:
+    return "\n".join(" ".join(f"{v:g}" for v in row) for row in samples.points()).encode()
+
+
+KINDS: Final[dict[str, Kind]] = {
+    "bundle": Kind(_file("b.eitskin", _bundle), samples.read_bundle, long=1500),
+    "reference": Kind(_file("r.json", _reference), samples.read_reference),
+    "configuration": Kind(_file("c.toml", _configuration), samples.read_configuration, (OSError, ValueError)),
+    "scene": Kind(_file("s.json", partial(_json, samples.scene)), samples.read_scene, long=400),
+    "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms, long=1500),
+    "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan, long=600),
+    "scan-ply-text": Kind(_file("s.ply", partial(_bytes, samples.ply_text)), samples.read_scan, long=600),
+    "scan-xyz": Kind(_file("s.xyz", partial(_bytes, _xyz)), samples.read_scan, long=600),
+    "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan, long=600),
+    "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),
+    "recording": Kind(_file("r.npy", partial(_npy, samples.recording)), samples.read_recording),
+    "data-set": Kind(
+        partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA), long=800
+    ),
+    "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN), long=400),
+}
+"""By name."""
+
+LIGHT: Final = tuple(name for name in KINDS if name != "run")
+"""Those that need no torch."""

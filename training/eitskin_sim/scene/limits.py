@@ -1,0 +1,25 @@
+"""What a scene may hold: so much that no sheet needs more, so little that it is read and solved in bounded time."""
+
+from typing import Final
+
+MOST_STRETCH: Final = 5.0
+"""In either direction, and of one to the other: at 25 to 1 the weakest voltages are 1e-26 of the largest, and wrong."""
+
+LARGEST_FILE: Final = 4 << 20
+"""Bytes of a file of scenes."""
+
+MOST_SHAPES: Final = 500
+"""Rectangles, discs and polygons of a scene; the sheet has 126 units."""
+
+MOST_CORNERS: Final = 200
+"""Of a polygon; whether its sides cross is looked at for every two of them."""
+
+MOST_BUMPS: Final = 100
+MOST_PHANTOMS: Final = 1000
+MOST_ASPECT: Final = 20.0
+MOST_TURN_DEG: Final = 36_000.0
+FARTHEST: Final = 1e5
+"""mm; of what lies beside the sheet."""
+
+ON_BORDER_MM: Final = 1e-6
+"""How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
