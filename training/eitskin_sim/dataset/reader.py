@@ -6,7 +6,9 @@ A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.np
     split,
                         file, number of samples, SHA-256 of the file
     touches.npz         on the unit grid  units (T, 16) uint8, packed bits, unit 0 first
+                        there, not hard   contrast_class (T, 126) uint8 of touched units, contrast (classes,) float64
                         anywhere          pieces (P, 7) float64 and first (T + 1,) int64   (scene.touch_table)
+                        there, not hard   pieces (P, 8), with the width of their borders
                         and               validation (T,) bool, reference (104,) float64 V, flat and untouched
     deformation-0000.npz  touch_set (n,) int32, voltages (n, 104) float32 V at 1 A, free of noise;
                         untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as measured, in the agreed pose
@@ -30,10 +32,13 @@ from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
 from eitskin_sim.dataset.plan import SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
-from eitskin_sim.unit_grid.patterns import unpack
+from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
+from eitskin_sim.unit_grid.units import TOUCHED
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
+VERSION_OF_SOFT: Final = 2
+"""Of data sets whose touches are not hard ones alone, which a reader of version 1 would take for such."""
 HINT: Final = "make it again with 'eitskin dataset'"
 
 
@@ -66,6 +71,8 @@ class DataSet:
     """(T, 126) touched units; (0, 126) for touches anywhere."""
     free: TouchTable
     """Touches anywhere; empty on the unit grid."""
+    unit_contrasts: UnitContrasts | None = None
+    """Of touches on the unit grid, where they are not the paper's of 50."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:
@@ -91,6 +98,14 @@ class DataSet:
         unique, back = np.unique(sets, return_inverse=True)
         maps = np.minimum(self.free.chosen(unique).area_table().toarray(), 1.0).astype(np.float32)
         return np.asarray(maps[back].reshape(-1, *GRID_SHAPE))
+
+    def contrasts(self, number: int) -> npt.NDArray[np.float64]:
+        """Return the contrasts of one touch set: (126,) of its units, 1 untouched, or (p,) of its pieces."""
+        if self.labels_kind == "area":
+            return self.free.of(number)[:, 6]
+        if self.unit_contrasts is None:
+            return np.where(self.units[number], TOUCHED, 1.0)
+        return self.unit_contrasts.of(np.array([number]))[0]
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
         """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""
@@ -132,7 +147,15 @@ def load(path: str | Path) -> DataSet:
         touch_split=touches["validation"],
         units=np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(unit_bits),
         free=TouchTable(pieces, touches.get("first", np.zeros(1, dtype=np.int64))),
+        unit_contrasts=_unit_contrasts(touches),
     )
+
+
+def _unit_contrasts(touches: dict[str, npt.NDArray[Any]]) -> UnitContrasts | None:
+    """The contrasts of units, where the touches are not hard ones."""
+    if "contrast" not in touches:
+        return None
+    return UnitContrasts(touches["contrast_class"], touches["contrast"])
 
 
 def read_index(folder: Path) -> dict[str, Any]:
@@ -146,7 +169,9 @@ def read_index(folder: Path) -> dict[str, Any]:
         raise ProtocolError(f"{path} is no JSON: {error}; {HINT}") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise ProtocolError(f"{path} is no index of a data set; {HINT}")
-    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    soft = index.get("touch_kind", "hard") != "hard"
+    version = VERSION_OF_SOFT if soft else VERSION
+    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if index.get(name) != expected:
             raise MismatchError(f"data set {folder}: {name}", found=index.get(name), expected=expected, hint=HINT)
     return index

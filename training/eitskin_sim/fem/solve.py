@@ -13,6 +13,7 @@ from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Scene
+from eitskin_sim.scene.soft_touch import check_touches
 
 Array = npt.NDArray[np.float64]
 Law = Literal["constant", "modes"]
@@ -32,8 +33,13 @@ class Solution:
 
 
 def factorise_scene(scene: Scene, law: Law = "constant") -> Factor:
-    """Return the factorised system of a scene on the mesh that it asks for."""
-    metric = bend_metric(scene.bend, scene.sheet)
+    """Return the factorised system of a scene on the mesh that it asks for.
+
+    Raises:
+        SceneError: A touch would change nothing, or its border cannot be represented.
+    """
+    check_touches(scene)
+    metric = bend_metric(scene.bend, scene.sheet, scene.touches)
     system = assemble(scene_mesh(scene), scene.sheet, scene.electrodes, metric)
     if law == "constant" or scene.electrodes.contact == "edge":
         return factorise(system, scene.touches)
@@ -49,6 +55,9 @@ def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
         law: How a face contact passes current: "constant", by an effective impedance with one fitted constant, which
             data sets and bundles are made with, or "modes", by the modes of the layer's depth, which needs no fit.
             An edge contact has no such modes: both are the same for it.
+
+    Raises:
+        SceneError: A touch would change nothing, or its border cannot be represented.
     """
     factor = factorise_scene(scene, law)
     full = scene.current_A * factor.voltages(FULL_TABLE)
