@@ -184,7 +184,7 @@ def make_plan(
         raise ValueError(f"touches {touches!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
     if set_name == "paper" and touches != "hard":
         raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
-    kind = cast(TouchKind, touches)
+    kind: TouchKind = touches
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets

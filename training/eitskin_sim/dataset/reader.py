@@ -102,10 +102,10 @@ class DataSet:
     def contrasts(self, number: int) -> npt.NDArray[np.float64]:
         """Return the contrasts of one touch set: (126,) of its units, 1 untouched, or (p,) of its pieces."""
         if self.labels_kind == "area":
-            return self.free.of(number)[:, 6]
+            return np.asarray(self.free.of(number)[:, 6], dtype=np.float64)
         if self.unit_contrasts is None:
-            return np.where(self.units[number], TOUCHED, 1.0)
-        return self.unit_contrasts.of(np.array([number]))[0]
+            return np.asarray(np.where(self.units[number], TOUCHED, 1.0), dtype=np.float64)
+        return np.asarray(self.unit_contrasts.of(np.array([number]))[0], dtype=np.float64)
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
         """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""

@@ -59,16 +59,16 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
         mesh: The fixed mesh.
 
     Raises:
-        ValueError: A piece would change nothing, or its border cannot be represented.
+        ValueError: A graded border cannot be represented, or its piece would change nothing.
     """
     counts = np.diff(touches.first)[sets]
     rows = np.concatenate([np.arange(touches.first[s], touches.first[s + 1]) for s in sets] or [np.zeros(0, np.intp)])
     pieces, owner = touches.pieces[rows.astype(np.intp)], np.repeat(np.arange(len(sets)), counts)
     borders = borders_mm(pieces)
-    _check(pieces, borders, mesh)
     piece, element = _near(pieces, mesh, borders)
     graded = None
     if borders.any():
+        check_pieces(pieces[borders != 0.0], mesh)
         piece, element, graded = _split_graded(pieces, borders, owner, piece, element, mesh)
     middle, _ = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])
     reach = np.hypot(*mesh.sizes_mm[element].T) / 2
@@ -80,7 +80,12 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     united = _unite(pair, cut, owner, mesh)
     covered = (owner[piece[full]], element[full], pieces[piece[full], 6])
     if graded is not None:
-        covered = tuple(np.concatenate([own, rest]) for own, rest in zip(graded[:3], covered, strict=True))
+        of_set, number, sigma, _ = graded
+        covered = (
+            np.concatenate([of_set, covered[0]]),
+            np.concatenate([number, covered[1]]),
+            np.concatenate([sigma, covered[2]]),
+        )
     return Cuts(
         of_set=np.concatenate([united.of_set, covered[0]]),
         element=np.concatenate([united.element, covered[1]]),
@@ -91,12 +96,13 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     )
 
 
-def _check(pieces: Array, borders: Array, mesh: TensorMesh) -> None:
+def check_pieces(pieces: Array, mesh: TensorMesh) -> None:
     """Raise ValueError if a piece would change nothing, or its border cannot be represented."""
+    borders = borders_mm(pieces)
     half, ends = half_extents_mm(pieces), (mesh.x_lines_mm[-1], mesh.y_lines_mm[-1])
     away = ((pieces[:, 1:3] + half <= 0.0) | (pieces[:, 1:3] - half >= ends)).any(axis=1)
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = ~(np.abs(np.log(pieces[:, 6])) >= LEAST_LOG_CONTRAST) | ~np.isfinite(pieces[:, 6])
+        even = ~(np.abs(np.log(pieces[:, 6])) >= LEAST_LOG_CONTRAST) | ~np.isfinite(np.log(pieces[:, 6]))
     narrow = pieces[:, 3] if len(pieces) == 0 else np.where(pieces[:, 0] == DISC, pieces[:, 3], pieces[:, 3:5].min(1))
     thin = (borders > 0.0) & ((borders < LEAST_BORDER_MM) | (borders > narrow)) | ~(borders >= 0.0)
     for wrong, what in (
@@ -136,7 +142,12 @@ def _split_graded(
     """
     unit = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
     key = owner[piece] * mesh.n_elements + element
-    maybe = np.flatnonzero(np.isin(key, key[borders[piece] > 0.0]))  # the others need no distances
+    centre = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[0][:, 0]
+    soft, span = borders[piece] > 0.0, borders[piece] / 2 + np.hypot(*mesh.sizes_mm[element].T) / 2
+    inner, times = np.unique(key[soft & (centre < span)], return_counts=True)
+    crossed = np.concatenate([key[soft & (np.abs(centre) < span)], inner[times > 1]])
+    passed = soft & (centre >= span)
+    maybe = np.flatnonzero(np.isin(key, crossed) & ~passed)  # the others need no distances at their points
     sizes = mesh.sizes_mm[element[maybe]]
     where = mesh.corners_mm[element[maybe]][:, None, :] + unit * sizes[:, None, :]
     distance, normal = _distance(pieces[piece[maybe]], where)
@@ -148,7 +159,7 @@ def _split_graded(
     taken = maybe[own]
     away = (half > 0.0) & beyond
     kept = np.ones(len(piece), dtype=np.bool_)
-    kept[taken] = kept[maybe[away]] = False
+    kept[taken] = kept[maybe[away]] = kept[passed] = False
     order = np.argsort(key[taken], kind="stable")
     rows, taken = np.flatnonzero(own)[order], taken[order]
     unique, group = np.unique(key[taken], return_inverse=True)

@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.cut_touches import Cuts, check_pieces, find_cuts
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
 from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
@@ -62,7 +62,12 @@ class CondensedPart:
 
 
 def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
-    """Return what parts do to a mesh's elements, in batches."""
+    """Return what parts do to a mesh's elements, in batches.
+
+    Raises:
+        ValueError: A touch would change nothing, or its border cannot be represented.
+    """
+    check_pieces(parts.pieces, grid.mesh)
     found = []
     for start in range(0, len(parts), BATCH):
         which = np.arange(start, min(start + BATCH, len(parts)))

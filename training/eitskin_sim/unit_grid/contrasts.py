@@ -103,7 +103,7 @@ class ContrastUnits:
 def check_contrasts(contrast: Array) -> None:
     """Raise ValueError if a touched unit would change nothing, or be no conductor."""
     with np.errstate(divide="ignore", invalid="ignore"):
-        even = ~(np.abs(np.log(contrast)) >= LEAST_LOG_CONTRAST) | ~np.isfinite(contrast)
+        even = ~(np.abs(np.log(contrast)) >= LEAST_LOG_CONTRAST) | ~np.isfinite(np.log(contrast))
     if even.any():
         raise ValueError(
             f"a touched unit has a contrast of {contrast[even][0]:g}; it must be above 0 and differ from 1, or the "

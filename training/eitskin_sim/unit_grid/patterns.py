@@ -112,7 +112,8 @@ class UnitContrasts:
 
     def of(self, sets: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
         """Return the (n, 126) contrasts of some sets, 1 where nothing is touched."""
-        return np.append(self.contrast, np.ones(256 - len(self.contrast)))[self.number[sets]]
+        table = np.append(self.contrast, np.ones(256 - len(self.contrast)))
+        return np.asarray(table[self.number[sets]], dtype=np.float64)
 
 
 def touch_classes(units: Bits, classes: int, generator: np.random.Generator) -> npt.NDArray[np.uint8]:
