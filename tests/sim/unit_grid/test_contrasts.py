@@ -22,6 +22,7 @@ def naive(units: np.ndarray, contrast: np.ndarray) -> np.ndarray:
     return system.factorise(sigma).voltages()
 
 
+@pytest.mark.heavy
 def test_sets_of_any_contrasts_are_those_of_a_factorisation(generator: UnitGenerator) -> None:
     rng = np.random.default_rng(0)
     units = np.concatenate([rich_touch_sets(40, 1)[-8:], squares(4, 4)[:1], np.zeros((1, 126), dtype=np.bool_)])
