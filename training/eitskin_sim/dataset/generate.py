@@ -23,7 +23,7 @@ from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
-from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION
+from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION, VERSION_OF_SOFT
 from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
 
 Progress = Callable[[int, int], None]
@@ -167,9 +167,9 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
         for name, count, split, bend in zip(names, counts, plan.splits, content["bends"], strict=True)
     ]
     whole = "".join([touches["sha256"], *(d["sha256"] for d in deformations), PROTOCOL_ID, GRID_ID])
-    return {
+    found: dict[str, Any] = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if plan.touches == "hard" else VERSION_OF_SOFT,
         "protocol_id": PROTOCOL_ID,
         "grid_id": GRID_ID,
         "set": plan.set_name,
@@ -183,3 +183,6 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
         "touches": touches,
         "deformations": deformations,
     }
+    if plan.touches != "hard":
+        found["touch_kind"] = plan.touches
+    return found

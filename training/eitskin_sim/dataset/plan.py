@@ -21,6 +21,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.ids import id_of_values
 from eitskin_sim.freeform.draws import CLUSTERED
+from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.patterns import N_PAPER_SETS
@@ -65,6 +66,7 @@ class Plan:
         bends: Every deformation.
         splits: "train", "kept" or "other" for each.
         near: Share of the free sets that are drawn with touches near to each other; others have none.
+        touches: Which touches; a plan of hard ones says nothing of it, as before there were others.
     """
 
     set_name: SetName
@@ -74,10 +76,14 @@ class Plan:
     bends: tuple[Bend, ...]
     splits: tuple[str, ...]
     near: float | None = None
+    touches: TouchKind = "hard"
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
-        return {**asdict(self), "recipe": RECIPES[self.set_name]}
+        found = {**asdict(self), "recipe": RECIPES[self.set_name]}
+        if self.touches == "hard":
+            del found["touches"]
+        return found
 
     @property
     def group(self) -> int:
@@ -146,6 +152,7 @@ def make_plan(
     per_deformation: int | None = None,
     kept: int | None = None,
     near: float | None = None,
+    touches: str = "hard",
 ) -> Plan:
     """Return a plan; what is left out takes the recipe's own size.
 
@@ -157,6 +164,7 @@ def make_plan(
         per_deformation: Touch sets shown at each deformation to train on.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.
+        touches: "hard", the paper's; "press", that lower conductance; "both"; "paper" has hard ones alone.
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -172,6 +180,11 @@ def make_plan(
         )
     if set_name != "free" and near is not None:
         raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
+    if touches not in TOUCH_KINDS:
+        raise ValueError(f"touches {touches!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
+    if set_name == "paper" and touches != "hard":
+        raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
+    kind: TouchKind = touches
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -192,7 +205,7 @@ def make_plan(
         return Plan("paper", seed, n_sets, n_sets, bends, splits)
     bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind)
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -6,7 +6,9 @@ A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.np
     split,
                         file, number of samples, SHA-256 of the file
     touches.npz         on the unit grid  units (T, 16) uint8, packed bits, unit 0 first
+                        there, not hard   contrast_class (T, 126) uint8 of touched units, contrast (classes,) float64
                         anywhere          pieces (P, 7) float64 and first (T + 1,) int64   (scene.touch_table)
+                        there, not hard   pieces (P, 8), with the width of their borders
                         and               validation (T,) bool, reference (104,) float64 V, flat and untouched
     deformation-0000.npz  touch_set (n,) int32, voltages (n, 104) float32 V at 1 A, free of noise;
                         untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as measured, in the agreed pose
@@ -33,10 +35,15 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
-from eitskin_sim.unit_grid.patterns import unpack
+from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
+from eitskin_sim.unit_grid.units import TOUCHED
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
+VERSION_OF_SOFT: Final = 2
+"""Of data sets whose touches are not hard ones alone, which a reader of version 1 would take for such."""
+PIECE_COLUMNS: Final = {False: 7, True: 8}
+"""Of a table of touches that are hard ones alone, or may be soft: these have a border."""
 HINT: Final = "make it again with 'eitskin dataset'"
 
 LARGEST_FILE: Final = 1 << 30
@@ -76,6 +83,8 @@ class DataSet:
     """(T, 126) touched units; (0, 126) for touches anywhere."""
     free: TouchTable
     """Touches anywhere; empty on the unit grid."""
+    unit_contrasts: UnitContrasts | None = None
+    """Of touches on the unit grid, where they are not the paper's of 50."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:
@@ -101,6 +110,14 @@ class DataSet:
         unique, back = np.unique(sets, return_inverse=True)
         maps = np.minimum(self.free.chosen(unique).area_table().toarray(), 1.0).astype(np.float32)
         return np.asarray(maps[back].reshape(-1, *GRID_SHAPE))
+
+    def contrasts(self, number: int) -> npt.NDArray[np.float64]:
+        """Return the contrasts of one touch set: (126,) of its units, 1 untouched, or (p,) of its pieces."""
+        if self.labels_kind == "area":
+            return np.asarray(self.free.of(number)[:, 6], dtype=np.float64)
+        if self.unit_contrasts is None:
+            return np.asarray(np.where(self.units[number], TOUCHED, 1.0), dtype=np.float64)
+        return np.asarray(self.unit_contrasts.of(np.array([number]))[0], dtype=np.float64)
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
         """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""
@@ -142,7 +159,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         _of(shard["voltages"], "f", (count, N_ROWS))
         if count and not 0 <= shard["touch_set"].min() <= shard["touch_set"].max() < len(held_out):
             raise ValueError("a sample names a touch set that is not there")
-    name = index["set"]
+    name, soft = index["set"], _is_soft(index)
     sets = len(first) - 1 if name == "free" else len(units)
     if name not in SET_NAMES or sets != len(held_out):
         raise ValueError(f"set {quoted(name)} with {sets} touch sets and {len(held_out)} that are told apart")
@@ -162,8 +179,24 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
         touch_split=held_out,
         units=units,
-        free=TouchTable(_of(pieces, "f", (None, 7)), first),
+        free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft])), first),
+        unit_contrasts=_unit_contrasts(touches, units) if soft else None,
     )
+
+
+def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:
+    """The contrasts of units, where the touches are not hard ones."""
+    if "contrast" not in touches:
+        return None
+    number = _of(touches["contrast_class"], "u", units.shape)
+    contrast = _of(touches["contrast"], "f", (None,))
+    if len(contrast) > 255 or np.any(contrast <= 0) or np.any(number[units] >= len(contrast)):
+        raise ValueError("the contrasts of units are not those of their classes")
+    return UnitContrasts(number.astype(np.uint8), contrast)
+
+
+def _is_soft(index: dict[str, Any]) -> bool:
+    return bool(index.get("touch_kind", "hard") != "hard")
 
 
 def read_index(folder: Path) -> dict[str, Any]:
@@ -183,7 +216,8 @@ def read_index(folder: Path) -> dict[str, Any]:
         raise ProtocolError(f"{error}; {HINT}") from error
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise ProtocolError(f"{path} is no index of a data set; {HINT}")
-    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    version = VERSION_OF_SOFT if _is_soft(index) else VERSION
+    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
         if index.get(name) != expected:
             raise MismatchError(
                 f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT

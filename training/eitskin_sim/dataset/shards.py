@@ -17,13 +17,15 @@ from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
+from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.pool import SetPool, set_pool
+from eitskin_sim.freeform.presses import TouchKind, contrasts_of
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import pool_voltages
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.unit_grid.patterns import Bits, pack, paper_touch_sets, rich_touch_sets
+from eitskin_sim.unit_grid.patterns import Bits, UnitContrasts, pack, paper_touch_sets, rich_touch_sets, touch_classes
 from eitskin_sim.unit_grid.units import UnitGenerator
 
 Arrays = dict[str, npt.NDArray[Any]]
@@ -38,6 +40,18 @@ def unit_sets(plan: Plan) -> Bits:
 @lru_cache(maxsize=2)
 def _unit_sets(set_name: str, count: int, seed: int) -> Bits:
     return paper_touch_sets(seed)[:count] if set_name == "paper" else rich_touch_sets(count, seed)
+
+
+def unit_contrasts(plan: Plan) -> UnitContrasts:
+    """Return the contrasts of a plan's touches on the unit grid, which are not hard ones."""
+    return _unit_contrasts(plan.set_name, plan.touch_sets, plan.seed, plan.touches)
+
+
+@lru_cache(maxsize=2)
+def _unit_contrasts(set_name: str, count: int, seed: int, kind: TouchKind) -> UnitContrasts:
+    generator = np.random.default_rng([seed, 6])
+    contrast = contrasts_of(kind, CLASSES, generator)
+    return UnitContrasts(touch_classes(_unit_sets(set_name, count, seed), CLASSES, generator), contrast)
 
 
 def freeform_sets(plan: Plan) -> TouchTable:
@@ -58,7 +72,11 @@ def touches_file(plan: Plan) -> Arrays:
     if plan.set_name == "free":
         sets = freeform_sets(plan)
         return {**common, "pieces": sets.pieces, "first": sets.first}
-    return {**common, "units": pack(unit_sets(plan))}
+    common["units"] = pack(unit_sets(plan))
+    if plan.touches != "hard":
+        own = unit_contrasts(plan)
+        common.update(contrast_class=own.number, contrast=own.contrast)
+    return common
 
 
 def reference() -> npt.NDArray[np.float64]:
@@ -83,6 +101,7 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
         "shown": [plan.shown(number) for number in deformations],
         "pool": {number: (plan.counts[number], plan.held_out(number)) for number in together},
         "near": plan.near,
+        "touches": plan.touches,
     }
 
 
@@ -118,12 +137,15 @@ def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
     sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])
     for bend, shown in zip(bends, job["shown"], strict=True):
         generator = UnitGenerator(bend)
-        yield generator.voltages(sets[shown]), generator.untouched_V
+        contrast = None
+        if job["touches"] != "hard":
+            contrast = _unit_contrasts(job["set"], job["touch_sets"], job["seed"], job["touches"]).of(shown)
+        yield generator.voltages(sets[shown], contrast), generator.untouched_V
 
 
 def _pool(job: dict[str, Any]) -> SetPool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return set_pool(job["pool"], job["seed"], job["near"])
+    return set_pool(job["pool"], job["seed"], job["near"], job["touches"])
 
 
 def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:

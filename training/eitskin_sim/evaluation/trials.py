@@ -2,7 +2,7 @@
 
 ::
 
-    single      one square touch of a given size anywhere on the sheet
+    single      one touch of a given size anywhere on the sheet: a hard square, or of any contrast, border and outline
     pair        two of them a given distance apart, edge to edge
     random      random units, or rectangles and discs anywhere, so many at a time
     untouched   the bent sheet alone, where no touch may appear
@@ -12,14 +12,16 @@ Phantoms of one deformation stand together.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Final, Literal
 
 import numpy as np
 
 from eitskin_proto.sensor.grid import N_UNITS, SHEET_MM, UNIT_SHAPE
 from eitskin_sim.scene.family import Family, draw
-from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
+from eitskin_sim.scene.parts import Bend, Phantom, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
+from eitskin_sim.scene.soft_touch import check_touch
 
 SEED: Final = 30_011
 """Names the deformations and the touches of trials."""
@@ -40,25 +42,49 @@ Touches = Callable[[np.random.Generator], tuple[Touch, ...]]
 """Draws the touches of one phantom."""
 
 
-def single(size_mm: float, deformations: int, each: int, family: Family = "A") -> list[Phantom]:
-    """Return phantoms of one square touch each.
+@dataclass(frozen=True, slots=True)
+class Softness:
+    """What a trial's touch is besides its size: by default a hard square."""
+
+    contrast: float = 50.0
+    """Conductivity over the sheet's; below 1 where a press lowers it."""
+    border_mm: float = 0.0
+    """Width of its graded border."""
+    disc: bool = False
+    """Round, and not square."""
+
+
+HARD: Final = Softness()
+
+
+def single(
+    size_mm: float, deformations: int, each: int, family: Family = "A", softness: Softness = HARD
+) -> list[Phantom]:
+    """Return phantoms of one touch each.
 
     Args:
-        size_mm: Its side.
+        size_mm: Its side, or diameter.
         deformations: How many deformations.
         each: Touches at each, one at a time.
         family: Where the deformations are drawn from.
+        softness: Its contrast, border and outline.
 
     Raises:
-        ValueError: The touch does not fit on the sheet.
+        ValueError: The touch does not fit on the sheet, would change nothing, or its border cannot be represented.
     """
     if not 2.0 <= size_mm <= min(SHEET_MM):
         raise ValueError(f"a touch of {size_mm:g} mm: its side must be from 2 to {min(SHEET_MM):g} mm")
 
     def touches(rng: np.random.Generator) -> tuple[Touch, ...]:
         x, y = rng.uniform((0.0, 0.0), (SHEET_MM[0] - size_mm, SHEET_MM[1] - size_mm))
-        return (_square(float(x), float(y), size_mm),)
+        square = _square(float(x), float(y), size_mm)
+        if softness == HARD:
+            return (square,)
+        radius = size_mm / 2
+        shapes = (Disc(float(x) + radius, float(y) + radius, radius),) if softness.disc else square.shapes
+        return (Touch(shapes, contrast=softness.contrast, border_mm=softness.border_mm),)
 
+    check_touch(touches(np.random.default_rng(0))[0], Sheet(), "the trial's touch")
     return _phantoms(touches, deformations, each, family, "area")
 
 

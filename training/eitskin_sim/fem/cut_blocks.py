@@ -99,14 +99,12 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
     beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 functions)
     outer = (1.0 - share)[:, :, None, None] / q
     mean = beyond * outer - interpolant / q  # a cell's mean slope of a kink, with its weight
-    coupling = np.stack([_x(mean), _y(mean)], axis=1)
-    crossed = SLOPES[:, 1].T @ mean[:, :, 0] + SLOPES[:, 0].T @ mean[:, :, 1]
     inner, outside = interpolant * (share[:, :, None, None] / q), beyond - interpolant
-    corner = _products_of(interpolant, inner) + _products_of(outside, outside * outer)
+    corner = products_of(interpolant, inner) + products_of(outside, outside * outer)
     return Integrals(
         added=(((inside - 1.0) * share) @ PRODUCTS).reshape(count, 3, 9, 9),
         held=held,
-        coupling=np.insert(coupling, 1, crossed, axis=1),
+        coupling=crossed_slopes(mean),
         corner=corner,
         centroid=share @ (UNIT_POINTS - 0.5) / np.maximum(share.sum(axis=1), 1e-30)[:, None],
     )
@@ -121,7 +119,14 @@ def _y(slopes: Array) -> Array:
     return np.asarray(SLOPES[:, 1].T @ slopes[:, :, 1])
 
 
-def _products_of(slopes: Array, weighted: Array) -> Array:
+def crossed_slopes(slopes: Array) -> Array:
+    """Return the (c, 3, 9, 2) products xx, xy + yx and yy of the shape functions' slopes and (c, q, 2, 2) others."""
+    coupling = np.stack([_x(slopes), _y(slopes)], axis=1)
+    crossed = SLOPES[:, 1].T @ slopes[:, :, 0] + SLOPES[:, 0].T @ slopes[:, :, 1]
+    return np.insert(coupling, 1, crossed, axis=1)
+
+
+def products_of(slopes: Array, weighted: Array) -> Array:
     """Return the (c, 3, 2, 2) products xx, xy + yx and yy of (c, q, 2, 2) slopes and weighted slopes."""
     x, y = np.swapaxes(slopes[:, :, 0], 1, 2), np.swapaxes(slopes[:, :, 1], 1, 2)
     mixed = x @ weighted[:, :, 1]
@@ -145,11 +150,11 @@ def cut_blocks(cuts: Integrals, element: Index, tensor: Array, stiffness: Array)
     corner[:, [0, 1], [0, 1]] += FLOOR * (own[:, 0] + own[:, 2])[:, None]
     moved = added @ cuts.held
     touched = corner + np.swapaxes(cuts.held, 1, 2) @ moved
-    change = added - _eliminated(coupling - moved, touched) + _eliminated(coupling, corner)
+    change = added - eliminated(coupling - moved, touched) + eliminated(coupling, corner)
     return np.asarray(stiffness[element] + change)
 
 
-def _eliminated(coupling: Array, corner: Array) -> Array:
+def eliminated(coupling: Array, corner: Array) -> Array:
     """Return C K^-1 C^T of (c, 9, 2) and (c, 2, 2)."""
     determinant = corner[:, 0, 0] * corner[:, 1, 1] - corner[:, 0, 1] ** 2
     inverse = np.empty_like(corner)

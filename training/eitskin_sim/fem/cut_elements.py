@@ -19,7 +19,8 @@ What this has in common with the generators, and the difference, is in :mod:`eit
 
 Rules. An element that no border cuts has the conductivity of the last touch that covers it. In a cut one, the touches
 that cut it make one inside: where they abut with one conductivity there is no seam. Its outside is the last touch that
-covers the element, or the sheet. Contacts on it pass the mean of what they would on either side.
+covers the element, or the sheet. Contacts on it pass the mean of what they would on either side. Touches with graded
+borders come last and multiply what they find (:mod:`eitskin_sim.fem.graded_elements`).
 """
 
 from collections.abc import Sequence
@@ -31,6 +32,7 @@ import numpy.typing as npt
 
 from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
 from eitskin_sim.fem.forward import Factor, System
+from eitskin_sim.fem.graded_elements import grade
 from eitskin_sim.fem.mesh import MERGE_MM, MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
@@ -66,7 +68,8 @@ def factorise(system: System, touches: Sequence[Touch]) -> Factor:
 
 def touch(system: System, touches: Sequence[Touch]) -> Touched:
     """Return what touches make of a system's elements and contacts."""
-    pieces = [(shape, item.conductivity_S_per_m) for item in touches for shape in item.shapes]
+    sharp = [item for item in touches if not item.border_mm]
+    pieces = [(shape, item.inside_S_per_m(system.background)) for item in sharp for shape in item.shapes]
     sigma, last, cutting = _cover(system, pieces)
     blocks = sigma[:, None, None] * system.stiffness
     density = system.contacts.density(sigma[system.contacts.element])
@@ -77,6 +80,9 @@ def touch(system: System, touches: Sequence[Touch]) -> Touched:
         blocks[cut] = _condensed(system, cut, phases)
         _mix_contacts(system, cut, phases, density)
         sigma[cut] = np.mean(phases.share * phases.inside + (1.0 - phases.share) * phases.outside[:, None], axis=1)
+    if len(sharp) < len(touches):
+        graded = [item for item in touches if item.border_mm]
+        grade(system, graded, _unit_points(), sigma, blocks, density, cut)
     return Touched(system, sigma, blocks, density, cut)
 
 

@@ -11,9 +11,12 @@ import numpy as np
 
 from eitskin_sim.fem.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
 from eitskin_sim.fem.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.graded_blocks import CELL, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.touch_table import DISC, Array, TouchTable
+from eitskin_sim.scene.shapes import ellipse_distance
+from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM, LEAST_LOG_CONTRAST
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array, TouchTable, borders_mm
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,9 +26,10 @@ class Cuts:
     Args:
         of_set: (e,) which set, counted from the first of these.
         element: (e,) which element.
-        sigma: (e,) S/m, the mean inside.
+        sigma: (e,) S/m, the mean inside; of those under a graded border the mean.
         share: (e,) of the element's area inside; 1 after the first c.
         integrals: Of the first c.
+        graded: Of the g after them, which a graded border reaches; None where there are none.
     """
 
     of_set: Index
@@ -33,11 +37,17 @@ class Cuts:
     sigma: Array
     share: Array
     integrals: Integrals
+    graded: GradedIntegrals | None = None
 
     @property
     def n_cut(self) -> int:
         """How many are cut."""
         return len(self.integrals.added)
+
+    @property
+    def n_graded(self) -> int:
+        """How many a graded border reaches."""
+        return 0 if self.graded is None else len(self.graded)
 
 
 def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
@@ -47,11 +57,19 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
         touches: The table.
         sets: (s,) which of its sets.
         mesh: The fixed mesh.
+
+    Raises:
+        ValueError: A graded border cannot be represented, or its piece would change nothing.
     """
     counts = np.diff(touches.first)[sets]
     rows = np.concatenate([np.arange(touches.first[s], touches.first[s + 1]) for s in sets] or [np.zeros(0, np.intp)])
     pieces, owner = touches.pieces[rows.astype(np.intp)], np.repeat(np.arange(len(sets)), counts)
-    piece, element = _near(pieces, mesh)
+    borders = borders_mm(pieces)
+    piece, element = _near(pieces, mesh, borders)
+    graded = None
+    if borders.any():
+        check_pieces(pieces[borders != 0.0], mesh)
+        piece, element, graded = _split_graded(pieces, borders, owner, piece, element, mesh)
     middle, _ = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])
     reach = np.hypot(*mesh.sizes_mm[element].T) / 2
     whole, crossed = middle[:, 0] <= -reach, np.abs(middle[:, 0]) < reach
@@ -61,18 +79,47 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     cut = np.flatnonzero((pair.mean > WHOLE) & ~inside)
     united = _unite(pair, cut, owner, mesh)
     covered = (owner[piece[full]], element[full], pieces[piece[full], 6])
+    if graded is not None:
+        of_set, number, sigma, _ = graded
+        covered = (
+            np.concatenate([of_set, covered[0]]),
+            np.concatenate([number, covered[1]]),
+            np.concatenate([sigma, covered[2]]),
+        )
     return Cuts(
         of_set=np.concatenate([united.of_set, covered[0]]),
         element=np.concatenate([united.element, covered[1]]),
         sigma=np.concatenate([united.sigma, covered[2]]),
-        share=np.concatenate([united.share, np.ones(len(full))]),
+        share=np.concatenate([united.share, np.ones(len(covered[0]))]),
         integrals=united.integrals,
+        graded=None if graded is None else graded[3],
     )
 
 
-def _near(pieces: Array, mesh: TensorMesh) -> tuple[Index, Index]:
+def check_pieces(pieces: Array, mesh: TensorMesh) -> None:
+    """Raise ValueError if a piece would change nothing, or its border cannot be represented."""
+    borders = borders_mm(pieces)
+    half, ends = half_extents_mm(pieces), (mesh.x_lines_mm[-1], mesh.y_lines_mm[-1])
+    away = ((pieces[:, 1:3] + half <= 0.0) | (pieces[:, 1:3] - half >= ends)).any(axis=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        even = ~(np.abs(np.log(pieces[:, 6])) >= LEAST_LOG_CONTRAST) | ~np.isfinite(np.log(pieces[:, 6]))
+    narrow = pieces[:, 3] if len(pieces) == 0 else np.where(pieces[:, 0] == DISC, pieces[:, 3], pieces[:, 3:5].min(1))
+    thin = (borders > 0.0) & ((borders < LEAST_BORDER_MM) | (borders > narrow)) | ~(borders >= 0.0)
+    for wrong, what in (
+        (away, f"outside the sheet of {ends[0]:g} x {ends[1]:g} mm, where it changes nothing"),
+        (even, "contrast must be above 0 and differ from 1, or the touch changes nothing"),
+        (~(narrow > 0.0), "sides must be above 0 mm, or the touch changes nothing"),
+        (thin, f"a graded border must be from {LEAST_BORDER_MM:g} mm to the touch's width, a sharp one 0"),
+    ):
+        if wrong.any():
+            number = int(np.argmax(wrong))
+            found = ", ".join(f"{value:g}" for value in pieces[number])
+            raise ValueError(f"piece {number} (kind, x, y, length, width, angle, contrast, border: {found}): {what}")
+
+
+def _near(pieces: Array, mesh: TensorMesh, borders: Array) -> tuple[Index, Index]:
     """Return pairs of piece and element whose boxes meet."""
-    half = half_extents_mm(pieces)
+    half = half_extents_mm(pieces) + borders[:, None] / 2
     low, high = pieces[:, 1:3] - half, pieces[:, 1:3] + half
     ny, nx = mesh.shape
     first_x = np.clip(np.searchsorted(mesh.x_lines_mm, low[:, 0], side="right") - 1, 0, nx - 1)
@@ -84,6 +131,44 @@ def _near(pieces: Array, mesh: TensorMesh) -> tuple[Index, Index]:
     count = np.arange(len(piece)) - np.repeat(np.cumsum(wide * tall) - wide * tall, wide * tall)
     row, column = np.divmod(count, wide[piece])
     return piece, (first_y[piece] + row) * nx + first_x[piece] + column
+
+
+def _split_graded(
+    pieces: Array, borders: Array, owner: Index, piece: Index, element: Index, mesh: TensorMesh
+) -> tuple[Index, Index, tuple[Index, Index, Array, GradedIntegrals]]:
+    """Return the pairs out of graded borders' reach, and of the elements within: set, number, sigma and integrals.
+
+    What lies inside a graded border alone, at its full contrast, is like what lies inside a sharp one.
+    """
+    unit = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
+    key = owner[piece] * mesh.n_elements + element
+    centre = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[0][:, 0]
+    soft, span = borders[piece] > 0.0, borders[piece] / 2 + np.hypot(*mesh.sizes_mm[element].T) / 2
+    inner, times = np.unique(key[soft & (centre < span)], return_counts=True)
+    crossed = np.concatenate([key[soft & (np.abs(centre) < span)], inner[times > 1]])
+    passed = soft & (centre >= span)
+    maybe = np.flatnonzero(np.isin(key, crossed) & ~passed)  # the others need no distances at their points
+    sizes = mesh.sizes_mm[element[maybe]]
+    where = mesh.corners_mm[element[maybe]][:, None, :] + unit * sizes[:, None, :]
+    distance, normal = _distance(pieces[piece[maybe]], where)
+    half = borders[piece[maybe]] / 2
+    beyond, within = distance.min(axis=1) >= half, distance.max(axis=1) <= -half
+    reached = key[maybe[~beyond & ~within & (half > 0.0)]]
+    crowded, count = np.unique(key[maybe[~beyond & (half > 0.0)]], return_counts=True)
+    own = ~beyond & np.isin(key[maybe], np.concatenate([reached, crowded[count > 1]]))
+    taken = maybe[own]
+    away = (half > 0.0) & beyond
+    kept = np.ones(len(piece), dtype=np.bool_)
+    kept[taken] = kept[maybe[away]] = kept[passed] = False
+    order = np.argsort(key[taken], kind="stable")
+    rows, taken = np.flatnonzero(own)[order], taken[order]
+    unique, group = np.unique(key[taken], return_inverse=True)
+    sides = mesh.sizes_mm[unique % mesh.n_elements]
+    least = CELL * sides.max(axis=1)[group]
+    log_contrast = np.log(pieces[piece[taken], 6])
+    border = np.maximum(borders[piece[taken]], least)
+    graded = integrate_graded(group, sides, distance[rows], normal[rows], log_contrast, border)
+    return piece[kept], element[kept], (unique // mesh.n_elements, unique % mesh.n_elements, graded.sigma, graded)
 
 
 def _distance(pieces: Array, points: Array) -> tuple[Array, Array]:
@@ -104,6 +189,12 @@ def _distance(pieces: Array, points: Array) -> tuple[Array, Array]:
     normal_x = np.where(outside, out_x / safe, along_x) * np.where(local_x < 0.0, -1.0, 1.0)
     normal_y = np.where(outside, out_y / safe, ~along_x) * np.where(local_y < 0.0, -1.0, 1.0)
     normal = np.stack([cos * normal_x - sin * normal_y, sin * normal_x + cos * normal_y], axis=-1)
+    ovals = np.flatnonzero(pieces[:, 0] == ELLIPSE)
+    if len(ovals):
+        local = np.stack([local_x[ovals], local_y[ovals]], axis=-1)
+        distance[ovals], own = ellipse_distance(local, pieces[ovals, None, 3:5] / 2)
+        c, s = cos[ovals], sin[ovals]
+        normal[ovals] = np.stack([c * own[..., 0] - s * own[..., 1], s * own[..., 0] + c * own[..., 1]], axis=-1)
     round_ones = np.flatnonzero(pieces[:, 0] == DISC)
     if len(round_ones):
         radius = np.hypot(offset[round_ones, :, 0], offset[round_ones, :, 1])

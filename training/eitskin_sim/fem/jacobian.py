@@ -128,7 +128,7 @@ def scene_jacobian(
     scene: Scene, shape: tuple[int, int] = GRID_SHAPE, element_size_mm: float = COARSE_MM
 ) -> tuple[Array, Array]:
     """Return a scene's voltages (104,) in V and their Jacobian (104, cells) in V / (S/m), under its current."""
-    metric = bend_metric(scene.bend, scene.sheet)
+    metric = bend_metric(scene.bend, scene.sheet, scene.touches)
     voltages, found = cell_jacobian(
         scene.sheet, scene.electrodes, metric, scene.touches, shape=shape, element_size_mm=element_size_mm
     )

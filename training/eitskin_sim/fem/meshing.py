@@ -32,6 +32,8 @@ MOST_ELEMENTS: Final = 120_000
 """About 4 GB and two minutes; 0.5 mm in the open sheet have 71,000."""
 CURVED_MM: Final = 1.0
 """Inside a touch whose border the mesh cannot follow: the laminate's own size."""
+GRADED_MM: Final = 0.5
+"""The least of them across a graded border; half of its width where that is more."""
 
 Fixed = list[tuple[float, float]]
 
@@ -61,16 +63,21 @@ def touch_lines(touches: Sequence[Touch]) -> tuple[Fixed, Fixed]:
     for touch in touches:
         for shape in touch.shapes:
             x0, y0, x1, y1 = shape.bounds_mm
-            x += _span(shape, x0, x1)
-            y += _span(shape, y0, y1)
+            x += _span(shape, x0, x1, touch.border_mm)
+            y += _span(shape, y0, y1, touch.border_mm)
     return x, y
 
 
-def _span(shape: Shape, low: float, high: float) -> Fixed:
+def _span(shape: Shape, low: float, high: float, border_mm: float) -> Fixed:
     if isinstance(shape, Rect):
-        return [(low, TOUCH_EDGE_MM), (high, TOUCH_EDGE_MM)]
-    count = max(1, int(np.ceil((high - low) / CURVED_MM - 1e-9)))  # whole numbers of elements in spite of rounding
-    return [(float(at), CURVED_MM) for at in np.linspace(low, high, count + 1)]
+        edge = min(TOUCH_EDGE_MM, border_mm / 4) if border_mm else TOUCH_EDGE_MM
+        ends = (-border_mm / 2, 0.0, border_mm / 2) if border_mm else (0.0,)
+        return [(at + end, edge) for at in (low, high) for end in ends]
+    step = CURVED_MM
+    if border_mm:
+        low, high, step = low - border_mm / 2, high + border_mm / 2, float(np.clip(border_mm / 2, GRADED_MM, CURVED_MM))
+    count = max(1, int(np.ceil((high - low) / step - 1e-9)))  # whole numbers of elements in spite of rounding
+    return [(float(at), step) for at in np.linspace(low, high, count + 1)]
 
 
 def scene_mesh(scene: Scene) -> TensorMesh:

@@ -13,6 +13,7 @@ from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Scene
+from eitskin_sim.scene.soft_touch import check_touches
 from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
@@ -38,9 +39,10 @@ def factorise_scene(scene: Scene, law: Law = "constant") -> Factor:
     """Return the factorised system of a scene on the mesh that it asks for.
 
     Raises:
-        SceneError: It cannot be solved.
+        SceneError: A touch would change nothing, or its border cannot be represented; or the scene cannot be solved.
     """
-    metric = bend_metric(scene.bend, scene.sheet)
+    check_touches(scene)
+    metric = bend_metric(scene.bend, scene.sheet, scene.touches)
     mesh = scene_mesh(scene)
     try:
         system = assemble(mesh, scene.sheet, scene.electrodes, metric)
@@ -62,7 +64,7 @@ def solve_scene(scene: Scene, law: Law = "constant") -> Solution:
             An edge contact has no such modes: both are the same for it.
 
     Raises:
-        SceneError: It cannot be solved.
+        SceneError: A touch would change nothing, or its border cannot be represented; or the scene cannot be solved.
     """
     factor = factorise_scene(scene, law)
     full = scene.current_A * factor.voltages(FULL_TABLE)

@@ -1,14 +1,16 @@
 """Touches one by one: what each adds to the sheet, condensed to a small factor, from which sets are put together.
 
-A part is a touch, or several that share elements of the mesh. On the nodes of its outline it adds dS = F F^T to the
-sheet's stiffness (its inside eliminated, touched less untouched; dS is positive, see
-:mod:`eitskin_sim.fem.cut_touches`). With G the inverse of the untouched sheet and E the electrodes, what a part does
-alone is
+A part is a touch, or several that share elements of the mesh. On the nodes of its outline it adds dS = F J F^T to the
+sheet's stiffness (its inside eliminated, touched less untouched). J is 1 where touches conduct better than the sheet,
+since dS is then positive (:mod:`eitskin_sim.fem.cut_touches`), and -1 where they conduct worse; a part of both kinds
+has columns of either sign, those of 1 first. With G the inverse of the untouched sheet and E the electrodes, what a
+part does alone is
 
-    L = F X^-T,   X X^T = 1 + F^T G F,   W = L^T G_oE:      U = G_EE - W^T W
+    L = F X^-T,   X J X^T = J + F^T G F,   W = L^T G_oE:      U = G_EE - W^T J W
 
-and sets of parts need the products L_p^T G L_q of pairs besides (:mod:`eitskin_sim.freeform.voltages`). The geometry of
-parts (:mod:`eitskin_sim.fem.cut_touches`, :mod:`eitskin_sim.freeform.layout`) serves every deformation.
+X is triangular, block by block: the sheet stays a conductor after each. Sets of parts need the products L_p^T G L_q of
+pairs besides (:mod:`eitskin_sim.freeform.voltages`). The geometry of parts (:mod:`eitskin_sim.fem.cut_touches`,
+:mod:`eitskin_sim.freeform.layout`) serves every deformation.
 """
 
 from collections.abc import Sequence
@@ -20,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.cut_touches import Cuts, check_pieces, find_cuts
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
 from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle
@@ -37,6 +39,8 @@ class PartGeometry:
 
     cuts: Cuts
     layout: Layout
+    signs: npt.NDArray[np.int8]
+    """(p,) 1 where all of a part conducts better than the sheet, -1 where all conducts worse, 0 where some does."""
 
     def __len__(self) -> int:
         """Return how many parts there are."""
@@ -53,16 +57,33 @@ class CondensedPart:
     """(m, r) L"""
     load: Array
     """(r, 16) W"""
+    positive: int
+    """How many columns conduct better than the sheet; they come first."""
 
 
 def geometry(parts: TouchTable, grid: SharedMesh) -> list[PartGeometry]:
-    """Return what parts do to a mesh's elements, in batches."""
+    """Return what parts do to a mesh's elements, in batches.
+
+    Raises:
+        ValueError: A touch would change nothing, or its border cannot be represented.
+    """
+    check_pieces(parts.pieces, grid.mesh)
     found = []
     for start in range(0, len(parts), BATCH):
         which = np.arange(start, min(start + BATCH, len(parts)))
         cuts = find_cuts(parts, which, grid.mesh)
-        found.append(PartGeometry(cuts, make_layout(cuts.of_set, cuts.element, len(which), grid)))
+        layout = make_layout(cuts.of_set, cuts.element, len(which), grid)
+        found.append(PartGeometry(cuts, layout, signs_of(parts.chosen(which))))
     return found
+
+
+def signs_of(touches: TouchTable) -> npt.NDArray[np.int8]:
+    """Return (s,) 1 for touch sets that conduct better than the sheet, -1 for worse, 0 for some of each."""
+    better = touches.pieces[:, 6] > 1.0
+    owner = np.repeat(np.arange(len(touches)), np.diff(touches.first))
+    found = (np.bincount(owner, better, len(touches)) > 0).astype(np.int8)
+    found -= np.bincount(owner, ~better, len(touches)) > 0
+    return np.where(np.diff(touches.first) == 0, np.int8(1), found)
 
 
 def reached(batches: Sequence[PartGeometry], n_elements: int) -> npt.NDArray[np.uint64]:
@@ -88,7 +109,8 @@ def _condensed(sheet: InvertedSheet, batch: PartGeometry) -> list[CondensedPart]
     found = []
     for number, (square, without) in enumerate(zip(touched, untouched, strict=True)):
         dofs = layout.dofs[layout.first_outline[number] : layout.first_outline[number + 1]]
-        found.append(_part(sheet, dofs, _change(square, without, int(layout.parts.inside[number]))))
+        change = _change(square, without, int(layout.parts.inside[number]))
+        found.append(_part(sheet, dofs, change, int(batch.signs[number])))
     return found
 
 
@@ -137,15 +159,53 @@ LIFT: Final = 1e-14
 """What is added to the diagonal of dS, as a share of its largest: thin cuts leave eigenvalues of zero."""
 
 
-def _part(sheet: InvertedSheet, dofs: Index, change: Array) -> CondensedPart:
+def _part(sheet: InvertedSheet, dofs: Index, change: Array, sign: int) -> CondensedPart:
     if len(dofs) < 2:
-        return CondensedPart(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)))
-    bare = _root(change)
-    own = bare.T @ (between(sheet.inverse, dofs, dofs) @ bare)
+        return CondensedPart(dofs, np.empty((len(dofs), 0)), np.empty((0, N_ELECTRODES)), 0)
+    seen = between(sheet.inverse, dofs, dofs)
+    if sign == 0:
+        factor, positive = _mixed(change, seen)
+        return CondensedPart(dofs, factor, factor.T @ sheet.to_terminals[dofs], positive)
+    bare = _root(change) if sign > 0 else _root(-change)
+    own = bare.T @ (seen @ bare)
+    if sign < 0:
+        own *= -1.0
+    factor = _alone(own, bare)
+    positive = factor.shape[1] if sign > 0 else 0
+    return CondensedPart(dofs, np.ascontiguousarray(factor), factor.T @ sheet.to_terminals[dofs], positive)
+
+
+def _alone(own: Array, bare: Array) -> Array:
+    """Return F X^-T with X X^T = 1 + ``own``; both arguments are overwritten."""
     own.reshape(-1)[:: len(own) + 1] += 1.0
-    root, _ = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
-    factor = blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1)  # from the right: thrice as fast
-    return CondensedPart(dofs, np.ascontiguousarray(factor), factor.T @ sheet.to_terminals[dofs])
+    root, failed = lapack.dpotrf(own.T, lower=1, overwrite_a=1, clean=0)
+    if failed:
+        raise ValueError(
+            "a touch takes away more conductance than its place on the sheet has; expected a contrast well above 0"
+        )
+    return np.asarray(blas.dtrsm(1.0, root, bare, side=1, lower=1, trans_a=1, overwrite_b=1))  # right: thrice as fast
+
+
+NONE: Final = 1e-14
+"""Relative size under which an eigenvalue of a dS of both signs is none."""
+
+
+def _mixed(change: Array, seen: Array) -> tuple[Array, int]:
+    """Return L of a dS of both signs, from its lower half and the inverse at the outline, and its columns of 1."""
+    value, vector = np.linalg.eigh(change)
+    least = NONE * np.abs(value).max()
+    roots = []
+    for which, size in ((value > least, value), (value < -least, -value)):
+        bare = np.zeros((len(change) + 1, np.count_nonzero(which)), order="F")
+        bare[:-1] = vector[:, which] * np.sqrt(size[which])
+        bare[-1] = -bare.sum(axis=0)  # a constant potential passes no current
+        roots.append(bare)
+    better, worse = roots
+    better = _alone(np.ascontiguousarray(better.T @ (seen @ better)), better)
+    across = worse.T @ (seen @ better)
+    own = across @ across.T - worse.T @ (seen @ worse)
+    worse = _alone(own, np.asfortranarray(worse - better @ across.T))
+    return np.concatenate([better, worse], axis=1), better.shape[1]
 
 
 def _root(change: Array) -> Array:

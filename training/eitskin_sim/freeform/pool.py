@@ -10,7 +10,8 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.freeform.draws import CLUSTERED, SetDrawer
-from eitskin_sim.freeform.patterns import CLASSES, touch_pool
+from eitskin_sim.freeform.patterns import CLASSES
+from eitskin_sim.freeform.presses import TouchKind, pool_of
 from eitskin_sim.freeform.sets import PartSets
 from eitskin_sim.scene.touch_table import TouchTable
 
@@ -39,13 +40,16 @@ class SetPool:
         return TouchTable(drawn.pieces, drawn.first[sets.first])
 
 
-def set_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED) -> SetPool:
+def set_pool(
+    counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED, touches: TouchKind = "hard"
+) -> SetPool:
     """Return the pool of some deformations and their touch sets.
 
     Args:
         counts: By number of the deformation, how many sets it shows and how many of them are held out.
         seed: Of the data set.
         near: Share of the chains of sets whose touches lie near to each other.
+        touches: Which touches.
     """
     first = min(counts)
     learned = max(total - held for total, held in counts.values())
@@ -53,7 +57,7 @@ def set_pool(counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTE
     pools = []
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
-        pools.append(touch_pool(max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0, generator))
+        pools.append(pool_of(touches, max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0, generator))
     drawers = [SetDrawer(pool, near) for pool in pools]
     sets = {}
     for number, (total, apart) in counts.items():

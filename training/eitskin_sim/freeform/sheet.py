@@ -8,6 +8,7 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.cut_blocks import cut_blocks
 from eitskin_sim.fem.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.graded_blocks import graded_blocks
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle
@@ -75,7 +76,10 @@ def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
     stiffness, contacts = sheet.system.stiffness, sheet.system.contacts
     blocks = np.empty((len(cuts.element), 9, 9))
     blocks[: cuts.n_cut] = cut_blocks(cuts.integrals, cuts.element[: cuts.n_cut], sheet.tensor, stiffness)
-    whole = slice(cuts.n_cut, None)
+    whole = slice(cuts.n_cut + cuts.n_graded, None)
+    if cuts.graded is not None:
+        under = slice(cuts.n_cut, whole.start)
+        blocks[under] = graded_blocks(cuts.graded, cuts.element[under], sheet.tensor, stiffness)
     blocks[whole] = cuts.sigma[whole, None, None] * stiffness[cuts.element[whole]]
     fringe = np.zeros(len(stiffness))
     fringe[contacts.element] = contacts.fringe_m

@@ -18,7 +18,8 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM
 from eitskin_sim.scene.parts import Touch
-from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
+from eitskin_sim.scene.touch_table import ELLIPSE, cover
 
 Array = npt.NDArray[np.float64]
 
@@ -50,6 +51,12 @@ def shape_map(shape: Shape) -> Array:
             area = high[:, None] * wide
         case Disc():
             area = _cells(_disc_below(x[None, :] - shape.x_mm, y[:, None] - shape.y_mm, shape.radius_mm))
+        case Ellipse():
+            share = np.zeros(GRID_SHAPE)
+            piece = (ELLIPSE, shape.x_mm, shape.y_mm, shape.along_mm, shape.across_mm, shape.angle_deg, 1.0)
+            rows, columns, own = cover(np.array(piece), x, y)
+            share[rows, columns] = own
+            area = share * PITCH_MM**2
         case Polygon():
             area = _cells(_polygon_below(shape.corners_mm, x[None, :], y[:, None]))
     return np.asarray(np.clip(area / PITCH_MM**2, 0.0, 1.0), dtype=np.float64)

@@ -6,20 +6,21 @@ y -> stretch_across * y, both about the sheet's middle. (2) Roll and twist: s ru
     r(s, w) = c(s) + w d(s),   c' = T(s),   d = cos(phi) b + sin(phi) n,   kappa(s) = angle / S * (1 + skew * 2 s / S)
 
 with S the stretched sheet's extent across the axis, (T, b, n) the cylinder's frame, and phi = twist * s / S. (3) Bumps
-raise the surface along its normal by h(x, y).
+raise the surface along its normal by h(x, y); so do the dents of touches, which only a touched scene's metric has.
 
 The metric of (2) in (s, w) is diag((1 - w kappa sin phi)^2 + (w phi')^2, 1): without twist it is the identity, so any
 angle, axis and skew leave the metric of (1) exactly as it is. A layer that keeps its volume conducts
 K = sigma t0 g^-1 in flat coordinates, and so such a bend changes no voltage, to the last bit.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.parts import Bend, Sheet, Touch
+from eitskin_sim.scene.soft_touch import dent_heights, dents_of
 
 Array = npt.NDArray[np.float64]
 
@@ -47,18 +48,21 @@ def surface(bend: Bend, sheet: Sheet, xy_mm: Array) -> Array:
     return frame.position + height[:, None] * frame.normal
 
 
-def metric(bend: Bend, sheet: Sheet, xy_mm: Array) -> Array:
+def metric(bend: Bend, sheet: Sheet, xy_mm: Array, dents: Sequence[Touch] = ()) -> Array:
     """Return the (n, 3) first fundamental form E, F, G at flat points (n, 2): (1, 0, 1) where nothing is stretched."""
     xy = np.asarray(xy_mm, dtype=np.float64)
-    if not bend.twist_deg and not bend.bumps_mm:
+    if not bend.twist_deg and not bend.bumps_mm and not dents:
         found = np.zeros((len(xy), 3))
         found[:, 0] = _stretch_x(bend, sheet, xy[:, 0])[1] ** 2
         found[:, 2] = bend.stretch_across**2
         return found
     frame = frame_at(bend, sheet, xy, placed=False)
     height, slope = bump_heights(bend, xy)
+    if dents:
+        deep, steep = dent_heights(dents, xy)
+        height, slope = height + deep, slope + steep
     first = first_form(frame, frame.d_s, frame.d_w)
-    if bend.bumps_mm:
+    if bend.bumps_mm or dents:
         second = second_form(frame)
         shape = np.linalg.solve(first, second)
         shrink = np.eye(2) - height[:, None, None] * shape
@@ -66,9 +70,10 @@ def metric(bend: Bend, sheet: Sheet, xy_mm: Array) -> Array:
     return np.stack([first[:, 0, 0], first[:, 0, 1], first[:, 1, 1]], axis=-1)
 
 
-def bend_metric(bend: Bend, sheet: Sheet) -> Callable[[Array], Array]:
-    """Return the metric of a bend as a function of flat points alone."""
-    return lambda xy_mm: metric(bend, sheet, xy_mm)
+def bend_metric(bend: Bend, sheet: Sheet, touches: Sequence[Touch] = ()) -> Callable[[Array], Array]:
+    """Return the metric of a bend, and of the dents of touches, as a function of flat points alone."""
+    dents = dents_of(touches)
+    return lambda xy_mm: metric(bend, sheet, xy_mm, dents)
 
 
 def _stretch_x(bend: Bend, sheet: Sheet, x_mm: Array) -> tuple[Array, Array]:

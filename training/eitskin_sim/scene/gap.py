@@ -1,13 +1,13 @@
-"""The gap between two pieces, many pairs at once: rectangles at any angle and discs.
+"""The gap between two pieces, many pairs at once: rectangles at any angle, discs and ellipses.
 
 Rectangles apart have an axis, normal to one of their four pairs of sides, on which their shadows are apart. The widest
 gap between shadows is the distance, or less where corner faces corner: nothing is ever taken for further apart than it
-is.
+is. An ellipse counts as the rectangle around it.
 """
 
 import numpy as np
 
-from eitskin_sim.scene.touch_table import DISC, Array
+from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array
 
 
 def gap_mm(one: Array, other: Array) -> Array:
@@ -29,6 +29,9 @@ def half_extents_mm(pieces: Array) -> Array:
     round_ones = pieces[:, 0] == DISC
     x = np.where(round_ones, half, cos * half + sin * across)
     y = np.where(round_ones, half, sin * half + cos * across)
+    ovals = pieces[:, 0] == ELLIPSE
+    x = np.where(ovals, np.hypot(cos * half, sin * across), x)
+    y = np.where(ovals, np.hypot(sin * half, cos * across), y)
     return np.stack([x, y], axis=-1)
 
 

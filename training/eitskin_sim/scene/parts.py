@@ -48,10 +48,29 @@ class Bend:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """A place of the sheet with its own conductivity."""
+    """A place of the sheet that conducts otherwise: better, as under the paper's touches, or worse, as under a press.
+
+    The border is sharp, or graded: the logarithm of the conductivity then runs linearly over ``border_mm`` about the
+    outline, which is its contour of half height. A graded touch multiplies what lies under it; of sharp ones that
+    overlap the later holds.
+    """
 
     shapes: tuple[Shape, ...]
     conductivity_S_per_m: float = 50.0
+    contrast: float | None = None
+    """Conductivity over the sheet's; where it is given, it stands for ``conductivity_S_per_m``."""
+    border_mm: float = 0.0
+    """Width of the graded border; 0 is sharp."""
+    dent_mm: float = 0.0
+    """How deep the sheet is pressed in, with a wall of sigma ``DENT_WALL_MM``; it stretches the sheet there."""
+
+    def factor(self, sheet_S_per_m: float) -> float:
+        """Return the conductivity inside over the sheet's."""
+        return self.conductivity_S_per_m / sheet_S_per_m if self.contrast is None else self.contrast
+
+    def inside_S_per_m(self, sheet_S_per_m: float) -> float:
+        """Return the conductivity inside."""
+        return self.conductivity_S_per_m if self.contrast is None else self.contrast * sheet_S_per_m
 
 
 @dataclass(frozen=True, slots=True)

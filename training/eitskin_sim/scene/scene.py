@@ -7,7 +7,7 @@ Where touches overlap, the later one in the list holds.
 import json
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal, cast
+from typing import Any, Final, Literal, cast
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import FileError, read_text
@@ -17,6 +17,7 @@ from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
+from eitskin_sim.scene.soft_touch import check_touch, ellipse, shape_json, soft_fields, soft_json
 from eitskin_sim.scene.strict_json import Fields, SceneError, loads, number, numbers, sequence
 
 __all__ = [
@@ -34,6 +35,9 @@ __all__ = [
     "parse_scene",
     "scene_json",
 ]
+
+SHAPES: Final = ("rect_mm", "disc_mm", "ellipse_mm", "polygon_mm", "units")
+"""Keys of a touch's shape, of which it has one."""
 
 
 def load_scene(path: str | Path) -> Scene:
@@ -120,6 +124,7 @@ def check_scene(scene: Scene) -> None:
     number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
     place(scene.sheet, scene.electrodes)
     for index, touch in enumerate(scene.touches):
+        check_touch(touch, scene.sheet, f"scene.touches[{index}]")
         for shape in touch.shapes:
             _check_shape(shape, scene, f"scene.touches[{index}]")
     check_bend(scene.bend, scene.sheet)
@@ -212,17 +217,18 @@ def _bend(value: object, sheet: Sheet) -> Bend:
 
 def _touch(value: object, sheet: Sheet, where: str) -> Touch:
     fields = Fields(value, where)
-    kinds = [kind for kind in ("rect_mm", "disc_mm", "polygon_mm", "units") if kind in fields]
+    kinds = [kind for kind in SHAPES if kind in fields]
     if len(kinds) != 1:
-        raise SceneError(f"{where}: found {kinds or 'no shape'}, expected one of rect_mm, disc_mm, polygon_mm, units")
+        raise SceneError(f"{where}: found {kinds or 'no shape'}, expected one of {', '.join(SHAPES)}")
+    soft = soft_fields(fields, 0 if kinds[0] == "units" else 1)
     conductivity = fields.number("conductivity_S_per_m", 50.0, above=0.0, low=1e-9, high=1e9)
     shape = fields.take(kinds[0], None)
     fields.close()
-    readers = {"rect_mm": _rect, "disc_mm": _disc, "polygon_mm": _polygon}
+    readers = {"rect_mm": _rect, "disc_mm": _disc, "ellipse_mm": ellipse, "polygon_mm": _polygon}
     at = f"{where}.{kinds[0]}"
     if kinds[0] == "units":
-        return Touch(_units(shape, sheet, at), conductivity)
-    return Touch((readers[kinds[0]](shape, at),), conductivity)
+        return Touch(_units(shape, sheet, at), conductivity, **soft)
+    return Touch((readers[kinds[0]](shape, at),), conductivity, **soft)
 
 
 def _rect(value: object, where: str) -> Shape:
@@ -274,8 +280,8 @@ def scene_json(scene: Scene) -> str:
     touches: list[dict[str, Any]] = []
     for touch in scene.touches:
         for shape in touch.shapes:
-            key, value = _shape_json(shape)
-            touches.append({key: value, "conductivity_S_per_m": touch.conductivity_S_per_m})
+            key, value = shape_json(shape)
+            touches.append({key: value, **soft_json(touch)})
     return json.dumps(
         {
             "sheet": asdict(scene.sheet),
@@ -286,13 +292,3 @@ def scene_json(scene: Scene) -> str:
             "element_size_mm": scene.element_size_mm,
         }
     )
-
-
-def _shape_json(shape: Shape) -> tuple[str, Any]:
-    match shape:
-        case Rect():
-            return "rect_mm", list(shape.bounds_mm)
-        case Disc():
-            return "disc_mm", [shape.x_mm, shape.y_mm, shape.radius_mm]
-        case Polygon():
-            return "polygon_mm", [list(corner) for corner in shape.corners_mm]

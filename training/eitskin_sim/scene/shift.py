@@ -11,7 +11,7 @@ import numpy as np
 
 from eitskin_proto.sensor.grid import PITCH_MM
 from eitskin_sim.scene.parts import Phantom, Touch
-from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
 MEET_MM: Final = 1e-6
 """Boxes this near to each other meet."""
@@ -73,7 +73,7 @@ def _meet(first: Touch, second: Touch) -> bool:
 
 
 def _moved(touch: Touch, x_mm: float, y_mm: float) -> Touch:
-    return Touch(tuple(_moved_shape(shape, x_mm, y_mm) for shape in touch.shapes), touch.conductivity_S_per_m)
+    return replace(touch, shapes=tuple(_moved_shape(shape, x_mm, y_mm) for shape in touch.shapes))
 
 
 def _moved_shape(shape: Shape, x_mm: float, y_mm: float) -> Shape:
@@ -82,5 +82,7 @@ def _moved_shape(shape: Shape, x_mm: float, y_mm: float) -> Shape:
             return Rect(x0 + x_mm, y0 + y_mm, x1 + x_mm, y1 + y_mm)
         case Disc(x, y, radius):
             return Disc(x + x_mm, y + y_mm, radius)
+        case Ellipse():
+            return replace(shape, x_mm=shape.x_mm + x_mm, y_mm=shape.y_mm + y_mm)
         case Polygon(corners):
             return Polygon(tuple((x + x_mm, y + y_mm) for x, y in corners))

@@ -1,12 +1,15 @@
-"""Touches anywhere: a table of rectangles and discs, at any place, size, angle and conductivity, and their labels.
+"""Touches anywhere: a table of rectangles, discs and ellipses, of any size and conductivity, and their labels.
 
-One row of seven numbers a piece ::
+One row of seven numbers a piece, or of eight where borders are graded ::
 
-    kind  x  y  length  width  angle  sigma      kind 0: a rectangle about (x, y), turned by ``angle`` degrees
-     -   mm  mm   mm     mm     deg   S/m        kind 1: a disc of diameter ``length``
+    kind  x  y  length  width  angle  sigma  [border]   kind 0: a rectangle about (x, y), turned by ``angle`` degrees
+     -   mm  mm   mm     mm     deg   S/m       mm      kind 1: a disc of diameter ``length``
+                                                        kind 2: an ellipse of axes ``length`` and ``width``
 
-A touch is one piece, or two that meet (an L). Pieces of a set never overlap, so areas add up. A label is the touched
-share of each pixel's area. It is exact along y, and exact along x for rectangles that are not turned; for other
+sigma is that of the touch where the sheet has 1: its contrast. Over a graded border log sigma is linear, half of it at
+the outline, so a label knows nothing of it: it is the share inside the contour of half height. A touch is one piece,
+or two that meet (an L). Pieces of a set never overlap, so areas add up. A label is the touched share of each pixel's
+area. It is exact along y, and exact along x for rectangles that are not turned; for other
 outlines x is cut into 32 strips a cell, which leaves 1e-4.
 """
 
@@ -20,12 +23,13 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, SHEET_MM
 from eitskin_sim.scene.parts import Touch
-from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
 Array = npt.NDArray[np.float64]
 
 RECTANGLE: Final = 0.0
 DISC: Final = 1.0
+ELLIPSE: Final = 2.0
 
 STRIPS: Final = 32
 """Strips that a cell is cut into along x, for outlines that are not parallel to it."""
@@ -42,7 +46,7 @@ class TouchTable:
     """Touch sets as one table.
 
     Args:
-        pieces: (P, 7) kind, x, y, length, width, angle, sigma.
+        pieces: (P, 7) kind, x, y, length, width, angle, sigma; or (P, 8) with the border's width.
         first: (T + 1,) where each set's pieces begin; the last is P.
     """
 
@@ -54,7 +58,7 @@ class TouchTable:
         return len(self.first) - 1
 
     def of(self, number: int) -> Array:
-        """Return the (p, 7) pieces of one set."""
+        """Return the (p, 7 or 8) pieces of one set."""
         return self.pieces[self.first[number] : self.first[number + 1]]
 
     def chosen(self, numbers: npt.NDArray[np.integer]) -> "TouchTable":
@@ -96,18 +100,33 @@ class TouchTable:
 
     def touches(self, number: int) -> tuple[Touch, ...]:
         """Return one set as a scene's touches."""
-        return tuple(Touch((shape_of(piece),), float(piece[6])) for piece in self.of(number))
+        own = self.of(number)
+        borders = borders_mm(own).tolist()
+        return tuple(
+            Touch((shape_of(piece),), float(piece[6]), float(piece[6]) if border else None, border)
+            for piece, border in zip(own, borders, strict=True)
+        )
 
 
 def gather(sets: Sequence[Array]) -> TouchTable:
-    """Return touch sets from a list of (p, 7) pieces."""
+    """Return touch sets from a list of (p, 7 or 8) pieces."""
     first = np.concatenate([[0], np.cumsum([len(pieces) for pieces in sets])]).astype(np.int64)
-    return TouchTable(np.concatenate([*sets, np.empty((0, 7))]), first)
+    wide = max((pieces.shape[1] for pieces in sets), default=7)
+    return TouchTable(np.concatenate([*(_widened(pieces, wide) for pieces in sets), np.empty((0, wide))]), first)
+
+
+def _widened(pieces: Array, columns: int) -> Array:
+    return np.pad(pieces, ((0, 0), (0, columns - pieces.shape[1])))
+
+
+def borders_mm(pieces: Array) -> Array:
+    """Return (P,) the widths of pieces' graded borders; 0 is sharp."""
+    return pieces[:, 7] if pieces.shape[1] > 7 else np.zeros(len(pieces))
 
 
 def corners(piece: Array) -> Array:
     """Return the (4, 2) corners of a rectangle, counter-clockwise."""
-    _, x, y, length, width, angle, _ = piece
+    _, x, y, length, width, angle = piece[:6]
     local = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) * (length / 2, width / 2)
     turn = np.deg2rad(angle)
     cos, sin = np.cos(turn), np.sin(turn)
@@ -116,9 +135,11 @@ def corners(piece: Array) -> Array:
 
 def shape_of(piece: Array) -> Shape:
     """Return one piece as a scene's shape."""
-    kind, x, y, length, width, angle, _ = (float(value) for value in piece)
+    kind, x, y, length, width, angle = (float(value) for value in piece[:6])
     if kind == DISC:
         return Disc(x, y, length / 2)
+    if kind == ELLIPSE:
+        return Ellipse(x, y, length, width, angle)
     if angle == 0.0:
         return Rect(x - length / 2, y - width / 2, x + length / 2, y + width / 2)
     return Polygon(tuple((float(a), float(b)) for a, b in corners(piece)))
@@ -126,9 +147,11 @@ def shape_of(piece: Array) -> Shape:
 
 def bounds(piece: Array) -> tuple[float, float, float, float]:
     """Return the box (x0, y0, x1, y1) around a piece, mm."""
-    _, x, y, length, width, angle, _ = (float(value) for value in piece)
+    _, x, y, length, width, angle = (float(value) for value in piece[:6])
     if piece[0] == DISC:
         return x - length / 2, y - length / 2, x + length / 2, y + length / 2
+    if piece[0] == ELLIPSE:
+        return Ellipse(x, y, length, width, angle).bounds_mm
     if angle == 0.0:
         return x - length / 2, y - width / 2, x + length / 2, y + width / 2
     points = corners(piece)
@@ -140,7 +163,7 @@ def cover(piece: Array, x_lines: Array, y_lines: Array) -> tuple[slice, slice, A
     """Return the covered share of the cells between lines: rows and columns that the piece meets, and the shares there.
 
     Args:
-        piece: (7,) one piece.
+        piece: (7 or 8,) one piece.
         x_lines: Ascending borders of the cells along x, mm.
         y_lines: The same along y.
     """
@@ -170,7 +193,9 @@ def _overlap(lines: Array, low: float, high: float) -> Array:
 
 def _chord(piece: Array, x_mm: Array) -> tuple[Array, Array]:
     """Return where vertical lines enter and leave a piece; both the same where they miss it."""
-    _, x, y, length, width, angle, _ = piece
+    _, x, y, length, width, angle = piece[:6]
+    if piece[0] == ELLIPSE:
+        return _chord_of_ellipse(x_mm - x, y, length / 2, width / 2, np.deg2rad(angle))
     if piece[0] == DISC:
         half = np.sqrt(np.maximum((length / 2) ** 2 - (x_mm - x) ** 2, 0.0))
         return y - half, y + half
@@ -186,3 +211,13 @@ def _chord(piece: Array, x_mm: Array) -> tuple[Array, Array]:
         low, high = np.maximum(low, ends[0]), np.minimum(high, ends[1])
     missed = high <= low
     return np.where(missed, y, y + low), np.where(missed, y, y + high)
+
+
+def _chord_of_ellipse(x_mm: Array, y_mm: float, a_mm: float, b_mm: float, turn: float) -> tuple[Array, Array]:
+    """Return where the lines x enter and leave an ellipse about (0, y), from p y^2 + 2 q x y + r x^2 = 1."""
+    cos, sin = np.cos(turn), np.sin(turn)
+    p, r = (sin / a_mm) ** 2 + (cos / b_mm) ** 2, (cos / a_mm) ** 2 + (sin / b_mm) ** 2
+    q = sin * cos * (1.0 / a_mm**2 - 1.0 / b_mm**2)
+    half = np.sqrt(np.maximum(q * q * x_mm**2 - p * (r * x_mm**2 - 1.0), 0.0)) / p
+    middle = np.where(half > 0.0, y_mm - q * x_mm / p, y_mm)
+    return middle - half, middle + half

@@ -12,10 +12,12 @@ are pieces of random kind at random places ::
 No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.published_phantoms`).
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy import ndimage
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_sim.scene.published_phantoms import is_published
@@ -94,6 +96,42 @@ def rich_touch_sets(count: int, seed: int) -> Bits:
         if bits.sum() <= MOST_UNITS and _is_new(bits, seen):
             drawn.append(bits)
     return np.array(drawn[:count])
+
+
+@dataclass(frozen=True, slots=True)
+class UnitContrasts:
+    """The contrast of every touched unit of T touch sets, by classes.
+
+    Args:
+        number: (T, 126) uint8, the class of a touched unit; 255 where none is touched.
+        contrast: (classes,) conductivity over the sheet's.
+    """
+
+    number: npt.NDArray[np.uint8]
+    contrast: npt.NDArray[np.float64]
+
+    def of(self, sets: npt.NDArray[np.integer]) -> npt.NDArray[np.float64]:
+        """Return the (n, 126) contrasts of some sets, 1 where nothing is touched."""
+        table = np.append(self.contrast, np.ones(256 - len(self.contrast)))
+        return np.asarray(table[self.number[sets]], dtype=np.float64)
+
+
+def touch_classes(units: Bits, classes: int, generator: np.random.Generator) -> npt.NDArray[np.uint8]:
+    """Return (n, 126) classes of touched units, 255 elsewhere: one for every touch, in half of the sets one for all.
+
+    Args:
+        units: (n, 126) touch sets; units that share a side are one touch.
+        classes: How many there are.
+        generator: Where draws come from.
+    """
+    found = np.full(units.shape, 255, dtype=np.uint8)
+    alike = generator.random(len(units)) < 0.5
+    drawn = generator.integers(classes, size=(len(units), MOST_UNITS))
+    for row, bits in enumerate(units):
+        touch, _ = ndimage.label(bits.reshape(UNIT_SHAPE))
+        number = touch.ravel()[bits] - 1
+        found[row, bits] = drawn[row, np.where(alike[row], 0, number % MOST_UNITS)]
+    return found
 
 
 def _is_new(bits: Bits, seen: set[bytes]) -> bool:

@@ -127,9 +127,20 @@ def unit_system(bend: Bend, refine: int = 1) -> tuple[UnitMesh, System]:
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
     """Return all 126 units, each condensed at every one of some conductivities, S/m."""
+    place = _place(parts)
+    return [_condense(unit, parts, system, place, conductivities) for unit in range(N_UNITS)]
+
+
+def condense_unit(unit: int, parts: UnitMesh, system: System, conductivity: float) -> Condensed:
+    """Return one unit, condensed at one conductivity, S/m."""
+    return _condense(unit, parts, system, _place(parts), (conductivity,))
+
+
+def _place(parts: UnitMesh) -> Index:
+    """Return (n_nodes,) each node's place in the skeleton's numbering, -1 for those inside units."""
     place = np.full(parts.mesh.n_nodes, -1)
     place[parts.skeleton] = np.arange(len(parts.skeleton))
-    return [_condense(unit, parts, system, place, conductivities) for unit in range(N_UNITS)]
+    return place
 
 
 def _condense(unit: int, parts: UnitMesh, system: System, place: Index, conductivities: Sequence[float]) -> Condensed:

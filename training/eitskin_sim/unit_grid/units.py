@@ -15,6 +15,10 @@ whose Cholesky factor ends in a 16 x 16 triangle R with U = R R^T: no other solv
 has 1 in the diagonal, so the first unit is eliminated by a product. Sets of many units are first condensed onto their
 outline, by the same identity with another L. Nothing is approximated: against one factorisation a sample, the voltages
 agree to about 1e-11, those of large squares to 1e-9.
+
+Where units conduct worse than the sheet, or each has a contrast of its own, factors of
+:mod:`eitskin_sim.unit_grid.contrasts` take the place of L, and 1 or -1 that of 1; sets of many units
+are then solved as they stand.
 """
 
 from typing import Final
@@ -27,6 +31,7 @@ from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE, voltages_from_potentials
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
+from eitskin_sim.unit_grid.contrasts import ContrastUnits, check_contrasts, updated
 from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, unit_system
 
 TOUCHED: Final = 50.0
@@ -49,31 +54,60 @@ class UnitGenerator:
         bend: The sheet's shape.
         touched: S/m of a touched unit.
         refine: Multiplies the elements along each direction.
+
+    Raises:
+        ValueError: A touched unit would conduct as the sheet does, or not at all.
     """
 
     def __init__(self, bend: Bend, *, touched: float = TOUCHED, refine: int = 1) -> None:
         parts, system = unit_system(bend, refine)
+        check_contrasts(np.array([touched / system.background]))
         self._n_skeleton = len(parts.skeleton)
         self._units = condense_units(parts, system, (system.background, touched))
         size = self._n_skeleton + N_ELECTRODES
         self._inverse = inverse(assemble_skeleton(self._units, 0, size))
         self._sharing = np.bincount(np.concatenate([unit.dofs for unit in self._units]), minlength=size)
         self._regions: dict[tuple[int, ...], Condensed] = {}
-        self._terminals = np.arange(self._n_skeleton, size)
         self._at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()
-        self._blocks, self._loads = self._couple([_factor(unit) for unit in self._units])
+        self._contrast = touched / system.background
+        self._coupled: tuple[Array, Array] | None = None
+        self._of_contrasts = ContrastUnits(self._inverse, self._units, parts, system)
 
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
         return np.asarray(to_voltages(self._at_terminals[None])[0])
 
-    def voltages(self, units: npt.NDArray[np.bool_]) -> Array:
+    @property
+    def _blocks(self) -> Array:
+        """(126, 126, r, r) H."""
+        return self._pairs()[0]
+
+    @property
+    def _loads(self) -> Array:
+        """(126, r, 16) W."""
+        return self._pairs()[1]
+
+    def _pairs(self) -> tuple[Array, Array]:
+        """Return H and W, which sets of one contrast above 1 need, and no others."""
+        if self._coupled is None:
+            self._coupled = self._couple([_factor(unit) for unit in self._units])
+        return self._coupled
+
+    def voltages(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
         """Return the (n, 104) V under 1 A of (n, 126) touch sets.
 
         Args:
             units: True where a unit is touched; sets may be empty.
+            contrast: (n, 126) conductivity of each touched unit over the sheet's, where they differ; below 1 too.
+
+        Raises:
+            ValueError: A touched unit has a contrast of 1, or of 0 or less, or the shapes differ.
         """
+        if contrast is None and self._contrast < 1.0:
+            contrast = np.full(units.shape, self._contrast)
+        if contrast is not None:
+            return to_voltages(self._of_contrasts.responses(units, np.asarray(contrast, dtype=np.float64)))
         found = np.empty((len(units), N_ROWS))
         count = units.sum(axis=1)
         for size in np.unique(count):
@@ -163,11 +197,7 @@ class UnitGenerator:
 
     def updated(self, dofs: Index, change: Array) -> Array:
         """Return the (16, 16) electrode response after ``change`` (m, m) is added to the skeleton at ``dofs``."""
-        seen = self._inverse[np.ix_(dofs, dofs)] @ change
-        seen[np.diag_indices(len(dofs))] += 1.0
-        load = self._inverse[np.ix_(dofs, self._terminals)]
-        moved = np.linalg.solve(seen, load)
-        return np.asarray(self._at_terminals - load.T @ change @ moved)
+        return updated(self._inverse, dofs, change)
 
 
 def to_voltages(response: Array) -> Array:
@@ -189,7 +219,7 @@ def inverse(matrix: Array) -> Array:
 
 
 def _factor(unit: Condensed) -> Array:
-    """Return (b, r) L with L L^T = D_u."""
+    """Return (b, r) L with L L^T = D_u, of a unit that conducts better than the sheet."""
     value, vector = np.linalg.eigh(unit.schur[1] - unit.schur[0])
     kept = value > NULL * value[-1]
     return np.asarray(vector[:, kept] * np.sqrt(value[kept]))

@@ -50,7 +50,9 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.scenes < 0 or 0 < arguments.scenes < 3:
         raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     one_blas_thread()
-    rows = [*_paper(arguments), *_free(arguments), _pyeit()]
+    rows = [*_paper(arguments), *_free(arguments)]
+    rows += [row for kind in ("press", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
+    rows.append(_pyeit())
     errors = [*error_rows(arguments.scenes), *gap_rows(), *rule_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
@@ -123,7 +125,32 @@ def _paper(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     return [ours, _row("paper", "naive", len(pick), seconds, f"one factorisation a sample, {parts.mesh.n_nodes} nodes")]
 
 
-def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
+def _units(arguments: argparse.Namespace, kind: str) -> list[dict[str, Any]]:
+    import numpy as np
+
+    from eitskin_sim.dataset.plan import make_plan
+    from eitskin_sim.dataset.shards import unit_contrasts, unit_sets
+    from eitskin_sim.unit_grid.skeleton import unit_system
+    from eitskin_sim.unit_grid.units import UnitGenerator
+
+    plan = make_plan("units", deformations=1, kept=0, touch_sets=max(arguments.touch_sets, 10), touches=kind)
+    bend, sets = plan.bends[0], unit_sets(plan)
+    contrast = unit_contrasts(plan).of(np.arange(len(sets)))
+    found, seconds = _timed(lambda: UnitGenerator(bend).voltages(sets, contrast))
+    ours = _row(f"units, {kind}", "ours", len(sets), seconds, "set-up of the bend included; each touch of its contrast")
+    pick = np.unique(np.linspace(0, len(sets) - 1, arguments.checked).astype(int))
+    parts, system = unit_system(bend)
+
+    def naive() -> Any:
+        sigma = [np.where(sets[one], contrast[one], 1.0)[parts.unit_of_element] for one in pick]
+        return np.array([system.factorise(one).voltages() for one in sigma])
+
+    solved, seconds = _timed(naive)
+    ours["largest_error"] = float(np.abs(found[pick] / solved - 1.0).max())
+    return [ours, _row(f"units, {kind}", "naive", len(pick), seconds, "one factorisation a sample")]
+
+
+def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[dict[str, Any]]:
     import numpy as np
 
     from eitskin_sim.dataset.plan import GROUP, VALIDATION
@@ -137,10 +164,11 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
     print(f"eitskin bench dataset: {arguments.free} free touch sets at each of {GROUP} deformations", file=sys.stderr)
     bends, grid = draw("A", GROUP, 0), shared_mesh()
+    what = "free" if kind == "hard" else f"free, {kind}"
 
     def ours() -> Any:
         count = (arguments.free, round(VALIDATION * arguments.free))
-        pool = set_pool(dict.fromkeys(range(GROUP), count), 0)
+        pool = set_pool(dict.fromkeys(range(GROUP), count), 0, touches=kind)
         batches = geometry(pool.parts, grid)
         made, used = [], None
         for number, bend in enumerate(bends):
@@ -151,7 +179,7 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
 
     (touches, made), seconds = _timed(ours)
     note = "drawing, geometry and set-up included; every sample a set of its own"
-    row = _row("free", "ours", GROUP * arguments.free, seconds, note)
+    row = _row(what, "ours", GROUP * arguments.free, seconds, note)
     sheet = inverted_sheet(bends[-1])
     pick = np.unique(np.linspace(0, len(touches) - 1, arguments.checked).astype(int))
 
@@ -163,7 +191,7 @@ def _free(arguments: argparse.Namespace) -> list[dict[str, Any]]:
     solved, seconds = _timed(naive)
     row["largest_error"] = float(np.abs(made[-1][pick] / solved - 1.0).max())
     nodes = sheet.system.mesh.n_nodes
-    return [row, _row("free", "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
+    return [row, _row(what, "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
 
 
 def _pyeit() -> dict[str, Any]:

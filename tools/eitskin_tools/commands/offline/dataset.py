@@ -39,6 +39,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--near", type=float, metavar="SHARE", help="share of free touch sets drawn close together (default 1/3)"
     )
+    parser.add_argument(
+        "--touches",
+        choices=("hard", "press", "both"),
+        default="hard",
+        help="hard touches of contrast 20 to 200 (50 on the grid), presses that lower conductance to 0.2 to 0.85 of "
+        "it, or touches both ways, 0.2 to 200 (default hard)",
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
     parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
@@ -66,6 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         per_deformation=arguments.per_deformation,
         kept=arguments.kept,
         near=arguments.near,
+        touches=arguments.touches,
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
@@ -81,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
     report = {
         "out": str(arguments.out),
         "set": plan.set_name,
+        "touches": plan.touches,
         "samples": index["samples"],
         "made": progress.made,
         "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},

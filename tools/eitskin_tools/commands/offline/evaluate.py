@@ -4,6 +4,7 @@ import argparse
 import json
 import sys
 import time
+from dataclasses import asdict, replace
 from typing import Any
 
 from eitskin_tools.command_line import files
@@ -15,7 +16,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the subcommand's arguments."""
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms: a file, paper_units or paper_mm")
-    what.add_argument("--single", type=float, metavar="MM", help="trial: one square touch of this side, anywhere")
+    what.add_argument(
+        "--single", type=float, metavar="MM", help="trial: one touch of this size, anywhere; a hard square"
+    )
     what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
@@ -81,6 +84,15 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         help="of --random and --untouched: touches on the unit grid or anywhere (default: area)",
     )
 
+    group.add_argument(
+        "--contrast",
+        type=float,
+        metavar="C",
+        help="of --single: conductivity over the sheet's, below 1 for a press (default: 50)",
+    )
+    group.add_argument("--border", type=float, metavar="MM", help="of --single: width of a graded border (default: 0)")
+    group.add_argument("--disc", action="store_true", help="of --single: a disc, not a square")
+
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate, and print an object or a table."""
@@ -99,7 +111,9 @@ def run(arguments: argparse.Namespace) -> int:
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
-    if arguments.phantoms is None:
+    if arguments.phantoms is not None:
+        _softness(arguments)
+    else:
         return _trial(arguments, request, conditions)
     return _phantoms(arguments, request, conditions)
 
@@ -165,12 +179,13 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     if arguments.labels == "units" and (arguments.single or arguments.pair):
         raise UsageError("--labels units: --single and --pair lie anywhere; leave it out")
     trial: dict[str, Any] = {"family": family, "n_deformations": deformations, "each": each, "labels": labels}
+    softness = _softness(arguments)
     if arguments.untouched:
         found = untouched_trial(deformations, family, labels, request, conditions, _progress())
         return _print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
     if arguments.single is not None:
-        trial = {"kind": "single", "size_mm": arguments.single, **trial}
-        phantoms = trials.single(arguments.single, deformations, each, family)
+        trial = {"kind": "single", "size_mm": arguments.single, **asdict(softness), **trial}
+        phantoms = trials.single(arguments.single, deformations, each, family, softness)
     elif arguments.pair is not None:
         trial = {"kind": "pair", "gap_mm": arguments.pair, **trial}
         phantoms = trials.pair(arguments.pair, deformations, each, family)
@@ -180,6 +195,16 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
         phantoms = trials.random(counts, deformations, each, family, labels)
     found = touched_trial(phantoms, each, request, conditions, _progress())
     return _print_trial({"trial": trial, **found}, arguments.json)
+
+
+def _softness(arguments: argparse.Namespace) -> Any:
+    from eitskin_sim.evaluation.trials import HARD
+
+    asked = {"contrast": arguments.contrast, "border_mm": arguments.border, "disc": arguments.disc or None}
+    given = {name: value for name, value in asked.items() if value is not None}
+    if given and arguments.single is None:
+        raise UsageError("--contrast, --border and --disc belong to --single; phantoms say it in their scenes")
+    return replace(HARD, **given)
 
 
 def _counts(text: str) -> tuple[int, int]:

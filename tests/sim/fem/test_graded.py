@@ -1,0 +1,154 @@
+"""Touches both ways in the forward model: graded borders, slopes, symmetry, superposition."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from eitskin_sim.fem.cut_elements import factorise, touch
+from eitskin_sim.fem.forward import assemble, reciprocity_error
+from eitskin_sim.fem.graded import kink, plateau
+from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
+
+pytestmark = pytest.mark.heavy
+
+BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
+DISC = Disc(70.3, 45.1, 8.0)
+SHAPES: tuple[Shape, ...] = (
+    DISC,
+    Ellipse(70.0, 45.0, 20.0, 12.0, 30.0),
+    Rect(60.2, 40.1, 76.9, 56.3),
+    Polygon(((60.0, 40.0), (80.0, 42.0), (70.0, 58.0))),
+)
+
+
+def change(touches: tuple[Touch, ...], size_mm: float, bend: Bend = BEND) -> np.ndarray:
+    touched = solve_scene(Scene(bend=bend, touches=touches, element_size_mm=size_mm)).voltages
+    return np.asarray(touched / bare(size_mm, bend) - 1.0)
+
+
+@cache
+def bare(size_mm: float, bend: Bend) -> np.ndarray:
+    return solve_scene(Scene(bend=bend, element_size_mm=size_mm)).voltages
+
+
+def off(found: np.ndarray, exact: np.ndarray) -> float:
+    return float(np.linalg.norm(found - exact) / np.linalg.norm(exact))
+
+
+# That a border shows at all is seen from the sharp touch, which is much further off.
+@pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: type(shape).__name__)
+@pytest.mark.parametrize("contrast", [0.3, 20.0])
+def test_every_sign_border_and_shape_agrees_with_a_mesh_twice_as_fine(shape: Shape, contrast: float) -> None:
+    sharp = change((Touch((shape,), contrast=contrast),), 3.0)
+    for border, apart in ((1.0, 0.002), (6.0, 0.05)):
+        own = (Touch((shape,), contrast=contrast, border_mm=border),)
+        coarse, fine = change(own, 3.0), change(own, 1.5)
+        assert off(coarse, fine) < 0.01
+        assert off(sharp, fine) > apart
+
+
+def test_the_square_of_the_measured_figures_gives_as_much_either_way() -> None:
+    square = (Rect(65.0, 40.0, 85.0, 60.0),)
+    lower, higher = (change((Touch(square, contrast=c),), 3.0, Bend()) for c in (0.5, 2.0))
+    rms = [float(np.sqrt(np.mean(found**2))) for found in (lower, higher)]
+    assert rms == pytest.approx([0.047, 0.047], abs=0.0015)
+    assert np.corrcoef(lower, higher)[0, 1] < -0.99
+
+
+def test_the_kink_of_a_border_becomes_the_sharp_one_and_its_slope_is_linear_in_the_resistivity() -> None:
+    d = np.linspace(-6.0, 6.0, 2001)
+    for contrast in (0.05, 0.5, 3.0, 200.0):
+        log = np.log(contrast)
+        psi, slope = kink(d, log, 5.0)
+        assert np.gradient(psi, d)[1:-1] == pytest.approx(slope[1:-1], abs=5e-3)
+        resistivity = np.exp(-log * plateau(d, 5.0))
+        ends = resistivity[[0, -1]]
+        assert slope == pytest.approx((resistivity - ends[0]) / (ends[1] - ends[0]), abs=1e-12)
+        assert kink(d, log, 1e-6)[0] == pytest.approx(np.maximum(d, 0.0), abs=1e-5)
+
+
+@pytest.fixture(scope="module")
+def cells() -> tuple[object, np.ndarray]:
+    sheet, electrodes = Sheet(), Electrodes()
+    mesh = cell_mesh(sheet, electrodes)
+    system = assemble(mesh, sheet, electrodes, bend_metric(BEND, sheet))
+    bare = system.factorise()
+    matrix = jacobian(bare, np.ones(mesh.n_elements), cell_of_element(mesh, (30, 45)), 1350)
+    return system, matrix / bare.voltages()[:, None]
+
+
+# To first order a touch's change is the Jacobian times log c, so what is left falls with its square, and is even in it.
+@pytest.mark.parametrize("border", [0.0, 4.0])
+def test_a_weak_touch_changes_voltages_by_the_jacobian_to_first_order(cells, border: float) -> None:
+    system, matrix = cells
+    bare = system.factorise().voltages()
+    pixels = np.zeros((30, 45))
+    pixels[12:18, 18:24] = 1.0
+    shape = Rect(60.0, 40.0, 80.0, 60.0)
+    if border:  # pixels of 3.3 mm say little of a border of 4: half of the outer ones, their corners a quarter
+        pixels = np.zeros((30, 45))
+        x, y = (np.arange(45) + 0.5) * 10 / 3, (np.arange(30) + 0.5) * 10 / 3
+        fine = (np.arange(10) + 0.5) / 3 - 5 / 3
+        where = np.stack(np.broadcast_arrays((x[:, None] + fine)[None, None], (y[:, None] + fine)[..., None, None]), -1)
+        pixels = plateau(shape.distance_mm(where)[0], border).mean(axis=(1, 3))
+    linear = matrix @ pixels.ravel()
+    left = []
+    for log in (0.02, 0.04, -0.04):
+        found = factorise(system, (Touch((shape,), contrast=float(np.exp(log)), border_mm=border),)).voltages()
+        left.append((found / bare - 1.0 - log * linear) / np.linalg.norm(linear))
+    if border:
+        assert max(np.linalg.norm(left[1]), np.linalg.norm(left[2])) < 0.04 * 0.06
+        return
+    assert np.linalg.norm(left[1]) < 0.04 * 0.05
+    assert np.linalg.norm(left[1]) / np.linalg.norm(left[0]) == pytest.approx(4.0, rel=0.1)
+    assert np.linalg.norm(left[2] - left[1]) < 0.3 * np.linalg.norm(left[1])  # third order, 4 % of log c apart
+
+
+def test_voltages_are_reciprocal_under_touches_of_both_signs() -> None:
+    system = assemble(cell_mesh(Sheet(), Electrodes()), Sheet(), Electrodes(), bend_metric(BEND, Sheet()))
+    both = (Touch((DISC,), contrast=0.3, border_mm=4.0), Touch((Rect(20.3, 20.1, 35.2, 33.0),), contrast=8.0))
+    assert reciprocity_error(factorise(system, both)) < 1e-9
+
+
+def test_small_touches_far_apart_superpose_and_large_ones_less() -> None:
+    def beyond(radius: float) -> float:
+        one = Touch((Disc(45.0, 40.0, radius),), contrast=0.4, border_mm=1.0)
+        other = Touch((Disc(90.0, 60.0, radius),), contrast=3.0, border_mm=1.0)
+        together = change((one, other), 3.0)
+        return off(change((one,), 3.0) + change((other,), 3.0), together)
+
+    small, large = beyond(2.0), beyond(12.0)
+    assert small < 0.01
+    assert large > 3.0 * small
+
+
+def test_a_touch_and_its_mirror_image_do_the_same_to_mirrored_rows() -> None:
+    left = change((Touch((Disc(40.0, 50.0, 8.0),), contrast=0.4, border_mm=4.0),), 3.0, Bend())
+    right = change((Touch((Disc(110.0, 50.0, 8.0),), contrast=0.4, border_mm=4.0),), 3.0, Bend())
+    assert np.sort(left) == pytest.approx(np.sort(right), abs=1e-4)
+    assert np.abs(left - right).max() > 0.01
+
+
+def test_graded_blocks_stay_symmetric_semidefinite_and_blind_to_a_constant() -> None:
+    system = assemble(cell_mesh(Sheet(), Electrodes()), Sheet(), Electrodes(), bend_metric(BEND, Sheet()))
+    for contrast in (0.2, 50.0):
+        blocks = touch(system, (Touch((DISC,), contrast=contrast, border_mm=6.0),)).blocks
+        scale = np.abs(blocks).max(axis=(1, 2))
+        assert np.max(np.abs(blocks - np.swapaxes(blocks, 1, 2)).max(axis=(1, 2)) / scale) < 1e-12
+        assert np.max(np.abs(blocks.sum(axis=2)).max(axis=1) / scale) < 1e-9
+        assert np.min(np.linalg.eigvalsh(blocks)[:, 0] / scale) > -1e-9
+
+
+# A wall of 2 mm over 4 mm stretches by half a percent; it must show, and less than the touch that makes it.
+def test_a_dent_shows_and_less_than_its_touch() -> None:
+    soft = Touch((DISC,), contrast=0.4, border_mm=4.0)
+    dented = Touch((DISC,), contrast=0.4, border_mm=4.0, dent_mm=2.0)
+    share = off(change((dented,), 3.0), change((soft,), 3.0))
+    assert 0.01 < share < 0.2
+    fine = change((dented,), 1.5)
+    assert off(change((dented,), 3.0), fine) < 0.015
