@@ -7,15 +7,14 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from pathlib import Path
 from typing import Any
 
 from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Effort, Outcome
-from ..stream import PATIENCE_S, ROOT
+from ..stream import PATIENCE_S, ROOT, attacked
 from ..zmtp.peer import GREETING, Peer, connected
-from .ground import TOUCHED, attacked, defended, status
+from .ground import TOUCHED, defended, status
 
 PROMISED = 128
 """Subscribers that get every frame."""
@@ -98,8 +97,3 @@ def silent_crowds(effort: Effort) -> Outcome:
                 for one in held:
                     one.close()
     return outcome
-
-
-def descriptors_of(pid: int) -> int:
-    """Return how many files a process has open."""
-    return len(list(Path(f"/proc/{pid}/fd").iterdir()))

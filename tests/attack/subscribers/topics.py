@@ -6,9 +6,10 @@ import time
 import eitskin
 
 from ..outcome import Effort, Outcome
+from ..stream import Stream, attacked
 from ..zmtp import flood
 from ..zmtp.peer import Peer
-from .ground import TOUCHED, attacked, defended, memory_mib, status
+from .ground import TOUCHED, defended, memory_mib, status
 
 MODEST = (b"eitskin/region/0/30/0/45", b"eitskin/region/10/20/10/20", b"eitskin/unchanged", b"eitskin/always", b"\xde")
 
@@ -46,18 +47,14 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
 
 
 def topic_floods(effort: Effort) -> Outcome:
-    """Subscribe without end: to ever new topics, and in one message that never ends."""
+    """Subscribe without end, to ever new topics."""
     outcome = Outcome("topic-floods")
     span_s = effort.count(2, 20)
-    for what, flags, endpoints in (
-        ("topics over ipc", 0, ()),
-        ("topics over TCP", 0, ("tcp",)),
-        ("parts of one message", flood.MORE, ()),
-    ):
+    for what, endpoints in (("topics over ipc", ()), ("topics over TCP", ("tcp",))):
         named = ("--publish", "tcp://127.0.0.1:*") if endpoints else ()
         with defended(outcome, what, arguments=named) as stream:
             before = memory_mib(stream)
-            sent = flood.ask(stream.frames, span_s, flags)
+            sent = flood.ask(stream.frames, span_s)
             outcome.figures[f"{what}, MB/s"] = round(sent / span_s / 1e6, 2)
             grown = memory_mib(stream) - before
             outcome.figures[f"{what}, MiB grown"] = round(grown, 1)
@@ -65,7 +62,7 @@ def topic_floods(effort: Effort) -> Outcome:
     return outcome
 
 
-def _wait_for_frames(stream: object, number: int) -> None:
-    first = status(stream)["frames"]  # type: ignore[arg-type]
-    while status(stream)["frames"] < first + number:  # type: ignore[arg-type]
+def _wait_for_frames(stream: Stream, number: int) -> None:
+    first = status(stream)["frames"]
+    while status(stream)["frames"] < first + number:
         time.sleep(0.05)

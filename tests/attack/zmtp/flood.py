@@ -19,7 +19,7 @@ TURN_S = 0.02
 
 
 def connect(endpoint: str, span_s: float, rng: random.Random, held: int = HELD, patience: int = 0) -> int:
-    """Connect again and again, say nothing, a little or the whole handshake, and leave late or at once; return how often.
+    """Connect again and again, say nothing, a little or the whole handshake, and leave; return how often.
 
     Args:
         endpoint: Where.

@@ -53,7 +53,7 @@ def attempt(endpoint: str) -> socket.socket | None:
     scheme, _, rest = endpoint.partition("://")
     local = scheme == "ipc"
     stream = socket.socket(socket.AF_UNIX if local else socket.AF_INET)
-    stream.setblocking(not local)  # TCP on loopback is answered by the kernel
+    stream.settimeout(0.0 if local else 0.2)  # TCP on loopback is answered by the kernel, if its queue is not full
     host, _, port = rest.rpartition(":")
     try:
         stream.connect(rest if local else (host, int(port)))

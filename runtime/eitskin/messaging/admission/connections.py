@@ -14,7 +14,7 @@ import time
 from collections.abc import Callable, Container, Iterable
 from typing import Final
 
-from eitskin.messaging.admission.descriptors import Connection, connection_at, end, open_files, room
+from eitskin.messaging.admission.descriptors import Connection, connection_at, end, limit, open_files, room
 
 GRACE_S: Final = 0.5
 """How long a newcomer has to say what it wants before it must make room for others."""
@@ -25,7 +25,7 @@ SPARE: Final = 16
 MANY_SPARE: Final = 512
 """Newcomers beyond which none is given time."""
 
-MOST_UNREAD: Final = 16384
+MOST_UNREAD: Final = 8192
 """Bytes of one connection that wait to be read. Whoever is honest sends a few hundred in all; a flood fills its line, and
 libzmq would go on reading it, without end and into memory without bound where a message has parts without end."""
 
@@ -65,7 +65,7 @@ class Connections:
         now_s = time.monotonic()
         numbers = open_files()
         self.room = room(len(numbers))
-        self._watch(max(numbers, default=0) + AHEAD)
+        self._watch(min(max(numbers, default=0) + AHEAD, limit()))  # the kernel refuses to look at more
         here = {found for number in numbers if (found := connection_at(number)) is not None}
         kept = {found: what for found, what in self._all.items() if found in here}
         fresh = sorted(here - kept.keys(), key=lambda found: found[1])

@@ -91,22 +91,26 @@ class Promises:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._listeners: set[int] = set()
+        self._listeners: set[Connection | None] = set()
         """From which libzmq accepts."""
 
     def give(self, listener: int, connections: int) -> bool:
         """Promise descriptors to a listener's connections; False if there is no room, or another is served now."""
         with self._lock:
-            self._listeners = {other for other in self._listeners if somebody_waits(other)}
+            self._listeners = {
+                other
+                for other in self._listeners
+                if other is not None and connection_at(other[0]) == other and somebody_waits(other[0])
+            }
             if self._listeners or room() < connections:
                 return False
-            self._listeners.add(listener)
+            self._listeners.add(connection_at(listener))
             return True
 
     def withdraw(self, listener: int) -> None:
         """Take note that a listener is closed."""
         with self._lock:
-            self._listeners.discard(listener)
+            self._listeners.discard(connection_at(listener))
 
 
 PROMISES: Final = Promises()

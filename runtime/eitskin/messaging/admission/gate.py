@@ -126,8 +126,14 @@ class Gate:
             PROMISES.withdraw(descriptor)
             return False
         bound = waiting.getsockname()
-        self._socket.setsockopt(zmq.USE_FD, waiting.detach())
-        self._socket.bind(f"ipc://{bound}")
+        try:
+            self._socket.setsockopt(zmq.USE_FD, descriptor)
+            self._socket.bind(f"ipc://{bound}")
+        except zmq.ZMQError:  # the context ends
+            PROMISES.withdraw(descriptor)
+            waiting.close()
+            raise
+        waiting.detach()
         self._socket.setsockopt(zmq.USE_FD, -1)
         endpoint = str(self._socket.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
         self._batches[bound] = _Batch(descriptor, endpoint)
