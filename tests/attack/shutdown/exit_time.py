@@ -1,9 +1,9 @@
 """How long a process took to end, by the clock, and without the time in which it could have gone on but got no core.
 
-The kernel counts for each thread how long it waited for a core (``/proc/PID/task/TID/schedstat``). Every few
-milliseconds the longest such wait among the threads is taken off, and never more than the interval: on a quiet machine
-nothing is, and waits of several threads at once count once. The watcher's own wait, which only makes it notice the end
-late, counts as one of them.
+The kernel counts for each thread how long it waited for a core (``/proc/PID/task/TID/schedstat``), and adds a wait when
+it is over. It is looked at every few milliseconds: a wait of that length has ended just now. The union of all waits is
+taken off: on a quiet machine that is nothing, and waits of several threads at once count once. The watcher's own waits,
+which only make it notice the end late, are among them.
 """
 
 import os
@@ -42,24 +42,36 @@ def waits_ns(process: int) -> dict[str, int]:
     return found
 
 
+def union_s(spans: list[tuple[float, float]]) -> float:
+    """Return the length of the union of some spans of time."""
+    total_s, last_s = 0.0, float("-inf")
+    for start_s, stop_s in sorted(spans):
+        total_s += max(0.0, stop_s - max(start_s, last_s))
+        last_s = max(last_s, stop_s)
+    return total_s
+
+
 def end(process: int, number: int, most_s: float) -> ExitTime | None:
     """Send a signal and return how long the process took to end; None if it did not within the time."""
     descriptor = os.pidfd_open(process)
     try:
         poll = select.poll()
         poll.register(descriptor, select.POLLIN)
-        before, waited_s = waits_ns(process), 0.0
-        start_s = last_s = time.monotonic()
+        before = waits_ns(process)
+        waited: list[tuple[float, float]] = []
+        start_s = time.monotonic()
         os.kill(process, number)
         while True:
             ended = poll.poll(LOOK_MS)
             now_s, waits = time.monotonic(), waits_ns(process)
-            longest_ns = max(waits[thread] - before.get(thread, 0) for thread in waits)
-            waited_s += min(longest_ns * 1e-9, now_s - last_s)
-            before, last_s = waits, now_s
+            for thread, total_ns in waits.items():
+                if (wait_s := (total_ns - before.get(thread, total_ns)) * 1e-9) > 0:
+                    waited.append((max(start_s, now_s - wait_s), now_s))
+            before = waits
+            took = ExitTime(now_s - start_s, union_s(waited))
             if ended:
-                return ExitTime(now_s - start_s, waited_s)
-            if now_s - start_s - waited_s > most_s:
+                return took
+            if took.own_s > most_s:
                 return None
     finally:
         os.close(descriptor)
