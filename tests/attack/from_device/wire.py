@@ -26,7 +26,8 @@ def floods(effort: Effort) -> Outcome:
     """
     with attack("device.floods", "--reconnect", "60") as (running, outcome):
         for kind in ("flood", "ends", "garbage"):
-            running.endure(outcome, do=kind, seed=effort.seed, seconds=effort.count(1, 8), frames=10**6)
+            seconds = effort.count(1, 8)
+            running.endure(outcome, uncounted=2000, do=kind, seed=effort.seed, seconds=seconds, frames=10**6)
     return outcome
 
 
