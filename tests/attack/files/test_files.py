@@ -1,7 +1,6 @@
 """The short forms: some hundreds of damaged files, read or refused in a line."""
 
 import pytest
-
 from tests.attack.catalogue import load
 from tests.attack.outcome import Effort, Outcome
 
