@@ -56,7 +56,7 @@ def test_a_scene_of_sharp_touches_reads_and_writes_as_before() -> None:
     [
         ({"contrast": 1.0}, "changes nothing: its contrast is 1"),
         ({"conductivity_S_per_m": 1.0}, "changes nothing: its contrast is 1"),
-        ({"contrast": 0.99999}, "changes nothing"),
+        ({"contrast": 0.9999999}, "changes nothing"),
         ({"contrast": 0.0}, "contrast is 0; it must be above 0"),
         ({"contrast": -2}, "contrast is -2; it must be above 0"),
         ({"contrast": 0.5, "conductivity_S_per_m": 2}, "found contrast and conductivity_S_per_m; give one"),

@@ -23,7 +23,7 @@ from eitskin_sim.scene.strict_json import Fields, SceneError, number, numbers
 
 Array = npt.NDArray[np.float64]
 
-LEAST_LOG_CONTRAST: Final = 1e-3
+LEAST_LOG_CONTRAST: Final = 1e-6
 """A touch whose contrast is nearer to 1 than this changes nothing that anybody could measure."""
 
 LEAST_BORDER_MM: Final = 0.5
