@@ -35,8 +35,8 @@ LARGEST_SUBSCRIPTION: Final = 512
 """Bytes; a subscription to everything has 1, but CURVE's handshake, which counts as well, has up to 260."""
 
 QUEUE_SUBSCRIPTIONS: Final = 2
-"""Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps it
-reading within one call for a quarter of a second. With 1, CURVE's handshake does not end (libzmq 4.3.5)."""
+"""Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps
+it reading within one call for a quarter of a second. With 1, CURVE's handshake does not end (libzmq 4.3.5)."""
 
 MOST_AT_ONCE: Final = 512
 """Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400."""

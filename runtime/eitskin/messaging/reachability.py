@@ -26,8 +26,8 @@ def explain_silence(endpoint: str, waited_s: float) -> str:
     if found is None:
         return (
             "somebody listens there, but sends no frame: it is not the runtime's publishing endpoint, or the runtime "
-            "still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing or wrong; "
-            "'ready publishing on ...' is the line in which 'eitskin run' says where"
+            "still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing or "
+            "wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
         )
     elsewhere = [other for other, alive in default_endpoints().items() if alive and other != endpoint]
     if elsewhere:

@@ -35,7 +35,7 @@ QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
 LARGEST_TAKEN: Final = 65536
-"""Bytes of a message that is still looked at; whoever sends a larger one is left, which bounds the memory of a queue."""
+"""Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
 
 PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
@@ -89,7 +89,7 @@ class Subscription:
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
         self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
         self._waits_ms = -1
-        """What the socket waits at most, as it was told last. It waits by itself: ``poll`` first would delay each frame."""
+        """What the socket waits at most, as it was told last. It waits by itself: a ``poll`` would delay frames."""
         self._max_age_s = max_age_s
         self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
@@ -192,8 +192,8 @@ class Subscription:
     def _look_at_connection(self) -> None:
         """Connect anew if the connection was lost for good.
 
-        libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after
-        a message beyond all bounds, or something that is no ZMTP, such as another program on the port.
+        libzmq connects again by itself when the other side ended a connection, but never when it ended one itself:
+        after a message beyond all bounds, or something that is no ZMTP, such as another program on the port.
         """
         if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
             return

@@ -2,9 +2,9 @@
 
     python -m tests.attack.subscribers.crowd ENDPOINT NUMBER
 
-Prints ``subscribed`` once every one has a frame; at SIGTERM one JSON object: members, fewest and most frames of a member,
-lost (gaps in the frames' numbers, of all), ended (connections that the other side ended), the span in seconds over which
-frames were counted and the longest silence of any.
+Prints ``subscribed`` once every one has a frame; at SIGTERM one JSON object: members, fewest and most frames of a
+member, lost (gaps in the frames' numbers, of all), ended (connections that the other side ended), the span in seconds
+over which frames were counted and the longest silence of any.
 """
 
 import json

@@ -1,4 +1,4 @@
-"""Attacks by number: honest subscribers up to the promise and beyond it, strangers who hold connections and say nothing."""
+"""Attacks by number: honest subscribers up to the promise and beyond it, strangers who connect and say nothing."""
 
 import contextlib
 import json
@@ -71,7 +71,7 @@ def honest_crowds(effort: Effort) -> Outcome:
 
 
 def silent_crowds(effort: Effort) -> Outcome:
-    """Hold connections and say nothing, half a greeting or no subscription, on TCP with and without keys, and on ipc."""
+    """Hold connections and say nothing, or half a greeting, on TCP with and without keys, and on ipc."""
     outcome = Outcome("silent-crowds")
     with tempfile.TemporaryDirectory(prefix="k") as folder:
         make_keys(folder)

@@ -164,6 +164,12 @@ class Peer:
         self.stream.connect(publisher.endpoint.removeprefix("ipc://"))
         self.stream.sendall(b"\xff" + bytes(8) + b"\x7f\x03\x00NULL" + bytes(48))
         self.stream.sendall(b"\x04\x19\x05READY\x0bSocket-Type\x00\x00\x00\x03SUB")
+        self.stream.setblocking(False)
+        received = 0
+        while received <= 64:  # until the other side is ready, libzmq takes no message
+            publisher.look()
+            with suppress(BlockingIOError):
+                received += len(self.stream.recv(64))
 
     def send(self, *bodies):
         self.stream.sendall(b"".join(bytes([0, len(body)]) + body for body in bodies))

@@ -26,8 +26,8 @@ MANY_SPARE: Final = 512
 """Newcomers beyond which none is given time."""
 
 MOST_UNREAD: Final = 8192
-"""Bytes of one connection that wait to be read. Whoever is honest sends a few hundred in all; a flood fills its line, and
-libzmq would go on reading it, without end and into memory without bound where a message has parts without end."""
+"""Bytes of one connection that wait to be read. Whoever is honest sends a few hundred in all; a flood fills its line,
+and libzmq would go on reading it."""
 
 AHEAD: Final = 64
 """Descriptors beyond the last one that was seen, among which newcomers are looked for."""
