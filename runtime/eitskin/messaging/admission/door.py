@@ -59,7 +59,7 @@ class Door:
             if endpoint.startswith("ipc://"):
                 path = Path(endpoint.removeprefix("ipc://"))
                 clear_path(path)
-                self._gate = Gate(socket_, path)
+                self._gate = Gate(socket_, path, most)
                 self.endpoint = endpoint
             else:
                 if keys is not None:

@@ -52,6 +52,7 @@ class Gate:
     Args:
         socket_: Of zmq, not bound.
         path: Where; nothing is there.
+        most: How many are served at once.
 
     Raises:
         OSError: The path cannot be bound.
@@ -59,13 +60,13 @@ class Gate:
 
     __slots__ = ("_batches", "_listener", "_mine", "_path", "_socket", "size")
 
-    def __init__(self, socket_: Any, path: Path) -> None:
+    def __init__(self, socket_: Any, path: Path, most: int) -> None:
         self._socket, self._path = socket_, path
         self._batches: dict[str, _Batch] = {}
         """By the path at which the listener was bound."""
         self.size = 1
         """How many may wait at the path."""
-        self._listener = self._listen(BATCH, first=True)
+        self._listener = self._listen(most, first=True)
 
     def _listen(self, most: int, *, first: bool = False) -> socket.socket:
         """Return a new listener that lies at the path, in nobody's reach but its owner's, where so many may wait."""
