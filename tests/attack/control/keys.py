@@ -16,7 +16,7 @@ PARTS = (".", "clients", "clients/client.key", "server.key_secret")
 
 def key_folders(effort: Effort) -> Outcome:
     """Spoil copies of a folder of keys at random."""
-    outcome, draw = Outcome("keys"), random.Random(effort.seed)
+    outcome, draw = Outcome("control.keys"), random.Random(effort.seed)
     with tempfile.TemporaryDirectory(prefix="a") as name:
         good = Path(name) / "good"
         make_keys(good)

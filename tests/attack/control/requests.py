@@ -102,7 +102,7 @@ def _under(
 
 def hostile_requests(effort: Effort) -> Outcome:
     """Attack the control socket of a stream."""
-    outcome = Outcome("control")
+    outcome = Outcome("control.requests")
     with attacked(rate_hz=200.0) as stream:
         honest = stream.join()
         for attackers in ([rude, rude], [impatient, rude]):

@@ -115,9 +115,9 @@ def damaged(kinds: tuple[str, ...], name: str, effort: Effort, short: int) -> Ou
 
 def files(effort: Effort) -> Outcome:
     """Damage bundles, references, configurations, scenes, scans, clouds, recordings and data sets."""
-    return damaged(LIGHT, "files", effort, 20)
+    return damaged(LIGHT, "files.readers", effort, 20)
 
 
 def runs(effort: Effort) -> Outcome:
     """Damage the folders of training runs."""
-    return damaged(("run",), "runs", effort, 20)
+    return damaged(("run",), "files.runs", effort, 20)

@@ -43,7 +43,7 @@ NODES: Final = ("folder", "fifo", "socket", "device")
 
 def command_line(effort: Effort) -> Outcome:
     """Give commands damaged files, and targets that are no files."""
-    outcome = Outcome("command-line")
+    outcome = Outcome("files.commands")
     rng = random.Random(effort.seed)
     with tempfile.TemporaryDirectory(prefix="a") as name:
         folder = Path(name)

@@ -7,7 +7,7 @@ from tests.attack.outcome import Effort, Outcome
 pytestmark = [pytest.mark.process, pytest.mark.heavy]
 
 
-@pytest.fixture(scope="module", params=["files", "runs", "command-line"])
+@pytest.fixture(scope="module", params=["files.readers", "files.runs", "files.commands"])
 def outcome(request: pytest.FixtureRequest) -> Outcome:
     """Of an attack: its processes import for seconds, each all that a kind of file needs."""
     return load(request.param)(Effort())

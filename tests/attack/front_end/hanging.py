@@ -140,7 +140,7 @@ def watch(case: Case, patience_s: float = 0.0, longest_s: float = 20.0, revived_
 
 def hanging(effort: Effort) -> Outcome:
     """Let every device turn bad, all at once: a thread each."""
-    outcome = Outcome("front_end_hanging")
+    outcome = Outcome("front-end.hanging")
     silence_s, handshake_s = devices.SILENCE_S, devices.HANDSHAKE_S
     scale = 1.0 if effort.long else 0.5
     devices.SILENCE_S, devices.HANDSHAKE_S = silence_s * scale, handshake_s * scale

@@ -54,7 +54,7 @@ def _usable(fields: dict[str, Any]) -> bool:
 
 def hello(effort: Effort) -> Outcome:
     """Draw HELLOs; each is shown as the first one, and to a runtime that knows the honest one."""
-    outcome = Outcome("front_end_hello")
+    outcome = Outcome("front-end.hello")
     rng = np.random.default_rng(effort.seed)
     for draw in range(effort.count(200, 20_000)):
         fields = _drawn(rng)

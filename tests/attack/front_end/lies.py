@@ -71,7 +71,7 @@ def alike(what: str, counts: Counts, sample_bytes: int, rng: np.random.Generator
 
 def lies(effort: Effort) -> Outcome:
     """Tell every lie many times; nothing of it may be published."""
-    outcome = Outcome("front_end_lies")
+    outcome = Outcome("front-end.lies")
     slowest: dict[str, int] = {}
     draws = effort.count(2, 30)
     for kind, snr_db, sample_bytes in FRONT_ENDS:
@@ -110,7 +110,7 @@ def _told(judge: Judge, what: str) -> Iterator[bool]:
 
 def honest(effort: Effort) -> Outcome:
     """Play honest sheets, well and ill; not one frame may be withheld."""
-    outcome = Outcome("front_end_honest")
+    outcome = Outcome("front-end.honest")
     scenes: list[tuple[str, Callable[[int], Sheet]]] = [
         (f"{kind} {snr_db:g} dB {8 * width} bit", lambda s, k=kind, d=snr_db, w=width: Sheet(s, k, d, w))
         for kind, snr_db, width in (*FRONT_ENDS, ("N2", 90.0, 2), ("none", 0.0, 3), ("none", 0.0, 2))
@@ -153,7 +153,7 @@ def _judge(sheet: Sheet) -> Judge:
 
 def references(effort: Effort) -> Outcome:
     """Capture references of lies; none may be taken, and all honest ones must be."""
-    outcome = Outcome("front_end_references")
+    outcome = Outcome("front-end.references")
     for draw in range(effort.count(3, 30)):
         for kind, snr_db, width in FRONT_ENDS:
             seed = effort.seed + 1000 * draw + int(snr_db) + width

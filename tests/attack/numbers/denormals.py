@@ -38,7 +38,7 @@ FULL = 2**31 - 1
 
 def denormals(effort: Effort) -> Outcome:
     """Try to get a denormal to the gate, a network or the projection."""
-    outcome = Outcome("denormals", figures={"frames_published": 0})
+    outcome = Outcome("numbers.denormals", figures={"frames_published": 0})
     bundle = load_bundle(default_path("units"))
     for number in range(effort.count(12, 150)):
         seed = (effort.seed, number)

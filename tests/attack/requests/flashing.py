@@ -77,7 +77,7 @@ def said_by_the_command(lies: list[str], seed: int) -> str:
 
 def flashing(effort: Effort) -> Outcome:
     """Try every lie on every action, then mixtures of lies and honest answers."""
-    outcome = Outcome("flashing")
+    outcome = Outcome("firmware.flashing")
     for action in ACTIONS:
         outcome.note((found := ended_well(action, [], 0, 0.0)) == "", f"{action}: {found}")
         for lie in LIES:

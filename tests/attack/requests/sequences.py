@@ -17,12 +17,12 @@ def _outcome(name: str, found: Figures) -> Outcome:
 
 def requests(effort: Effort) -> Outcome:
     """Play sequences on the core, and boot what every change of storage would leave behind, torn and whole."""
-    return _outcome("requests", powercut.cut_sequences(effort.count(1000, 100_000), effort.seed))
+    return _outcome("firmware.requests", powercut.cut_sequences(effort.count(1000, 100_000), effort.seed))
 
 
 def board_requests(effort: Effort) -> Outcome:
     """Play some on the firmware under QEMU, and kill it at changes of storage; nothing where there is no QEMU."""
     missing = missing_tools("qemu")
     if missing:
-        return Outcome("board_requests", 1, 1, figures={"skipped": f"{', '.join(missing)} not found"})
-    return _outcome("board_requests", powercut.cut_board_sequences(effort.count(3, 60), effort.seed))
+        return Outcome("firmware.board", 1, 1, figures={"skipped": f"{', '.join(missing)} not found"})
+    return _outcome("firmware.board", powercut.cut_board_sequences(effort.count(3, 60), effort.seed))

@@ -201,7 +201,7 @@ def random_moments(effort: Effort) -> Outcome:
 
 def at_moments(effort: Effort, lives: list[str]) -> Outcome:
     """End a runtime in each of these lives."""
-    outcome = Outcome("shutdown")
+    outcome = Outcome("run.terminated")
     moments = list(enumerate(lives))
     moments.reverse()
     ctrl_c = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # as behind a shell's "&", and runtimes inherit that

@@ -47,7 +47,7 @@ def crowd(endpoint: str, number: int) -> Iterator[dict[str, Any]]:
 
 def honest_crowds(effort: Effort) -> Outcome:
     """Be many and honest: everybody up to the promised number gets every frame, whoever comes then costs nobody any."""
-    outcome = Outcome("honest-crowds")
+    outcome = Outcome("subscribers.honest")
     rates = outcome.figures["frames_per_s_of_each"] = {}
     for number in (1, 8, 32, 64, 100, PROMISED) if effort.long else (8, PROMISED):
         with attacked(**TOUCHED) as stream, crowd(stream.frames, number) as found:
@@ -72,7 +72,7 @@ def honest_crowds(effort: Effort) -> Outcome:
 
 def silent_crowds(effort: Effort) -> Outcome:
     """Hold connections and say nothing, or half a greeting, on TCP with and without keys, and on ipc."""
-    outcome = Outcome("silent-crowds")
+    outcome = Outcome("subscribers.silent")
     with tempfile.TemporaryDirectory(prefix="k") as folder:
         make_keys(folder)
         mine = (f"{folder}/server.key", f"{folder}/client.key_secret")

@@ -24,7 +24,7 @@ AT_ONCE = 1500
 
 def connect_floods(effort: Effort) -> Outcome:
     """Connect as fast as it goes, beside a subscriber of 600 topics; and while the device is silent; then SIGTERM."""
-    outcome = Outcome("connect-floods")
+    outcome = Outcome("subscribers.connections")
     rng = random.Random(effort.seed)
     within_s = 1.0 if effort.long else 10.0
     with tempfile.TemporaryDirectory(prefix="k") as folder:
@@ -58,7 +58,7 @@ def connect_floods(effort: Effort) -> Outcome:
 
 def few_descriptors(effort: Effort) -> Outcome:
     """Use up the files that a runtime may open, while it publishes and while its reference is captured."""
-    outcome = Outcome("few-descriptors")
+    outcome = Outcome("subscribers.descriptors")
     rng = random.Random(effort.seed)
     for files in (64, 256, 1024):
         for what, arguments in (("ipc", ()), ("TCP", ("--publish", "tcp://127.0.0.1:*"))):

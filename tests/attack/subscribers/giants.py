@@ -19,7 +19,7 @@ NO_GREETING = b"HTTP/1.1 400 Bad Request\r\n\r\n" + bytes(64)
 
 def giant_messages(effort: Effort) -> Outcome:
     """Send a subscriber what is larger than any frame; it must count it or leave, and take the next good frame."""
-    outcome = Outcome("giant-messages")
+    outcome = Outcome("subscribers.giants")
     rng = random.Random(effort.seed)
     sizes = [20_000, 16_385, 65_536, 65_537, 1_000_000]
     sizes += [rng.randrange(16_385, 4_000_000) for _ in range(effort.count(0, 30))]

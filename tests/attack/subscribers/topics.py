@@ -19,7 +19,7 @@ GROWTH_MIB = 48.0
 
 def unknown_unsubscriptions(effort: Effort) -> Outcome:
     """Take back what others subscribed to: everything, the first byte of a frame, a region."""
-    outcome = Outcome("unknown-unsubscriptions")
+    outcome = Outcome("subscribers.unsubscriptions")
     rng = random.Random(effort.seed)
     with defended(outcome, "everything was unsubscribed by somebody else") as stream:
         for _ in range(effort.count(5, 200)):
@@ -48,7 +48,7 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
 
 def topic_floods(effort: Effort) -> Outcome:
     """Subscribe without end, to ever new topics."""
-    outcome = Outcome("topic-floods")
+    outcome = Outcome("subscribers.topics")
     span_s = effort.count(2, 20)
     for what, endpoints in (("topics over ipc", ()), ("topics over TCP", ("tcp",))):
         named = ("--publish", "tcp://127.0.0.1:*") if endpoints else ()

@@ -15,7 +15,7 @@ from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Electrodes, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
 
-HELLO = SimpleNamespace(serial_number="DRAWN", configuration_digest=1, configuration_name="paper")
+HELLO = SimpleNamespace(serial_number="DRAWN", configuration_digest=1, configuration_name="paper", volts_per_count=1e-9)
 
 RNG = np.random.default_rng(12)
 

@@ -179,7 +179,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
         touch_split=held_out,
         units=units,
-        free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft])), first),
+        free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
     )
 
