@@ -40,9 +40,10 @@ def test_limits_and_queues_are_those_of_the_code():
     publishing, control = "messaging/publish.py", "messaging/control*.py"
     assert f"up to {constant('QUEUE_FRAMES', publishing)} frames wait" in FLAT
     assert f"more than {constant('LARGEST_SUBSCRIPTION', publishing)} bytes" in FLAT
-    topics, connections = constant("MOST_TOPICS", publishing), constant("MOST_CONNECTIONS", publishing)
-    assert f"More than {topics} subscriptions or {connections} connections" in FLAT
-    assert f"{constant('MOST_AT_ONCE', publishing)} subscription messages" in FLAT
+    topics = "messaging/admission/topics.py"
+    assert f"More than {constant('MOST_TOPICS', topics)} topics of one subscriber" in FLAT
+    assert f"or {constant('MOST_MESSAGES', topics)} messages of one between two looks" in FLAT
+    assert f"{constant('MOST_SUBSCRIBERS', publishing)} subscribers are served" in FLAT
     assert f"at most {constant('LARGEST_MESSAGE', 'messaging/frame*.py')} bytes" in FLAT
     assert f"at most {constant('LARGEST_REQUEST', control)} bytes" in FLAT
     assert f"At most {constant('MOST_CONNECTIONS', control)} connections" in FLAT
