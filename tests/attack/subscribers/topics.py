@@ -47,14 +47,19 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
 
 
 def topic_floods(effort: Effort) -> Outcome:
-    """Subscribe without end, to ever new topics."""
+    """Subscribe without end, to ever new topics; on TCP, where strangers come from, with messages without end too."""
     outcome = Outcome("subscribers.topics")
     span_s = effort.count(2, 20)
-    for what, endpoints in (("topics over ipc", ()), ("topics over TCP", ("tcp",))):
+    for what, flags, at_once, endpoints in (
+        ("topics over ipc", 0, 2000, ()),
+        ("topics over TCP", 0, 2000, ("tcp",)),
+        ("parts of one message over TCP", flood.MORE, 2000, ("tcp",)),
+        ("parts that come one by one", flood.MORE, flood.PACED, ("tcp",)),
+    ):
         named = ("--publish", "tcp://127.0.0.1:*") if endpoints else ()
         with defended(outcome, what, arguments=named) as stream:
             before = memory_mib(stream)
-            sent = flood.ask(stream.frames, span_s)
+            sent = flood.ask(stream.frames, span_s, flags, at_once=at_once)
             outcome.figures[f"{what}, MB/s"] = round(sent / span_s / 1e6, 2)
             grown = memory_mib(stream) - before
             outcome.figures[f"{what}, MiB grown"] = round(grown, 1)

@@ -14,6 +14,9 @@ from .peer import GREETING, MORE, Peer, attempt, packed, ready
 HELD = 400
 """Connections of a flood that are held at a time."""
 
+PACED = 100
+"""Subscriptions at once up to which a flood waits in between, so that nothing of it ever waits to be read."""
+
 TURN_S = 0.02
 """What is waited for who holds his queue full."""
 
@@ -47,7 +50,7 @@ def connect(endpoint: str, span_s: float, rng: random.Random, held: int = HELD, 
     return made
 
 
-def ask(endpoint: str, span_s: float, flags: int = 0, peers: int = 4) -> int:
+def ask(endpoint: str, span_s: float, flags: int = 0, peers: int = 4, at_once: int = 2000) -> int:
     """Send distinct subscriptions as fast as they are taken, from new connections when ended; return how many bytes.
 
     Args:
@@ -55,8 +58,9 @@ def ask(endpoint: str, span_s: float, flags: int = 0, peers: int = 4) -> int:
         span_s: For how long.
         flags: Of each frame: ``MORE`` makes one message of all of them that never ends.
         peers: Connections at a time.
+        at_once: Subscriptions that are sent at once; who sends few, and waits, never fills its line.
     """
-    text = b"".join(packed(b"\x01" + index.to_bytes(6, "little") + bytes(40), flags) for index in range(2000))
+    text = b"".join(packed(b"\x01" + index.to_bytes(6, "little") + bytes(40), flags) for index in range(at_once))
     taken, end_s = 0, time.monotonic() + span_s
     streams: list[socket.socket] = []
     while time.monotonic() < end_s:
@@ -71,6 +75,7 @@ def ask(endpoint: str, span_s: float, flags: int = 0, peers: int = 4) -> int:
         for stream in able:
             try:
                 taken += stream.send(text)
+                time.sleep(0.0 if at_once > PACED else 1e-4)
             except BlockingIOError:
                 continue
             except OSError:

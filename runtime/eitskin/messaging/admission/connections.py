@@ -15,6 +15,7 @@ from collections.abc import Callable, Container, Iterable
 from typing import Final
 
 from eitskin.messaging.admission.descriptors import Connection, connection_at, end, limit, open_files, room
+from eitskin.messaging.admission.traffic import Traffic
 
 GRACE_S: Final = 0.5
 """How long a newcomer has to say what it wants before it must make room for others."""
@@ -44,7 +45,7 @@ class Connections:
         ours: Whether a name is that of one of the socket's listeners.
     """
 
-    __slots__ = ("_all", "_most", "_ours", "_poll", "_polled", "ended", "greedy", "room")
+    __slots__ = ("_all", "_most", "_ours", "_poll", "_polled", "_traffic", "ended", "greedy", "room")
 
     def __init__(self, most: int, ours: Callable[[Name], bool]) -> None:
         self._most, self._ours = most, ours
@@ -57,6 +58,7 @@ class Connections:
         self._poll = select.poll()
         self._polled = 0
         """Descriptors below this one are looked at for what waits to be read."""
+        self._traffic = Traffic()
         self.room = 0
         """Descriptors that were left for others at the last ``look``; see :func:`~.descriptors.room`."""
 
@@ -78,13 +80,18 @@ class Connections:
         self._polled = max(self._polled, upto)
 
     def end_greedy(self) -> None:
-        """End who sends without end; one system call while nobody sends."""
+        """End who sends without end; one system call while nobody sends, and a few for each TCP connection in turn."""
         for number, event in self._poll.poll(0):
             if event & select.POLLIN and _unread(number) > MOST_UNREAD:
                 connection = self.at(number)
                 if connection is not None:
-                    end(connection)
-                    self.greedy += 1
+                    self._end_one(connection)
+        for connection in self._traffic.greedy([one for one, (name, _) in self._all.items() if isinstance(name, int)]):
+            self._end_one(connection)
+
+    def _end_one(self, connection: Connection) -> None:
+        end(connection)
+        self.greedy += 1
 
     def at(self, descriptor: int) -> Connection | None:
         """Return which of the connections lies at a descriptor now; None if it is none of them."""

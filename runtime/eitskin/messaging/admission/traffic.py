@@ -1,0 +1,78 @@
+"""What a TCP connection has sent, by the kernel's count: libzmq bounds the parts of a message, but not their number.
+
+An ipc connection is not counted, the kernel keeps no sum there; only the runtime's own user and root can make one.
+"""
+
+import os
+import socket
+import struct
+import time
+from collections import deque
+from collections.abc import Collection
+from typing import Final
+
+from eitskin.messaging.admission.descriptors import Connection
+
+ALLOWANCE: Final = 65536
+"""Bytes that may come at once; a subscriber sends a few hundred when it comes, with CURVE a kilobyte."""
+
+PER_S: Final = 8192.0
+"""Bytes a second that may come for ever: a region declared anew a hundred times a second."""
+
+AT_A_TIME: Final = 16
+"""Connections that are looked at in one look, in turn, so that a look stays short."""
+
+_RECEIVED: Final = struct.Struct("=Q")
+_RECEIVED_AT: Final = 128
+"""Where tcpi_bytes_received lies in Linux's ``struct tcp_info``."""
+
+
+class Traffic:
+    """Bytes of connections, as a bucket that leaks: what is above ``ALLOWANCE`` is too much."""
+
+    __slots__ = ("_levels", "_turn")
+
+    def __init__(self) -> None:
+        self._levels: dict[Connection, tuple[int, float, float]] = {}
+        """Bytes so far, level of the bucket, and when."""
+        self._turn: deque[Connection] = deque()
+
+    def greedy(self, connections: Collection[Connection]) -> list[Connection]:
+        """Return who has sent too much, of the next ``AT_A_TIME``.
+
+        Args:
+            connections: All that come by TCP.
+        """
+        if not self._turn:
+            self._turn.extend(connections)
+            self._levels = {one: level for one, level in self._levels.items() if one in connections}
+        now_s = time.monotonic()
+        return [
+            one
+            for one in (self._turn.popleft() for _ in range(min(AT_A_TIME, len(self._turn))))
+            if self._rise(one, now_s) > ALLOWANCE
+        ]
+
+    def _rise(self, one: Connection, now_s: float) -> float:
+        received = _received(one)
+        before, level, then_s = self._levels.get(one, (0, 0.0, now_s))
+        level = max(0.0, level - PER_S * (now_s - then_s)) + max(0, received - before)
+        self._levels[one] = (received, level, now_s)
+        return level
+
+
+def _received(connection: Connection) -> int:
+    """Return how many bytes have come in all; 0 if the connection is gone."""
+    try:
+        if os.fstat(connection[0]).st_ino != connection[1]:
+            return 0
+        looked_through = socket.socket(socket.AF_INET, socket.SOCK_STREAM, 0, fileno=connection[0])
+    except OSError:
+        return 0
+    try:
+        info = looked_through.getsockopt(socket.IPPROTO_TCP, socket.TCP_INFO, _RECEIVED_AT + _RECEIVED.size)
+    except OSError:
+        return 0
+    finally:
+        looked_through.detach()
+    return int(_RECEIVED.unpack_from(info, _RECEIVED_AT)[0]) if len(info) >= _RECEIVED_AT + _RECEIVED.size else 0
