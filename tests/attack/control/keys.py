@@ -22,6 +22,7 @@ def key_folders(effort: Effort) -> Outcome:
         make_keys(good)
         meant = load_server_keys(good).admitted
         text = (good / "clients" / "client.key").read_bytes()
+        open_files = len(os.listdir("/proc/self/fd"))
         for number in range(effort.count(150, 5000)):
             spoilt = Path(name) / "spoilt"
             shutil.copytree(good, spoilt)
@@ -30,6 +31,8 @@ def key_folders(effort: Effort) -> Outcome:
                 outcome.note(_holds(spoilt, meant, kind), f"folder {number}, seed {effort.seed}: {kind}")
             finally:
                 shutil.rmtree(spoilt)
+        left = len(os.listdir("/proc/self/fd")) - open_files
+        outcome.note(left == 0, f"{left} files were left open")
     return outcome
 
 
