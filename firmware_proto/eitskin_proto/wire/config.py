@@ -19,6 +19,7 @@ from dataclasses import dataclass, fields
 from typing import Final, Self
 
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
@@ -82,7 +83,7 @@ class Configuration:
 
     def __post_init__(self) -> None:
         if not 1 <= len(self.name) <= 16 or not self.name.isascii() or not self.name.isprintable():
-            raise ValueError(f"name is {self.name!r}, expected 1 to 16 printable ASCII characters")
+            raise ValueError(f"name is {quoted(self.name)}, expected 1 to 16 printable ASCII characters")
         if self.rows not in (N_ROWS, N_FULL_ROWS):
             raise ValueError(f"rows is {self.rows}, expected {N_ROWS} (the table) or {N_FULL_ROWS} (the full table)")
         if self.sample_bytes not in SAMPLE_BYTES:

@@ -7,6 +7,8 @@ rows, the settling time and then ``averages`` whole periods of the drive frequen
 from dataclasses import dataclass
 from typing import Final
 
+from eitskin_proto.files.plain import quoted
+
 
 @dataclass(frozen=True, slots=True)
 class Hardware:
@@ -53,7 +55,7 @@ def by_name(name: str) -> Hardware:
         if hardware.name == name:
             return hardware
     known = ", ".join(repr(hardware.name) for hardware in KNOWN.values())
-    raise ValueError(f"hardware {name!r} is unknown; known are {known}")
+    raise ValueError(f"hardware {quoted(name)} is unknown; known are {known}")
 
 
 def by_id(hardware_id: int) -> Hardware:

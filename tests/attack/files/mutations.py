@@ -1,5 +1,6 @@
 """Ways to damage a file, drawn from a seed: of its bytes, of its values, of what its name stands for."""
 
+import copy
 import io
 import json
 import os
@@ -40,7 +41,7 @@ def _changed_once(root: Any, rng: random.Random) -> Any:
 
     walk(root)
     if not places or rng.random() < 0.03:
-        return rng.choice(HOSTILE)
+        return copy.deepcopy(rng.choice(HOSTILE))
     holder, key = rng.choice(places)
     how = rng.randrange(10)
     if how == 0:
@@ -48,13 +49,13 @@ def _changed_once(root: Any, rng: random.Random) -> Any:
     elif how == 1:
         holder[key] = _nested(rng.choice((20, 200, 100_000)))
     elif how == 2 and isinstance(holder, dict):
-        holder[rng.choice(("unknown", "\x1b[31m", "sha256", ""))] = rng.choice(HOSTILE)
+        holder[rng.choice(("unknown", "\x1b[31m", "sha256", ""))] = copy.deepcopy(rng.choice(HOSTILE))
     elif how == 3 and isinstance(holder, list) and holder:
         holder.extend(holder * rng.choice((1, 3, 5000 // len(holder) + 1)))
     elif how == 4 and isinstance(holder[key], int | float) and not isinstance(holder[key], bool):
         holder[key] = holder[key] * rng.choice((-1, 0, 1e-9, 1e-3, 0.5, 2, 1e3, 1e9, 1e18))
     else:
-        holder[key] = rng.choice(HOSTILE)
+        holder[key] = copy.deepcopy(rng.choice(HOSTILE))
     return root
 
 

@@ -5,13 +5,15 @@ import random
 import signal
 import tempfile
 import threading
+from collections.abc import Iterator
+from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Effort, Outcome
-from ..stream import attacked
+from ..stream import Stream, attacked
 from ..zmtp import flood
 from ..zmtp.peer import Peer
 from .ground import TOUCHED, defended, ends, stoppable_skin
@@ -38,9 +40,10 @@ def connect_floods(effort: Effort) -> Outcome:
         )
         for what, arguments, keys in grounds:
             for _ in range(effort.count(1, 7)):
-                with defended(outcome, f"{what}, seed {effort.seed}", keys, arguments) as stream:
-                    if not keys:
-                        _with_many_topics(stream)
+                with (
+                    defended(outcome, f"{what}, seed {effort.seed}", keys, arguments) as stream,
+                    _many_topics(stream, keys),
+                ):
                     made = flood.connect(stream.frames, effort.count(2, 5), rng)
                     outcome.figures[f"{what}, connections"] = made + outcome.figures.get(f"{what}, connections", 0)
                 with (
@@ -48,11 +51,10 @@ def connect_floods(effort: Effort) -> Outcome:
                     attacked(*arguments, port=port) as stream,
                 ):
                     stream.join(*keys)
-                    if not keys:
-                        _with_many_topics(stream)
-                    os.kill(skin, signal.SIGSTOP)
-                    flood.connect(stream.frames, 0.4, rng, AT_ONCE, AT_ONCE)
-                    ends(stream, outcome, f"{what}, the device silent", within_s)
+                    with _many_topics(stream, keys):
+                        os.kill(skin, signal.SIGSTOP)
+                        flood.connect(stream.frames, 0.4, rng, AT_ONCE, AT_ONCE)
+                        ends(stream, outcome, f"{what}, the device silent", within_s)
     return outcome
 
 
@@ -96,10 +98,13 @@ def _during_capture(files: int, outcome: Outcome, rng: random.Random) -> None:
                 over.set()
 
 
-def _with_many_topics(stream: Any) -> None:
-    """Leave a connection open that has 600 topics, as far as it gets; it is collected with the flood."""
-    peer = Peer(stream.frames)
-    try:
-        peer.subscribe(*MANY_TOPICS)
-    except OSError:
-        peer.close()
+@contextmanager
+def _many_topics(stream: Stream, keys: tuple[str, ...]) -> Iterator[None]:
+    """Hold a connection that has 600 topics, as far as it gets; with keys there is none."""
+    if keys:
+        yield
+        return
+    with closing(Peer(stream.frames)) as peer:
+        with suppress(OSError):
+            peer.subscribe(*MANY_TOPICS)
+        yield

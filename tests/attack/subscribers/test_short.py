@@ -3,12 +3,18 @@
 import pytest
 
 from ..catalogue import ATTACKS, load
-from ..outcome import Effort
+from ..outcome import Effort, Outcome
+
+pytestmark = [pytest.mark.process, pytest.mark.heavy]
 
 
-@pytest.mark.process
-@pytest.mark.heavy
-@pytest.mark.parametrize("name", [name for name, where in ATTACKS.items() if where.startswith("subscribers.")])
-def test_an_attack_on_subscribers_is_withstood(name):
-    outcome = load(name)(Effort())
+@pytest.fixture(scope="module", params=[name for name, where in ATTACKS.items() if where.startswith("subscribers.")])
+def outcome(request: pytest.FixtureRequest) -> Outcome:
+    """Of an attack, named; what it costs is the attacker's time: floods take all that they get."""
+    found = load(request.param)(Effort())
+    assert found.attack == request.param
+    return found
+
+
+def test_it_is_withstood(outcome: Outcome) -> None:
     assert outcome.held, outcome.as_dict()

@@ -2,6 +2,7 @@
 
 import random
 import time
+from contextlib import closing
 
 import eitskin
 
@@ -23,11 +24,10 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
     rng = random.Random(effort.seed)
     with defended(outcome, "everything was unsubscribed by somebody else") as stream:
         for _ in range(effort.count(5, 200)):
-            peer = Peer(stream.frames)
-            peer.unsubscribe(b"", *rng.sample(MODEST, 3))
-            peer.subscribe(rng.choice(MODEST))
-            peer.unsubscribe(b"")
-            peer.close()
+            with closing(Peer(stream.frames)) as peer:
+                peer.unsubscribe(b"", *rng.sample(MODEST, 3))
+                peer.subscribe(rng.choice(MODEST))
+                peer.unsubscribe(b"")
         _wait_for_frames(stream, effort.count(100, 1000))
     with attacked(**TOUCHED) as stream:
         part = (100.0, 60.0, 150.0, 100.0)

@@ -80,11 +80,15 @@ class Peer:
         self.stream = connected(endpoint, patience_s)
         self.stream.settimeout(patience_s)
         self._buffer = bytearray()
-        self.stream.sendall(GREETING + ready(kind))
-        while len(self._buffer) < len(GREETING):
-            self._more()
-        if self._buffer[10] < 3 or self._buffer[12:16] != b"NULL":
-            raise OSError(f"no ZMTP 3 with NULL, but {bytes(self._buffer[:32])!r}")
+        try:
+            self.stream.sendall(GREETING + ready(kind))
+            while len(self._buffer) < len(GREETING):
+                self._more()
+            if self._buffer[10] < 3 or self._buffer[12:16] != b"NULL":
+                raise OSError(f"no ZMTP 3 with NULL, but {bytes(self._buffer[:32])!r}")
+        except BaseException:
+            self.stream.close()
+            raise
         del self._buffer[: len(GREETING)]
 
     def _more(self) -> None:

@@ -140,3 +140,20 @@ def test_a_watchdog_looks_by_itself_while_it_is_entered(ended):
     with Watchdog(lambda text, stacks: None, Heard(), lambda status: over.set()) as dog:
         dog.watch("something", limit_s=0.0)
         assert over.wait(60)
+
+
+def test_a_watched_line_can_be_opened_anew_where_the_line_can():
+    class Patient(Line):
+        patience_s, gone, opened = 60.0, False, 0
+
+        def reopen(self):
+            assert watched.waits
+            self.opened += 1
+
+    line = Patient()
+    watched = WatchedLine(line)
+    assert (watched.patience_s, watched.gone) == (60.0, False)
+    watched.reopen()
+    assert (line.opened, watched.beats, watched.waits) == (1, 1, False)
+    plain = WatchedLine(Line())
+    assert all(getattr(plain, name, None) is None for name in ("patience_s", "gone", "reopen"))

@@ -13,9 +13,10 @@ import os
 import threading
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from types import TracebackType
-from typing import Final, Self
+from typing import Any, Final, Self
 
 from eitskin.acquisition.transport import Transport
 from eitskin_tools.service.supervisor import Supervisor
@@ -63,20 +64,28 @@ class WatchedLine:
         """The line's."""
         return self._line.line_bytes_per_s
 
+    def __getattr__(self, name: str) -> Any:
+        """Return what only some lines have: whether one is gone, how long it is waited for."""
+        return getattr(self._line, name)
+
+    @property
+    def reopen(self) -> Callable[[], None]:
+        """Of a line that can be opened anew: what does so."""
+        return partial(self._used, getattr(self._line, "reopen"))  # noqa: B009 -- only some have it
+
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte."""
-        self.waits = True
-        try:
-            return self._line.read(timeout_s)
-        finally:
-            self.beats += 1
-            self.waits = False
+        data: bytes = self._used(self._line.read, timeout_s)
+        return data
 
     def write(self, data: bytes) -> None:
         """Send all of ``data``."""
+        self._used(self._line.write, data)
+
+    def _used(self, way: Callable[..., Any], *arguments: Any) -> Any:
         self.waits = True
         try:
-            self._line.write(data)
+            return way(*arguments)
         finally:
             self.beats += 1
             self.waits = False
