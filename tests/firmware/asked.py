@@ -212,9 +212,11 @@ class BoardAsked(Asked):
         return self._until(lambda found: isinstance(found, m.Time) and found.tag == BEHIND)[:-1]
 
     def until_restarted(self, request: m.Restart) -> list[m.Message]:
-        """The same: what runs then is the last of its messages."""
+        """The same: what runs then is the last of its messages; what it still says of its last start is left out."""
         self.send(b"\0" + framing.encode(request.pack()))
-        return self._until(lambda found: isinstance(found, m.Event) and found.code != EventCode.RESTARTING)
+        answer = self._until(lambda found: isinstance(found, m.Ack))[-1]
+        events = self._until(lambda found: isinstance(found, m.Event) and found.code == EventCode.RESTARTING)
+        return [answer, *events, *self._until(lambda found: isinstance(found, m.Event))]
 
     def _until(self, last: Callable[[m.Message], bool]) -> list[m.Message]:
         """Return what the board says up to the message that is asked for."""
