@@ -95,10 +95,9 @@ def stream(options: Options) -> Streamed:
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
         log, record = folder / "skin.log", folder / "record.npz"
         with process_group() as children:
-            start_s = _start(options, folder, publish, control, children)
-            if options.talk:
-                print(f"first frame after {start_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
-            _look_on(options, publish, log, children)
+            begin_s = time.monotonic()
+            _start(options, folder, publish, control, children)
+            start_s = _look_on(options, publish, log, children, begin_s)
             skin, runtime, subscriber = children[:3]
             if subscriber.wait(GRACE_S) != 0:
                 subscriber.check()
@@ -146,9 +145,8 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
     }
 
 
-def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> float:
-    """Start everything; return how many seconds it took until the first frame arrived."""
-    begin = time.monotonic()
+def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> None:
+    """Start everything."""
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
@@ -182,8 +180,6 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     if options.clouds:
         children.append(_scanner(options, control, folder, scene))
     runtime.line(runtime.err, "ready ", READY_S, children)
-    subscriber.line(subscriber.out, "first", READY_S, children)
-    return time.monotonic() - begin
 
 
 def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:
@@ -194,19 +190,27 @@ def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> 
     )  # fmt: skip
 
 
-def _look_on(options: Options, publish: str, log: Path, children: list[Child]) -> None:
-    """Wait for the subscriber to finish; draw meanwhile; stop early on Ctrl-C."""
-    end = time.monotonic() + options.seconds + READY_S
+def _look_on(options: Options, publish: str, log: Path, children: list[Child], begin_s: float) -> float:
+    """Wait for the subscriber to finish; draw meanwhile; stop early on Ctrl-C. Return when its first frame came."""
+    subscriber, first_s = children[2], 0.0
     try:
+        subscriber.line(subscriber.out, "first", READY_S, children)
+        first_s = time.monotonic() - begin_s
+        if options.talk:
+            print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
+        end = time.monotonic() + options.seconds + READY_S
         if options.draw:
             from eitskin_tools.demo.live import live
 
             live(publish, script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
-            return
+            return first_s
         while _going_on(children, end):
             time.sleep(0.05)
     except KeyboardInterrupt:
-        children[2].stop()
+        if "first" not in subscriber.out.read_text():
+            raise  # there is nothing to sum up
+        subscriber.stop()
+    return first_s
 
 
 def _going_on(children: list[Child], end: float) -> bool:
