@@ -81,11 +81,11 @@ def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
         under = slice(cuts.n_cut, whole.start)
         blocks[under] = graded_blocks(cuts.graded, cuts.element[under], sheet.tensor, stiffness)
     blocks[whole] = cuts.sigma[whole, None, None] * stiffness[cuts.element[whole]]
-    fringe = np.zeros(len(stiffness))
-    fringe[contacts.element] = contacts.fringe_m
-    own = fringe[cuts.element]
-    touched = 1.0 / (contacts.impedance_ohm_m2 + own / cuts.sigma)
-    untouched = 1.0 / (contacts.impedance_ohm_m2 + own)
+    fringe, impedance = np.zeros(len(stiffness)), np.ones(len(stiffness))
+    fringe[contacts.element], impedance[contacts.element] = contacts.fringe_m, contacts.impedance_ohm_m2
+    own, plain = fringe[cuts.element], impedance[cuts.element]
+    touched = 1.0 / (plain + own / cuts.sigma)
+    untouched = 1.0 / (plain + own)
     return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
 
 

@@ -231,7 +231,7 @@ def _mix_contacts(system: System, cut: Index, phases: _Phases, density: Array) -
     row = np.where(row < len(cut), row, 0)
     pieces = np.flatnonzero(cut[row] == contacts.element)
     row = row[pieces]
-    fringe, impedance = contacts.fringe_m[pieces], contacts.impedance_ohm_m2
-    inside = 1.0 / (impedance + fringe[:, None] / phases.inside[row])
+    fringe, impedance = contacts.fringe_m[pieces], contacts.impedance_ohm_m2[pieces]
+    inside = 1.0 / (impedance[:, None] + fringe[:, None] / phases.inside[row])
     outside = 1.0 / (impedance + fringe / phases.outside[row])
     density[pieces] = np.mean(phases.share[row] * inside + (1.0 - phases.share[row]) * outside[:, None], axis=1)
