@@ -17,9 +17,9 @@ import torch
 
 from eitskin_export.fold import GeometryHalf, Head
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import CLOUD_SHAPE
 
 OPSET: Final = 20
 """Version of the ONNX operators: the newest that torch 2.13 exports (18 to 20 work)."""

@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from eitskin.errors import ControlError, SkinError
 from eitskin.messaging.control_fields import array_field, unpack_fields
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE
-from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import CLOUD_SHAPE
+from eitskin_proto.skin.sheet_cloud import check_sheet
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""

@@ -19,9 +19,9 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import stated
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.cloud import align_cloud, check_cloud
 from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
 
 Array = npt.NDArray[np.float64]
 

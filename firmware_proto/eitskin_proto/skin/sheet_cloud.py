@@ -26,8 +26,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.cloud import check_cloud
 from eitskin_proto.sensor.grid import PITCH_MM, SHEET_MM
+from eitskin_proto.skin.cloud import check_cloud
 
 Array = npt.NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def check_sheet(cloud: npt.ArrayLike) -> tuple[Array, tuple[str, ...]]:
         cloud: (3, 30, 45) mm, in any pose.
 
     Raises:
-        ValueError: It is malformed (:func:`eitskin_proto.sensor.cloud.check_cloud`), or cannot be of this sheet; with
+        ValueError: It is malformed (:func:`eitskin_proto.skin.cloud.check_cloud`), or cannot be of this sheet; with
             what was found, what was expected and what to do.
     """
     points = check_cloud(cloud)
