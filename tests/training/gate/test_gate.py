@@ -10,11 +10,12 @@ import pytest
 from eitskin.model.gate import Gate
 from eitskin.pipeline.idle import PREFIX
 from eitskin_proto.errors import SkinError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.gate import fit, idle, material, rates, untouched
 from eitskin_training.gate.untouched import Bends, bends_of
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = pytest.mark.heavy
@@ -107,8 +108,8 @@ def test_a_threshold_lets_its_share_of_untouched_frames_through(data: TrainingDa
         return np.asarray(np.abs(dv).mean(axis=1))
 
     rng = np.random.default_rng(3)
-    threshold = rates.threshold_at(0.2, size, bends.choose, data.reference, rng)
-    found = rates.untouched_logits(size, bends.choose, data.reference, rng)
+    threshold = rates.threshold_at(0.2, size, bends.choose, data.reference, rng, data.skin)
+    found = rates.untouched_logits(size, bends.choose, data.reference, rng, data.skin)
     tripped = np.mean([(logits > threshold).mean() for logits in found.values()])
     assert tripped == pytest.approx(0.2, abs=0.03)  # the same bends, other noise
 
@@ -148,7 +149,7 @@ def test_the_mirror_image_of_a_bend_has_the_mirror_image_of_its_voltages() -> No
     image = Bend(30.0, -20.0, -0.3, -25.0, 1.1, 0.95, 0.1, ((110.0, 30.0, 5.0, 15.0),))
     one, other = untouched.untouched_logs([bend, image])
     # Both are solved on the same mirror-symmetric mesh.
-    np.testing.assert_allclose(one[MIRRORS[1].rows], other, atol=1e-9)
+    np.testing.assert_allclose(one[mirrors(PAPER)[1].rows], other, atol=1e-9)
 
 
 def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
