@@ -27,11 +27,10 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
+from eitskin_training.run_files import FORMAT, network, read, require_skin, skin_entries, skin_of, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
 from eitskin_training.score import score, training_loss
 
@@ -194,13 +193,7 @@ def _start_from(run: Run, folder: Path) -> None:
         raise MismatchError(
             f"run {folder} to start from: network", found=found, expected=expected, hint="start from one of this recipe"
         )
-    check_made_for(
-        f"run {folder} to start from",
-        run.skin,
-        grid_id=content["grid_id"],
-        skin_digest=content.get("skin_digest"),
-        hint="start from one of this skin",
-    )
+    require_skin(content, f"run {folder} to start from", run.skin, "start from one of this skin")
     run.model.load_state_dict(content["weights"])
     run.averaged = {name: value.clone() for name, value in run.model.state_dict().items()}
     run.started_from = {
