@@ -36,7 +36,8 @@ ROOMS: dict[str, Arrows] = {
         "errors": set(),
         "files": {"errors"},
         "sensor": {"errors", "files"},
-        "wire": {"errors", "files", "sensor"},
+        "skin": {"errors", "files", "sensor"},
+        "wire": {"errors", "files", "sensor", "skin"},
     },
     "eitskin": {
         "errors": set(),

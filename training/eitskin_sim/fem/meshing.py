@@ -41,13 +41,13 @@ Fixed = list[tuple[float, float]]
 def electrode_lines(sheet: Sheet, electrodes: Electrodes) -> tuple[Fixed, Fixed]:
     """Return the lines (position, size) along x and along y that the electrodes need, the sheet's ends among them."""
     length, width = sheet.size_mm
-    patch = electrodes.contact == "patch"
+    patch, sizes = electrodes.contact == "patch", electrodes.sizes_mm()
     border = PATCH_EDGE_MM * 2 if patch else EDGE_DEPTH_MM
     x: Fixed = [(0.0, border), (length, border)]
     y: Fixed = [(0.0, border), (width, border)]
     for piece in place(sheet, electrodes):
         if patch:
-            x0, y0, x1, y1 = piece.patch_mm(sheet, electrodes.size_mm)
+            x0, y0, x1, y1 = piece.patch_mm(sheet, float(sizes[piece.electrode]))
             x += [(x0, PATCH_EDGE_MM), (x1, PATCH_EDGE_MM)]
             y += [(y0, PATCH_EDGE_MM), (y1, PATCH_EDGE_MM)]
         else:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.cut_blocks import cut_blocks
-from eitskin_sim.fem.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.borders.cut_blocks import cut_blocks
+from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.borders.graded_blocks import graded_blocks
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.graded_blocks import graded_blocks
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle
@@ -81,11 +81,11 @@ def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
         under = slice(cuts.n_cut, whole.start)
         blocks[under] = graded_blocks(cuts.graded, cuts.element[under], sheet.tensor, stiffness)
     blocks[whole] = cuts.sigma[whole, None, None] * stiffness[cuts.element[whole]]
-    fringe = np.zeros(len(stiffness))
-    fringe[contacts.element] = contacts.fringe_m
-    own = fringe[cuts.element]
-    touched = 1.0 / (contacts.impedance_ohm_m2 + own / cuts.sigma)
-    untouched = 1.0 / (contacts.impedance_ohm_m2 + own)
+    fringe, impedance = np.zeros(len(stiffness)), np.ones(len(stiffness))
+    fringe[contacts.element], impedance[contacts.element] = contacts.fringe_m, contacts.impedance_ohm_m2
+    own, plain = fringe[cuts.element], impedance[cuts.element]
+    touched = 1.0 / (plain + own / cuts.sigma)
+    untouched = 1.0 / (plain + own)
     return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
 
 
