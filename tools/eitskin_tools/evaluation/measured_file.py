@@ -190,7 +190,7 @@ def _truth(arrays: dict[str, npt.NDArray[Any]], n: int) -> Array:
 
 
 def _kinds(arrays: dict[str, npt.NDArray[Any]], n: int, truth: Array | None) -> tuple[str, ...]:
-    touched = None if truth is None else truth.reshape(n, -1).any(axis=1)
+    touched = None if truth is None else [bool(one.any()) for one in truth]
     if "kind" not in arrays:
         if touched is None:
             return ("unknown",) * n
