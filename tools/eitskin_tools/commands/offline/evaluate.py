@@ -23,6 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
     what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
+    what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
     parser.add_argument(
         "--solver",
         default="vd2t",
@@ -115,6 +116,8 @@ def run(arguments: argparse.Namespace) -> int:
     _softness(arguments)
     if arguments.measured is not None:
         return _measured(arguments, request)
+    if arguments.tank is not None:
+        return _tank(arguments)
     if arguments.phantoms is None:
         return _trial(arguments, request, conditions)
     return _phantoms(arguments, request, conditions)
@@ -127,6 +130,14 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     if arguments.shift_px or arguments.cloud != "scan":
         raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
     found = evaluate_measured(load_measured(files.find(arguments.measured, files.MEASURED)), request, _progress())
+    print(json.dumps(found) if arguments.json else table(found))
+    return 0
+
+
+def _tank(arguments: argparse.Namespace) -> int:
+    from eitskin_tools.evaluation.tank import evaluate_tank, table
+
+    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress())
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 
