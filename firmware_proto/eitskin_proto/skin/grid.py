@@ -61,6 +61,11 @@ class Grid:
         """Rows and columns whose mirror images in x and y are the map; a middle one is its own image."""
         return (self.shape[0] + 1) // 2, (self.shape[1] + 1) // 2
 
+    @property
+    def cloud_shape(self) -> tuple[int, int, int]:
+        """Of a measured surface: x, y, z; rows along y; columns along x."""
+        return 3, *self.shape
+
     def pixel_centres_mm(self) -> npt.NDArray[np.float64]:
         """Return the (rows, columns, 2) x and y of every pixel's centre."""
         rows, columns = np.indices(self.shape)
