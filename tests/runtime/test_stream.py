@@ -214,7 +214,7 @@ def test_frames_without_a_reference_say_what_to_do(virtual_skin, tiny_path):
 
 
 def test_a_cloud_set_between_frames_shows_in_the_next_and_costs_the_others_nothing(virtual_skin, tiny_path):
-    from eitskin_proto.sensor.cloud import flat_cloud
+    from eitskin_proto.skin.cloud import flat_cloud
 
     with virtual_skin(touches=[[0.15, 9, 0.3]]) as port, opened(port, tiny_path) as skin:
         frames = []

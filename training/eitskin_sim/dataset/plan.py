@@ -19,7 +19,7 @@ from typing import Any, Final, Literal, cast
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.ids import id_of_values
+from eitskin_proto.files.digest import id_of_values
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends

@@ -26,7 +26,7 @@ from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene
-from eitskin_sim.scene.shift import shifted
+from eitskin_sim.scene.phantoms.shift import shifted
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import (
     SATURATED,

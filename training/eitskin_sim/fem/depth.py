@@ -29,7 +29,7 @@ from scipy.optimize import nnls
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Plate, System, assemble_pieces, metric_at_points
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, touch_lines

@@ -1,8 +1,8 @@
 """One fixed mesh for touches anywhere, its elements' middles eliminated.
 
 Touches do not move the mesh; elements that their borders cut get blocks of their own
-(:mod:`eitskin_sim.fem.cut_touches`). So the sheet is assembled and inverted once a deformation, and all touch sets
-share that. ::
+(:mod:`eitskin_sim.fem.borders.cut_touches`). So the sheet is assembled and inverted once a deformation, and all touch
+sets share that. ::
 
     o---o---o      a biquadratic element's middle node is its own affair: eight nodes remain, and the electrode
     |       |      where the element lies under a contact; 3,300 of 4,300 nodes of the sheet

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.cut_blocks import cut_blocks
-from eitskin_sim.fem.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.borders.cut_blocks import cut_blocks
+from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
+from eitskin_sim.fem.borders.graded_blocks import graded_blocks
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.graded_blocks import graded_blocks
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle

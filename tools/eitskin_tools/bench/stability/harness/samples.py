@@ -17,7 +17,7 @@ from eitskin_proto.sensor.grid import UNIT_SHAPE, map_from_units, unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
 from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import touched_units
-from eitskin_sim.fem.cut_elements import factorise
+from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.area import area_map

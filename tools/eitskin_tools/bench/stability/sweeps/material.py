@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Rect

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.fem.borders.graded import plateau
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.graded import plateau
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
