@@ -1,6 +1,7 @@
 """Front ends as circuits: ladders of resistors in closed form, Kirchhoff's law, and what breaks reciprocity."""
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
@@ -8,7 +9,7 @@ import pytest
 from eitskin_proto.sensor.table import FULL_TABLE, RECIPROCAL_IN_FULL, ROW_IN_FULL, TABLE
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import response_of
-from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.parts import Scene
 from eitskin_sim.unit_grid.units import to_voltages
 
@@ -62,14 +63,14 @@ def test_an_ideal_front_end_reads_the_rows_of_the_generators_to_the_last_bit() -
 def test_the_constants_that_a_response_is_known_up_to_change_nothing() -> None:
     rng = np.random.default_rng(1)
     shifted = sheet() + rng.normal(size=(16, 1)) + rng.normal(size=16)
-    for front in (FrontEnd(), FrontEnd(plus_gain=1.1), FrontEnd(stray_S=UNEVEN, sink_ratio=0.9)):
+    for front in (FrontEnd(), FrontEnd(plus_gain=1.1), FrontEnd(stray_S=UNEVEN, sink_share=0.9)):
         np.testing.assert_allclose(front.read(shifted), front.read(sheet()), rtol=1e-9)
 
 
 def test_a_ring_of_resistors_with_every_terminal_but_one_floating_is_a_ladder() -> None:
     # The stray of terminal 5 alone carries what the sink leaves, so 5 is at (1 - q) / s; the ring is a divider.
     ohms, stray, ratio = np.linspace(1.0, 4.0, 16), 2e-3, 0.7
-    front = FrontEnd(stray_S=tuple(stray if k == 5 else 0.0 for k in range(16)), sink_ratio=ratio)
+    front = FrontEnd(stray_S=tuple(stray if k == 5 else 0.0 for k in range(16)), sink_share=ratio)
     found = front.potentials(response(ring(ohms)))[9]  # 1 A into 9, 0.7 out of 10, 0.3 out of 5 by its stray
     assert found[5] == pytest.approx((1.0 - ratio) / stray, rel=1e-12)
     whole, short, way = ohms.sum(), ohms[9], ohms[5:9].sum()
@@ -83,7 +84,7 @@ def test_a_ring_of_resistors_with_every_terminal_but_one_floating_is_a_ladder() 
 @pytest.mark.parametrize("ratio", [1.0, 0.8])
 def test_every_drive_obeys_kirchhoffs_law(ratio: float) -> None:
     admittance, stray = random_sheet(), np.array(UNEVEN)
-    found = FrontEnd(stray_S=UNEVEN, sink_ratio=ratio).potentials(response(admittance))
+    found = FrontEnd(stray_S=UNEVEN, sink_share=ratio).potentials(response(admittance))
     for k in range(16):
         np.testing.assert_allclose(found[k], naive(admittance, stray, ratio, k), rtol=1e-10)
 
@@ -92,6 +93,10 @@ def test_a_capacitance_answers_in_phase_from_its_square_on() -> None:
     ideal = FrontEnd().read(sheet())
     small, twice = (FrontEnd(stray_S=1j * b).read(sheet()) - ideal for b in (1e-6, 2e-6))
     np.testing.assert_allclose(twice, 4.0 * small, atol=1e-4 * np.abs(small).max() + 1e-10 * np.abs(ideal).max())
+    assert capacitance(1e6 / (2.0 * np.pi), 1.0) == pytest.approx(1e-6j)
+    assert np.asarray(capacitance((8.0,) * 16, 20e3))[3] == pytest.approx(
+        1j / 994718.4, rel=1e-6
+    )  # 8 pF at 20 kHz are 1 Mohm
     leak = FrontEnd(stray_S=1e-6).read(sheet()) - ideal
     assert np.abs(small).max() < 0.01 * np.abs(leak).max()
 
@@ -99,6 +104,9 @@ def test_a_capacitance_answers_in_phase_from_its_square_on() -> None:
 def test_a_stray_that_vanishes_leaves_the_ideal_readings() -> None:
     ideal = FrontEnd().read(sheet())
     np.testing.assert_allclose(FrontEnd(stray_S=1e-12).read(sheet()), ideal, atol=1e-9 * np.abs(ideal).max())
+    without, small = FrontEnd(sink_share=0.9).read(sheet()), FrontEnd(stray_S=1e-9, sink_share=0.9).read(sheet())
+    assert np.abs(without - ideal).max() > 0.01 * np.abs(ideal).max()
+    np.testing.assert_allclose(small, without, atol=1e-5 * np.abs(ideal).max())
 
 
 def test_gains_offsets_and_the_divided_current_are_what_they_say() -> None:
@@ -108,8 +116,8 @@ def test_gains_offsets_and_the_divided_current_are_what_they_say() -> None:
     np.testing.assert_allclose(
         found, 2.0 * np.array(gain)[m] * ideal + np.array(drive)[k] + np.array(pair)[m], rtol=1e-9
     )
-    plain = FrontEnd(stray_S=1e-4, sink_ratio=0.8).read(sheet())
-    divided = FrontEnd(stray_S=1e-4, sink_ratio=0.8, divides_by_current=True).read(sheet())
+    plain = FrontEnd(stray_S=1e-4, sink_share=0.8).read(sheet())
+    divided = FrontEnd(stray_S=1e-4, sink_share=0.8, normalised=True).read(sheet())
     np.testing.assert_allclose(divided, plain / 0.8, rtol=1e-12)
 
 
@@ -134,7 +142,7 @@ def test_strays_keep_reciprocity_and_a_sink_or_paths_of_its_own_break_it_as_the_
     k, m = TABLE.astype(int).T
     next_k, next_m = (k + 1) % 16, (m + 1) % 16
     leak = whole[m, next_k] - whole[next_m, next_k] - whole[k, next_m] + whole[next_k, next_m]
-    found = swapped(FrontEnd(stray_S=UNEVEN, sink_ratio=0.9))
+    found = swapped(FrontEnd(stray_S=UNEVEN, sink_share=0.9))
     np.testing.assert_allclose(found, 0.1 * leak, atol=1e-9 * scale)
     assert np.abs(found).max() > 1e-4 * scale
     # q = 1, unequal paths p, n:  V[k, m] - V[m, k] = (p - n) (Z[m, k] - Z[k, m] - Z[m, k+1] + Z[k, m+1]) and its mirror
@@ -148,7 +156,7 @@ def test_a_sink_that_takes_little_makes_readings_fall_all_the_way_round_the_ring
     ideal = FrontEnd().read(disc(), FULL_TABLE).reshape(16, 13)
     np.testing.assert_allclose(ideal, ideal[:, ::-1], rtol=1e-9)
     assert (np.diff(np.abs(ideal[:, :7])) < 0.0).all()
-    found = FrontEnd(stray_S=1e-4, sink_ratio=0.2).read(disc(), FULL_TABLE).reshape(16, 13)
+    found = FrontEnd(stray_S=1e-4, sink_share=0.2).read(disc(), FULL_TABLE).reshape(16, 13)
     assert (found[:, 0] > 0.0).all()
     assert (found[:, -1] < 0.0).all()
     assert (np.diff(found) < 0.0).all()
@@ -165,12 +173,11 @@ def disc() -> np.ndarray:
     ("front", "says"),
     [
         ({"gain": (1.0, 2.0)}, "gain has 2 numbers; it must be one, or 16"),
-        ({"sink_ratio": 0.9}, "needs a stray to ground"),
         ({"stray_S": -1e-4}, "negative part"),
         ({"plus_gain": float("nan")}, "not finite"),
-        ({"stray_S": 1e-4, "sink_ratio": 0.0, "divides_by_current": True}, "sink_ratio falls to 0"),
+        ({"stray_S": 1e-4, "sink_share": 0.0, "normalised": True}, "sink_share falls to 0"),
     ],
 )
-def test_a_front_end_that_cannot_be_is_refused(front: dict, says: str) -> None:
+def test_a_front_end_that_cannot_be_is_refused(front: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says):
         FrontEnd(**front)

@@ -12,7 +12,8 @@ what the sink leaves goes home through the strays. A pair reads
 
 as that part of V that is in phase with the source. Y is never formed: R + c 1 1^T / 16, with R centred, is its inverse
 but for the constant mode, which gives (P + (R + c 1 1^T / 16) diag s) U = (R + c 1 1^T / 16) i, P = 1 - 1 1^T / 16.
-One 16 x 16 solve serves all drives of a frame. Without strays there is none, and the terminals' mean is the ground.
+One 16 x 16 solve serves all drives of a frame. Without strays there is none: then the front end is one that holds the
+terminals' mean at ground, and what the sink leaves goes home evenly from all terminals, as through small even strays.
 """
 
 from dataclasses import dataclass
@@ -33,8 +34,8 @@ class FrontEnd:
     """A front end; as it stands, an ideal one.
 
     Raises:
-        ValueError: A tuple has not 16 numbers, a number is not finite, a stray draws power from nowhere, or the sink
-            leaves current that no stray takes.
+        ValueError: A tuple has not 16 numbers, a number is not finite, a stray gives power, or a sink that takes
+            nothing divides.
     """
 
     gain: Each = 1.0
@@ -44,30 +45,28 @@ class FrontEnd:
     offset_per_pair_V: Each = 0.0
     """Added to every reading of a measured pair."""
     stray_S: complex | tuple[complex, ...] = 0.0
-    """Admittance from each terminal to ground: j omega C of a wire, or the real one of a leak."""
+    """Admittance from each terminal to ground: that of a wire's :func:`capacitance`, or the real one of a leak."""
     plus_gain: float = 1.0
     minus_gain: float = 1.0
     """Of the paths to the amplifier's two inputs: what is unequal turns common potential into signal."""
-    sink_ratio: Each = 1.0
+    sink_share: Each = 1.0
     """q, the sink's current over the source's, in each drive."""
-    divides_by_current: bool = False
+    normalised: bool = False
     """Whether the instrument reads V over the current that returns in its sink, times the nominal current."""
 
     def __post_init__(self) -> None:
-        for name in ("gain", "offset_per_drive_V", "offset_per_pair_V", "stray_S", "sink_ratio"):
+        for name in ("gain", "offset_per_drive_V", "offset_per_pair_V", "stray_S", "sink_share"):
             found = np.asarray(getattr(self, name))
             if found.shape not in ((), (N_ELECTRODES,)):
                 raise ValueError(f"{name} has {found.size} numbers; it must be one, or {N_ELECTRODES}")
         numbers = [np.atleast_1d(getattr(self, name)) for name in self.__slots__]
         if not all(np.isfinite(one).all() for one in numbers):
             raise ValueError(f"{self} has a number that is not finite")
-        stray, ratio = _each(self.stray_S), _each(self.sink_ratio)
+        stray, share = _each(self.stray_S), _each(self.sink_share)
         if stray.real.min() < 0.0 or stray.imag.min() < 0.0:
             raise ValueError("stray_S has a negative part; a leak and a capacitance must be at least 0")
-        if not stray.any() and (ratio != 1.0).any():
-            raise ValueError("sink_ratio is not 1 and stray_S is 0: what the sink leaves needs a stray to ground")
-        if self.divides_by_current and ratio.min() <= 0.0:
-            raise ValueError(f"sink_ratio falls to {ratio.min():g} and V is divided by it; it must be above 0")
+        if self.normalised and share.real.min() <= 0.0:
+            raise ValueError(f"sink_share falls to {share.real.min():g} and V is divided by it; it must be above 0")
 
     def read(self, response: Array, table: npt.NDArray[np.uint8] = TABLE, current_A: float = 1.0) -> Array:
         """Return the (..., rows) V that this front end reads, without noise.
@@ -85,8 +84,8 @@ class FrontEnd:
         after = (pair + 1) % N_ELECTRODES
         seen = self.plus_gain * potentials[..., drive, pair] - self.minus_gain * potentials[..., drive, after]
         scale = current_A * _each(self.gain).real[pair]
-        if self.divides_by_current:
-            scale = scale / _each(self.sink_ratio).real[drive]
+        if self.normalised:
+            scale = scale / _each(self.sink_share).real[drive]
         offset = _each(self.offset_per_drive_V).real[drive] + _each(self.offset_per_pair_V).real[pair]
         return np.asarray(scale * seen + offset)
 
@@ -95,15 +94,21 @@ class FrontEnd:
         centre = np.eye(N_ELECTRODES) - 1.0 / N_ELECTRODES
         centred = centre @ np.asarray(response, dtype=np.float64) @ centre
         stray: Potentials = _each(self.stray_S)
-        currents = np.eye(N_ELECTRODES) - _each(self.sink_ratio).real * np.roll(np.eye(N_ELECTRODES), 1, axis=0)
+        currents = np.eye(N_ELECTRODES) - _each(self.sink_share).real * np.roll(np.eye(N_ELECTRODES), 1, axis=0)
         if not stray.any():
             return np.asarray(np.swapaxes(centred @ currents, -1, -2))
         if not stray.imag.any():
             stray = stray.real
         c = 1.0 / np.abs(stray).mean()  # so that the constant mode's share of the matrix is of the size of 1
         matrix = centre + centred * stray + c * stray / N_ELECTRODES
-        left_over = c * (1.0 - _each(self.sink_ratio).real) / N_ELECTRODES
+        left_over = c * (1.0 - _each(self.sink_share).real) / N_ELECTRODES
         return np.asarray(np.swapaxes(np.linalg.solve(matrix, centred @ currents + left_over), -1, -2))
+
+
+def capacitance(stray_pF: Each, frequency_Hz: float) -> complex | tuple[complex, ...]:
+    """Return ``stray_S`` of capacitances to ground, pF, at the drive current's frequency."""
+    found = 2j * np.pi * frequency_Hz * 1e-12 * np.asarray(stray_pF, dtype=np.float64)
+    return tuple(found.tolist()) if found.ndim else complex(found)
 
 
 def _each(value: complex | tuple[complex, ...]) -> npt.NDArray[np.complex128]:
