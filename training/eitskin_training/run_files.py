@@ -18,7 +18,6 @@ from eitskin_proto.files.plain import plain, stated
 from eitskin_proto.files.reading import opened
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import parse, to_toml
 from eitskin_training.network.model import VD2T
@@ -157,15 +156,6 @@ def skin_of(content: Mapping[str, Any], path: Path) -> Skin:
             hint = "train again with 'eitskin train'"
             raise MismatchError(f"{path}: {name}", found=stated(found), expected=expected, hint=hint)
     return skin
-
-
-def require_skin(content: Mapping[str, Any], what: str, skin: Skin, hint: str) -> None:
-    """Refuse a file that is for another skin.
-
-    Raises:
-        MismatchError: With what was found and what was expected.
-    """
-    check_made_for(what, skin, grid_id=content["grid_id"], skin_digest=content.get("skin_digest"), hint=hint)
 
 
 def write_file(path: Path, content: dict[str, Any]) -> None:

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin_sim.dataset.plan import Plan, make_plan
 from eitskin_sim.dataset.shards import freeform_sets, unit_sets
-from eitskin_sim.scene.family import BOUNDS, draw, paper_bend, paper_bends
+from eitskin_sim.scene.family import bounds, draw, paper_bend, paper_bends
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Sheet
 
@@ -120,12 +120,12 @@ def test_paper_family_is_the_published_phantoms_bends() -> None:
 def test_family_a_draws_all_parameters_apart_some_scaled_and_some_flat() -> None:
     bends = draw("A", 16, 11)
     assert bends[:3] == draw("A", 3, 11)
-    for name, (low, high) in BOUNDS.items():
+    for name, (low, high) in bounds().items():
         values = np.array([getattr(bend, name) for bend in bends])
         assert np.all((values >= low) & (values <= high))
         assert values.std() > 0.08 * (high - low)
-    table = np.array([[getattr(bend, name) for name in BOUNDS] for bend in bends])
-    away = np.abs(np.corrcoef(table, rowvar=False) - np.eye(len(BOUNDS)))
+    table = np.array([[getattr(bend, name) for name in bounds()] for bend in bends])
+    away = np.abs(np.corrcoef(table, rowvar=False) - np.eye(len(bounds())))
     assert away.max() < 0.8  # 16 independent draws: 0.26 rms, 0.75 at three sigma; one common parameter gives 1
     check_bend(bends[0], Sheet())
 

@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
 from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, map_from_units
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import metrics
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
@@ -90,7 +91,8 @@ def test_untouched_truth_is_scored_without_dividing_by_zero():
     empty, ghost = np.zeros(GRID_SHAPE), units(60)
     right, wrong = metrics.score(empty, empty), metrics.score(ghost, empty)
     assert (right.cc, right.rie, right.localisation_mm, right.exact) == (1.0, 0.0, 0.0, 1.0)
-    assert (wrong.cc, wrong.rie, wrong.localisation_mm, wrong.exact) == (0.0, math.inf, metrics.LOST_MM, 0.0)
+    assert (wrong.cc, wrong.rie, wrong.exact) == (0.0, math.inf, 0.0)
+    assert wrong.localisation_mm == metrics.lost_mm(PAPER.grid)
 
 
 def test_scaling_clips_negative_values_and_leaves_nothing_of_a_negative_image():

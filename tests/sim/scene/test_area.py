@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
+from tests.second_skin import SECOND
 
-from eitskin_proto.sensor.grid import PITCH_MM, map_from_units, unit_rect_mm
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import _sampled, area_map, shape_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect
+
+GRID = PAPER.grid
 
 SHAPES = [
     Rect(41.3, 20.2, 55.9, 31.1),
@@ -19,19 +23,21 @@ SHAPES = [
 ]
 
 
+@pytest.mark.parametrize("grid", [GRID, SECOND.grid])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_the_pixels_of_a_shape_hold_its_whole_area(shape: Rect | Disc | Polygon) -> None:
-    assert shape_map(shape).sum() * PITCH_MM**2 == pytest.approx(shape.area_mm2, rel=1e-12)
+def test_the_pixels_of_a_shape_hold_its_whole_area(shape: Rect | Disc | Polygon, grid: Grid) -> None:
+    assert shape_map(shape, grid).sum() * grid.pixel_mm2 == pytest.approx(shape.area_mm2, rel=1e-12)
 
 
+@pytest.mark.parametrize("grid", [GRID, SECOND.grid])
 @pytest.mark.parametrize("shape", SHAPES)
-def test_every_pixel_agrees_with_samples(shape: Rect | Disc | Polygon) -> None:
+def test_every_pixel_agrees_with_samples(shape: Rect | Disc | Polygon, grid: Grid) -> None:
     # 24 x 24 samples leave 1/24 along a border that follows the grid, which exact shares do not have
-    assert np.abs(shape_map(shape) - _sampled([shape])).max() < 1 / 24
+    assert np.abs(shape_map(shape, grid) - _sampled([shape], grid)).max() < 1 / 24
 
 
 def test_half_a_pixel_is_half() -> None:
-    found = area_map([Touch((Rect(0.0, 0.0, PITCH_MM / 2, PITCH_MM),))])
+    found = area_map([Touch((Rect(0.0, 0.0, GRID.pitch_mm / 2, GRID.pitch_mm),))])
     assert found[0, 0] == pytest.approx(0.5, abs=1e-12)
     assert found.sum() == pytest.approx(0.5, abs=1e-12)
 
@@ -43,16 +49,22 @@ def test_touches_that_overlap_count_once() -> None:
 
 
 def test_neighbouring_units_leave_no_seam() -> None:
-    touches = [Touch((Rect(*unit_rect_mm(column, 4)),)) for column in (5, 6)]
+    touches = [Touch((Rect(*GRID.unit_rect_mm(column, 4)),)) for column in (5, 6)]
     row = area_map(touches)[15, :]
-    x0, x1 = unit_rect_mm(5, 4)[0], unit_rect_mm(6, 4)[2]
-    inside = (np.arange(45) * PITCH_MM >= x0) & ((np.arange(45) + 1) * PITCH_MM <= x1)
+    x0, x1 = GRID.unit_rect_mm(5, 4)[0], GRID.unit_rect_mm(6, 4)[2]
+    inside = (np.arange(45) * GRID.pitch_mm >= x0) & ((np.arange(45) + 1) * GRID.pitch_mm <= x1)
     assert inside.sum() >= 5
     assert row[inside] == pytest.approx(1.0, abs=1e-12)
     bits = np.zeros(126)
     bits[[4 * 14 + 5, 4 * 14 + 6]] = 1.0
-    assert np.abs(area_map(touches) - map_from_units(bits)).max() <= 0.5 + 1e-9
+    assert np.abs(area_map(touches) - GRID.map_from_units(bits)).max() <= 0.5 + 1e-9
 
 
 def test_nothing_touched_is_a_map_of_zeros() -> None:
     assert not area_map([]).any()
+
+
+def test_pixels_that_are_no_squares_are_halved_along_either_side() -> None:
+    dx, dy = SECOND.grid.pixel_mm
+    assert area_map([Touch((Rect(0.0, 0.0, dx / 2, dy),))], SECOND.grid)[0, 0] == pytest.approx(0.5, abs=1e-12)
+    assert area_map([Touch((Rect(0.0, 0.0, dx, dy / 2),))], SECOND.grid)[0, 0] == pytest.approx(0.5, abs=1e-12)

@@ -124,28 +124,28 @@ def test_arc_length_makes_an_uneven_drawing_even():
     # A cylinder drawn with crowded lines: after redrawing, neighbours along a row are equally far apart.
     u, v = np.linspace(0, 1, 34) ** 1.3, np.linspace(0, 1, 23) ** 0.8
     angle, y = np.meshgrid(np.pi * u, 100 * v)
-    even = smooth_surface.by_arc_length(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)]))
+    even = smooth_surface.by_arc_length(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)]), (30, 45))
     steps = np.linalg.norm(np.diff(even, axis=2), axis=0)
     assert even.shape == (3, *GRID_SHAPE)
     assert np.ptp(steps) < 0.01 * steps.mean()
     assert steps.mean() == pytest.approx(2 * 48 * np.sin(np.pi / 90), rel=1e-3)
-    assert smooth_surface.side_lengths_mm(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)])) == pytest.approx(
-        (48 * np.pi, 100.0), rel=1e-4
-    )
+    cylinder = np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)])
+    assert smooth_surface.side_lengths_mm(cylinder) == pytest.approx((48 * np.pi, 100.0), rel=1e-4)
 
 
 def test_thin_plate_fit_reproduces_a_plane_exactly_and_a_bump_closely():
     rng = np.random.default_rng(3)
     places = rng.uniform((0, 0), (150, 100), (30_000, 2)).T
     plane = np.stack([places[0], places[1], 0.3 * places[0] - 0.2 * places[1] + 7.0])
-    fitted = smooth_surface.fit_surface(places, plane, (150.0, 100.0))
-    x, y = np.meshgrid(*(np.linspace(0, s, n) for s, n in zip((150, 100), smooth_surface.NODES, strict=True)))
+    fitted = smooth_surface.fit_surface(places, plane, (150.0, 100.0), (31, 21))
+    x, y = np.meshgrid(*(np.linspace(0, s, n) for s, n in zip((150, 100), (31, 21), strict=True)))
     assert np.abs(fitted - [x, y, 0.3 * x - 0.2 * y + 7.0]).max() < 1e-6
 
     def bump(u, v):
         return 6.0 * np.exp(-((u - 75) ** 2 + (v - 50) ** 2) / (2 * 12.0**2))
 
-    raised = smooth_surface.fit_surface(places, np.stack([places[0], places[1], bump(*places)]), (150.0, 100.0))
+    dented = np.stack([places[0], places[1], bump(*places)])
+    raised = smooth_surface.fit_surface(places, dented, (150.0, 100.0), (31, 21))
     assert np.abs(raised[2] - bump(x, y)).max() < 0.05
 
 

@@ -3,7 +3,7 @@
 ``predicted.npz`` in the data set's folder ::
 
     digest         of the data set
-    model          eitskin_sim.surface.predict.MODEL
+    model          eitskin_sim.surface.predict.model()
     flat           (104,) float64 V of the model's flat sheet
     log_predicted  (D, 104) float32
 
@@ -22,7 +22,7 @@ from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.reading import FileError
 from eitskin_proto.files.writing import replacing
 from eitskin_sim.dataset.reader import LARGEST_FILE, DataSet
-from eitskin_sim.surface.predict import MODEL, flat_voltages, predicted_log
+from eitskin_sim.surface.predict import flat_voltages, model, predicted_log
 
 FILE: Final = "predicted.npz"
 """Name of the file in the data set's folder."""
@@ -41,7 +41,7 @@ def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float3
         return kept
     found = predicted_log(data.clouds)
     with contextlib.suppress(PermissionError, FileError), replacing(path) as file:
-        np.savez(file, digest=data.digest, model=MODEL, flat=flat, log_predicted=found)
+        np.savez(file, digest=data.digest, model=model(), flat=flat, log_predicted=found)
     return found
 
 
@@ -49,7 +49,7 @@ def _read(path: Path, data: DataSet, flat: npt.NDArray[np.float64]) -> npt.NDArr
     """The kept predictions, or None where there are none of this data set and this model."""
     try:
         file = read_npz(path, LARGEST_FILE)
-        same = str(file["digest"]) == data.digest and str(file["model"]) == MODEL
+        same = str(file["digest"]) == data.digest and str(file["model"]) == model()
         if same and np.allclose(file["flat"], flat, rtol=1e-9, atol=0.0):
             found = np.asarray(file["log_predicted"], dtype=np.float32)
             return found if found.shape == (len(data.clouds), len(flat)) and np.isfinite(found).all() else None

@@ -2,10 +2,11 @@
 
 Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
 scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
-cloud, as the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so
+cloud, as the paper does, on a mesh 3.75 times coarser than the data's, and of the ideal device: a phantom's scene is
+the true one, which no solver knows. References are averages of many frames, so
 without noise::
 
-    pre        the flat, untouched sheet, once and for all (paper Fig. 10; what the network gets)
+    pre        the flat, untouched sheet, once, before what came late (paper Fig. 10; what the network gets)
     post       the bent, untouched sheet (paper Table II)
     predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
 """
@@ -18,7 +19,8 @@ from typing import Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import map_from_units
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.metrics import Score, scaled, score, touched_units
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind, add_noise
@@ -78,6 +80,8 @@ class Conditions:
     """Every touch is moved by up to this part of a pixel along x and y."""
     cloud: CloudKind = "scan"
     """What the solvers know of the shape; the others are ablations."""
+    skin: Skin = PAPER
+    """Whose model, map and clouds the solvers have; the voltages are those of the phantoms' own scenes."""
 
 
 @dataclass(slots=True)
@@ -85,9 +89,11 @@ class Sheet:
     """One bent sheet: what is known of it before a touch, computed once and kept while the process runs."""
 
     cloud_mm: Array
-    """(3, 30, 45) as measured."""
+    """(3, rows, columns) as measured."""
     untouched: Array
     """(104,) V of the true bent sheet."""
+    skin: Skin = PAPER
+    """Whose model explains it."""
     _operators: dict[Cells, Operators] = field(default_factory=dict)
     _matrices: dict[Cells, Array] = field(default_factory=dict)
     _predicted: Array | None = None
@@ -95,7 +101,7 @@ class Sheet:
     def operators(self, cells: Cells) -> Operators:
         """Return the measured cloud's operators."""
         if cells not in self._operators:
-            self._operators[cells] = operators_of_cloud(self.cloud_mm, cells)
+            self._operators[cells] = operators_of_cloud(self.cloud_mm, cells, self.skin)
         return self._operators[cells]
 
     def tikhonov(self, cells: Cells) -> Array:
@@ -107,7 +113,7 @@ class Sheet:
     def predicted(self) -> Array:
         """Return the measured cloud's V_pred (104,), V."""
         if self._predicted is None:
-            self._predicted = predict(self.cloud_mm)
+            self._predicted = predict(self.cloud_mm, self.skin)
         return self._predicted
 
 
@@ -124,10 +130,12 @@ class Case:
     sheet: Sheet
     labels: Literal["units", "area"]
     """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
+    lowering: bool = False
+    """Whether touches of this skin lower its conductance: classical solvers then look for that."""
 
 
 Solver = Callable[[Case], Array]
-"""From a case to a (30, 45) map, judged as it is."""
+"""From a case to a (rows, columns) map, judged as it is."""
 
 Results = list[tuple[Phantom, list[Score]]]
 """Every phantom's scores, one a seed."""
@@ -145,24 +153,29 @@ def _cells(case: Case, cells: Cells | None) -> Cells:
     return cells or ("units" if case.labels == "units" else "pixels")
 
 
+def _sign(case: Case) -> float:
+    """To first order a touch that lowers conductance is one that raises it, with the data's sign turned."""
+    return -1.0 if case.lowering else 1.0
+
+
 def solve_tikhonov(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of one matrix times the logarithmic data."""
     on = _cells(case, cells)
-    image = case.sheet.tikhonov(on) @ log_data(case.voltages, case.reference)
+    image = case.sheet.tikhonov(on) @ (_sign(case) * log_data(case.voltages, case.reference))
     return scaled(case.sheet.operators(on).to_map(image))
 
 
 def solve_l1(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of FISTA with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(l1_image(operators.relative_jacobian, data, upper=SATURATED)))
 
 
 def solve_sbl(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of structure-aware SBL with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED)))
 
 
@@ -179,10 +192,12 @@ SOLVERS: Final[Mapping[str, Solver]] = _registry()
 """Every classical solver by name; "-pixels" and "-units" fix the grid that the plain name takes from the labels."""
 
 
-def truth_map(phantom: Phantom) -> Array:
-    """Return the (30, 45) truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
-    area = area_map(phantom.scene.touches)
-    return np.asarray(map_from_units(touched_units(area).astype(np.float64))) if phantom.truth == "units" else area
+def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
+    """Return the truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
+    area = area_map(phantom.scene.touches, grid)
+    if phantom.truth == "area":
+        return area
+    return np.asarray(grid.map_from_units(touched_units(area, grid).astype(np.float64)))
 
 
 def evaluate(
@@ -224,21 +239,23 @@ def evaluate_all(
         if run.reference not in REFERENCES:
             raise ValueError(f"reference {run.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
     results: list[Results] = [[] for _ in runs]
+    skin, grid = conditions.skin, conditions.skin.grid
     for index, phantom in enumerate(phantoms):
         bare = phantom.scene.untouched()
-        flat = voltages_of(replace(bare, bend=Bend()))
+        flat = voltages_of(phantom.scene.reference())
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
         for seed in range(conditions.seeds):
             rng = np.random.default_rng([seed, index])
-            moved = shifted(phantom, conditions.shift_px, np.random.default_rng([SHIFT_SEED, seed, index]))
+            own = np.random.default_rng([SHIFT_SEED, seed, index])
+            moved = shifted(phantom, conditions.shift_px, own, grid)
             if moved != shown:
-                shown, truth, clean = moved, truth_map(moved), voltages_of(moved.scene)
+                shown, truth, clean = moved, truth_map(moved, grid), voltages_of(moved.scene)
             noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
-            sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed), voltages_of(bare))
+            sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed, skin), voltages_of(bare), skin)
             for run, kept in zip(runs, scores, strict=True):
                 case = Case(noisy, _reference(run.reference, sheet, flat), flat, sheet, phantom.truth)
-                kept.append(score(run.solver(case), truth, labels=phantom.truth))
+                kept.append(score(run.solver(case), truth, labels=phantom.truth, grid=grid))
         for result, kept in zip(results, scores, strict=True):
             result.append((phantom, kept))
         if progress is not None:
@@ -258,12 +275,13 @@ def _reference(kind: Reference, sheet: Sheet, flat: Array) -> Array:
     if kind == "post":
         return sheet.untouched
     # The captured flat reference calibrates the model: their ratio carries the model's error, and the current.
-    return sheet.predicted() * flat / flat_voltages()
+    return sheet.predicted() * flat / flat_voltages(sheet.skin)
 
 
-def _cloud(bend: Bend, kind: CloudKind, seed: int) -> Array:
+def _cloud(bend: Bend, kind: CloudKind, seed: int, skin: Skin) -> Array:
     if kind == "flat":
         bend = Bend()
     elif kind == "other":
-        bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED)[seed:] if other != bend)
-    return np.asarray(measured_cloud(bend, np.random.default_rng([CLOUD_SEED, seed])), dtype=np.float64)
+        bend = next(other for other in draw("A", 2 + seed, CLOUD_SEED, skin)[seed:] if other != bend)
+    rng = np.random.default_rng([CLOUD_SEED, seed])
+    return np.asarray(measured_cloud(bend, rng, skin=skin), dtype=np.float64)

@@ -31,7 +31,8 @@ from scipy import ndimage
 from scipy.optimize import linear_sum_assignment
 from scipy.spatial.distance import cdist
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_UNITS, PITCH_MM, SHEET_MM, UNIT_OF_PIXEL, pixel_centres_mm
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 
 Array = npt.NDArray[np.float64]
 
@@ -40,11 +41,6 @@ TOUCHED: Final = 0.5
 
 PSNR_CAP_DB: Final = 120.0
 """The PSNR of a perfect map: a mean square error of 1e-12."""
-
-LOST_MM: Final = math.hypot(*SHEET_MM)
-"""Localisation error when one map has touches and the other has none: the sheet's diagonal."""
-
-_PIXELS_OF_UNIT: Final = np.bincount(UNIT_OF_PIXEL.ravel(), minlength=N_UNITS)
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,11 +67,16 @@ class Score:
     """The paper's DE; NaN where the truth has fewer than two touches."""
 
 
+def lost_mm(grid: Grid) -> float:
+    """Return the localisation error when one map has touches and the other has none: the sheet's diagonal."""
+    return math.hypot(*grid.size_mm)
+
+
 def scaled(image: npt.NDArray[np.floating]) -> Array:
     """Return a classical image clipped at 0 and scaled to maximum 1; zeros if nothing is positive.
 
     Args:
-        image: (30, 45) or (n,) values of one map, of any scale.
+        image: (rows, columns) or (n,) values of one map, of any scale.
     """
     clipped = np.maximum(np.asarray(image, dtype=np.float64), 0.0)
     largest = float(clipped.max(initial=0.0))
@@ -110,14 +111,16 @@ def relative_image_error(image: npt.NDArray[np.floating], truth: npt.NDArray[np.
     return error / size
 
 
-def touched_units(image: npt.NDArray[np.floating]) -> npt.NDArray[np.bool_]:
-    """Return (126,) which units a map (30, 45) shows as touched."""
-    sums = np.bincount(UNIT_OF_PIXEL.ravel(), weights=np.asarray(image, dtype=np.float64).ravel(), minlength=N_UNITS)
-    return np.asarray(sums / _PIXELS_OF_UNIT >= TOUCHED)
+def touched_units(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> npt.NDArray[np.bool_]:
+    """Return (units,) which units a map (rows, columns) shows as touched; one that holds no pixel's centre is not."""
+    unit, values = grid.unit_of_pixel.ravel(), np.asarray(image, dtype=np.float64).ravel()
+    sums = np.bincount(unit, weights=values, minlength=grid.n_units)
+    pixels = np.bincount(unit, minlength=grid.n_units)
+    return np.asarray((pixels > 0) & (sums / np.maximum(pixels, 1) >= TOUCHED))
 
 
-def touch_centres_mm(image: npt.NDArray[np.floating]) -> Array:
-    """Return (touches, 2) x and y of every touch of a map (30, 45)."""
+def touch_centres_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> Array:
+    """Return (touches, 2) x and y of every touch of a map (rows, columns)."""
     values = np.asarray(image, dtype=np.float64)
     labels, count = _touches(values)
     if count == 0:
@@ -126,88 +129,104 @@ def touch_centres_mm(image: npt.NDArray[np.floating]) -> Array:
     weight = np.bincount(labels.ravel(), weights=values.ravel(), minlength=count + 1)[1:]
     moments = [
         np.bincount(labels.ravel(), weights=(values * axis).ravel(), minlength=count + 1)[1:]
-        for axis in np.moveaxis(pixel_centres_mm(), -1, 0)
+        for axis in np.moveaxis(grid.pixel_centres_mm(), -1, 0)
     ]
     return np.asarray(np.stack(moments, axis=-1) / weight[:, None])
 
 
 def count_touches(image: npt.NDArray[np.floating]) -> int:
-    """Return the number of touches in a map (30, 45)."""
+    """Return the number of touches in a map (rows, columns)."""
     return _touches(np.asarray(image, dtype=np.float64))[1]
 
 
-def localisation_error_mm(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> float:
+def localisation_error_mm(
+    image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], grid: Grid = PAPER.grid
+) -> float:
     """Return how far found touches lie from true ones, averaged both ways; 0 if both maps are empty."""
-    found, true = touch_centres_mm(image), touch_centres_mm(truth)
+    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid)
     if len(found) == 0 and len(true) == 0:
         return 0.0
     if len(found) == 0 or len(true) == 0:
-        return LOST_MM
+        return lost_mm(grid)
     distance = cdist(true, found)
     return float(0.5 * (distance.min(axis=1).mean() + distance.min(axis=0).mean()))
 
 
-def is_exact(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], *, labels: str = "units") -> bool:
+def is_exact(
+    image: npt.NDArray[np.floating],
+    truth: npt.NDArray[np.floating],
+    *,
+    labels: str = "units",
+    grid: Grid = PAPER.grid,
+) -> bool:
     """Return whether the set of touches is exactly right.
 
     Args:
-        image: (30, 45) map.
-        truth: (30, 45) map in [0, 1].
+        image: (rows, columns) map.
+        truth: (rows, columns) map in [0, 1].
         labels: ``"units"`` compares sets of units; ``"area"`` pairs touches within one pixel.
+        grid: The maps'.
 
     Raises:
         ValueError: ``labels`` is neither.
     """
     if labels == "units":
-        return bool(np.array_equal(touched_units(image), touched_units(truth)))
+        return bool(np.array_equal(touched_units(image, grid), touched_units(truth, grid)))
     if labels != "area":
         raise ValueError(f"labels are 'units' or 'area', found {labels!r}")
-    found, true = touch_centres_mm(image), touch_centres_mm(truth)
+    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid)
     if len(found) != len(true):
         return False
     distance = cdist(true, found)
-    return bool(np.all(distance[linear_sum_assignment(distance)] <= PITCH_MM))
+    return bool(np.all(distance[linear_sum_assignment(distance)] <= grid.pitch_mm))
 
 
-def two_point_distance_mm(image: npt.NDArray[np.floating]) -> float:
-    """Return the distance between the borders of the two closest touches of a map (30, 45); NaN below two."""
+def two_point_distance_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> float:
+    """Return the distance between the borders of the two closest touches of a map (rows, columns); NaN below two."""
     values = np.asarray(image, dtype=np.float64)
     labels, count = _touches(values)
-    borders = [_border_mm(values, labels == touch + 1) for touch in range(count)]
+    borders = [_border_mm(values, labels == touch + 1, grid) for touch in range(count)]
     gaps = [float(cdist(a, b).min()) for index, a in enumerate(borders) for b in borders[:index]]
     return min(gaps, default=math.nan)
 
 
-def distance_error(image: npt.NDArray[np.floating], true_distance_mm: float) -> float:
+def distance_error(image: npt.NDArray[np.floating], true_distance_mm: float, grid: Grid = PAPER.grid) -> float:
     """Return the paper's DE = |D - D_r| / D_r of the two closest touches; 1 if fewer than two are found.
 
     Raises:
         ValueError: The true distance is not positive.
     """
-    return _relative(two_point_distance_mm(image), true_distance_mm)
+    return _relative(two_point_distance_mm(image, grid), true_distance_mm)
 
 
-def score(image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], *, labels: str = "units") -> Score:
+def score(
+    image: npt.NDArray[np.floating],
+    truth: npt.NDArray[np.floating],
+    *,
+    labels: str = "units",
+    grid: Grid = PAPER.grid,
+) -> Score:
     """Return every measure of one map against its truth.
 
     Args:
-        image: (30, 45) map; a classical one goes through :func:`scaled` first.
-        truth: (30, 45) map in [0, 1].
+        image: (rows, columns) map; a classical one goes through :func:`scaled` first.
+        truth: (rows, columns) map in [0, 1].
         labels: What the truth's pixels mean, ``"units"`` or ``"area"``.
+        grid: The maps'.
 
     Raises:
         ValueError: A map has another shape or is not finite.
     """
     for name, candidate in (("map", image), ("truth", truth)):
-        if np.shape(candidate) != GRID_SHAPE:
-            raise ValueError(f"{name} has shape {np.shape(candidate)}, expected {GRID_SHAPE}")
-    found_mm, true_mm = two_point_distance_mm(image), two_point_distance_mm(truth)
+        if np.shape(candidate) != grid.shape:
+            raise ValueError(f"{name} has shape {np.shape(candidate)}, expected {grid.shape}")
+    found_mm, true_mm = two_point_distance_mm(image, grid), two_point_distance_mm(truth, grid)
     return Score(
         cc=correlation(image, truth),
         psnr_db=psnr_db(image, truth),
         rie=relative_image_error(image, truth),
-        localisation_mm=localisation_error_mm(image, truth),
-        exact=float(is_exact(image, truth, labels=labels)),
+        localisation_mm=localisation_error_mm(image, truth, grid),
+        exact=float(is_exact(image, truth, labels=labels, grid=grid)),
         touches=count_touches(image),
         true_touches=count_touches(truth),
         two_point_mm=found_mm,
@@ -248,15 +267,15 @@ def _with_rim(labels: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     return np.asarray(np.where(distance < 1.5, labels[tuple(nearest)], 0), dtype=np.intp)
 
 
-def _border_mm(image: Array, inside: npt.NDArray[np.bool_]) -> Array:
+def _border_mm(image: Array, inside: npt.NDArray[np.bool_], grid: Grid) -> Array:
     """Points where the map crosses one half on the way out of a touch; on the sheet's border, the border itself."""
-    centres = pixel_centres_mm()
+    centres, (height, width) = grid.pixel_centres_mm(), grid.shape
     points: list[Array] = []
     for step_row, step_column in ((0, 1), (0, -1), (1, 0), (-1, 0)):
         rows, columns = np.nonzero(inside)
         to_rows, to_columns = rows + step_row, columns + step_column
-        on_sheet = (to_rows >= 0) & (to_rows < GRID_SHAPE[0]) & (to_columns >= 0) & (to_columns < GRID_SHAPE[1])
-        step_mm = PITCH_MM * np.array([step_column, step_row])
+        on_sheet = (to_rows >= 0) & (to_rows < height) & (to_columns >= 0) & (to_columns < width)
+        step_mm = np.array(grid.pixel_mm) * (step_column, step_row)
         points.append(centres[rows[~on_sheet], columns[~on_sheet]] + 0.5 * step_mm)
         rows, columns, to_rows, to_columns = (a[on_sheet] for a in (rows, columns, to_rows, to_columns))
         leaving = image[to_rows, to_columns] < TOUCHED

@@ -11,8 +11,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Results
-from eitskin_sim.evaluation.metrics import LOST_MM, Score
+from eitskin_sim.evaluation.metrics import Score, lost_mm
 from eitskin_sim.scene.parts import Phantom
 
 MEASURES: Final = (
@@ -58,12 +60,13 @@ def report(solver: str, noise: str, results: Results) -> dict[str, Any]:
     return {"solver": solver, "noise": noise, "phantoms": phantoms, "mean": _finite(mean)}
 
 
-def summary(results: Results, each: int) -> dict[str, Any]:
+def summary(results: Results, each: int, grid: Grid = PAPER.grid) -> dict[str, Any]:
     """Return what trials at several deformations come to.
 
     Args:
         results: ``each`` phantoms in a row for each deformation.
         each: How many belong to one deformation.
+        grid: The maps'.
     """
     groups = [results[start : start + each] for start in range(0, len(results), each)]
     cc = [_mean([one.cc for _, scores in group for one in scores]) for group in groups]
@@ -79,7 +82,7 @@ def summary(results: Results, each: int) -> dict[str, Any]:
         "localisation_rms_mm": float(np.sqrt(np.mean(distance**2))),
         "localisation_median_mm": float(np.median(distance)),
         "localisation_p95_mm": float(np.percentile(distance, 95)),
-        "missed": float(np.mean(distance >= LOST_MM)),
+        "missed": float(np.mean(distance >= lost_mm(grid))),
         "told_apart": float(np.mean(right & (distance <= NEAR_MM))),
         "deformations": [{"bend": _bend(group[0][0]), "cc": mean} for group, mean in zip(groups, cc, strict=True)],
     }

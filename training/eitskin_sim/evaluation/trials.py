@@ -17,9 +17,11 @@ from typing import Final, Literal
 
 import numpy as np
 
-from eitskin_proto.sensor.grid import N_UNITS, SHEET_MM, UNIT_SHAPE
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.family import Family, draw
-from eitskin_sim.scene.parts import Bend, Phantom, Scene, Sheet, Touch
+from eitskin_sim.scene.nominal import nominal_scene, nominal_sheet
+from eitskin_sim.scene.parts import Bend, Phantom, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
 from eitskin_sim.scene.soft_touch import check_touch
 
@@ -58,7 +60,12 @@ HARD: Final = Softness()
 
 
 def single(
-    size_mm: float, deformations: int, each: int, family: Family = "A", softness: Softness = HARD
+    size_mm: float,
+    deformations: int,
+    each: int,
+    family: Family = "A",
+    softness: Softness = HARD,
+    skin: Skin = PAPER,
 ) -> list[Phantom]:
     """Return phantoms of one touch each.
 
@@ -68,15 +75,17 @@ def single(
         each: Touches at each, one at a time.
         family: Where the deformations are drawn from.
         softness: Its contrast, border and outline.
+        skin: What is touched.
 
     Raises:
         ValueError: The touch does not fit on the sheet, would change nothing, or its border cannot be represented.
     """
-    if not 2.0 <= size_mm <= min(SHEET_MM):
-        raise ValueError(f"a touch of {size_mm:g} mm: its side must be from 2 to {min(SHEET_MM):g} mm")
+    length, width = skin.grid.size_mm
+    if not 2.0 <= size_mm <= min(length, width):
+        raise ValueError(f"a touch of {size_mm:g} mm: its side must be from 2 to {min(length, width):g} mm")
 
     def touches(rng: np.random.Generator) -> tuple[Touch, ...]:
-        x, y = rng.uniform((0.0, 0.0), (SHEET_MM[0] - size_mm, SHEET_MM[1] - size_mm))
+        x, y = rng.uniform((0.0, 0.0), (length - size_mm, width - size_mm))
         square = _square(float(x), float(y), size_mm)
         if softness == HARD:
             return (square,)
@@ -84,11 +93,11 @@ def single(
         shapes = (Disc(float(x) + radius, float(y) + radius, radius),) if softness.disc else square.shapes
         return (Touch(shapes, contrast=softness.contrast, border_mm=softness.border_mm),)
 
-    check_touch(touches(np.random.default_rng(0))[0], Sheet(), "the trial's touch")
-    return _phantoms(touches, deformations, each, family, "area")
+    check_touch(touches(np.random.default_rng(0))[0], nominal_sheet(skin), "the trial's touch")
+    return _phantoms(touches, deformations, each, family, "area", skin)
 
 
-def pair(gap_mm: float, deformations: int, each: int, family: Family = "A") -> list[Phantom]:
+def pair(gap_mm: float, deformations: int, each: int, family: Family = "A", skin: Skin = PAPER) -> list[Phantom]:
     """Return phantoms of two square touches of ``PAIR_TOUCH_MM``, side by side along x or y.
 
     Args:
@@ -96,24 +105,28 @@ def pair(gap_mm: float, deformations: int, each: int, family: Family = "A") -> l
         deformations: How many deformations.
         each: Pairs at each, one at a time.
         family: Where the deformations are drawn from.
+        skin: What is touched.
 
     Raises:
         ValueError: The pair does not fit on the sheet.
     """
     side, length = PAIR_TOUCH_MM, gap_mm + 2.0 * PAIR_TOUCH_MM
-    if not (gap_mm > 0.0 and length <= SHEET_MM[0]):
-        raise ValueError(f"a gap of {gap_mm:g} mm: it must be above 0 and at most {SHEET_MM[0] - 2 * side:g} mm")
+    along, across = skin.grid.size_mm
+    if not (gap_mm > 0.0 and length <= along):
+        raise ValueError(f"a gap of {gap_mm:g} mm: it must be above 0 and at most {along - 2 * side:g} mm")
 
     def touches(rng: np.random.Generator) -> tuple[Touch, ...]:
-        along_y = length <= SHEET_MM[1] and bool(rng.random() < 0.5)
+        along_y = length <= across and bool(rng.random() < 0.5)
         step = (0.0, side + gap_mm) if along_y else (side + gap_mm, 0.0)
-        x, y = rng.uniform((0.0, 0.0), (SHEET_MM[0] - side - step[0], SHEET_MM[1] - side - step[1]))
+        x, y = rng.uniform((0.0, 0.0), (along - side - step[0], across - side - step[1]))
         return _square(float(x), float(y), side), _square(float(x + step[0]), float(y + step[1]), side)
 
-    return _phantoms(touches, deformations, each, family, "area")
+    return _phantoms(touches, deformations, each, family, "area", skin)
 
 
-def random(counts: tuple[int, int], deformations: int, each: int, family: Family, labels: Labels) -> list[Phantom]:
+def random(
+    counts: tuple[int, int], deformations: int, each: int, family: Family, labels: Labels, skin: Skin = PAPER
+) -> list[Phantom]:
     """Return phantoms of several random touches.
 
     Args:
@@ -122,6 +135,7 @@ def random(counts: tuple[int, int], deformations: int, each: int, family: Family
         each: Touch sets at each.
         family: Where the deformations are drawn from.
         labels: "units" for units of the grid, "area" for rectangles and discs anywhere.
+        skin: What is touched.
 
     Raises:
         ValueError: The counts are none, or the wrong way round.
@@ -130,46 +144,48 @@ def random(counts: tuple[int, int], deformations: int, each: int, family: Family
         raise ValueError(f"{counts[0]} to {counts[1]} touches: expected from 1 to 12, the smaller number first")
 
     def units(rng: np.random.Generator) -> tuple[Touch, ...]:
-        chosen = rng.choice(N_UNITS, int(rng.integers(counts[0], counts[1] + 1)), replace=False)
-        width, height = SHEET_MM[0] / UNIT_SHAPE[1], SHEET_MM[1] / UNIT_SHAPE[0]
-        rows, columns = np.divmod(np.sort(chosen), UNIT_SHAPE[1])
+        grid = skin.grid
+        chosen = rng.choice(grid.n_units, int(rng.integers(counts[0], counts[1] + 1)), replace=False)
+        rows, columns = np.divmod(np.sort(chosen), grid.units[1])
         return tuple(
-            Touch((Rect(c * width, r * height, (c + 1) * width, (r + 1) * height),))
-            for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
+            Touch((Rect(*grid.unit_rect_mm(column, row)),))
+            for row, column in zip(rows.tolist(), columns.tolist(), strict=True)
         )
 
     def anywhere(rng: np.random.Generator) -> tuple[Touch, ...]:
         wanted = int(rng.integers(counts[0], counts[1] + 1))
         shapes: list[Shape] = []
         while len(shapes) < wanted:
-            shape = _shape(rng)
+            shape = _shape(rng, skin.grid)
             if all(_apart(shape, other) for other in shapes):
                 shapes.append(shape)
         return tuple(Touch((shape,)) for shape in shapes)
 
-    return _phantoms(units if labels == "units" else anywhere, deformations, each, family, labels)
+    return _phantoms(units if labels == "units" else anywhere, deformations, each, family, labels, skin)
 
 
-def untouched(deformations: int, family: Family = "A", labels: Labels = "area") -> list[Phantom]:
+def untouched(deformations: int, family: Family = "A", labels: Labels = "area", skin: Skin = PAPER) -> list[Phantom]:
     """Return bent sheets that nothing touches, one a deformation."""
-    return _phantoms(lambda rng: (), deformations, 1, family, labels)
+    return _phantoms(lambda rng: (), deformations, 1, family, labels, skin)
 
 
-def deformations_of(count: int, family: Family) -> tuple[Bend, ...]:
+def deformations_of(count: int, family: Family, skin: Skin = PAPER) -> tuple[Bend, ...]:
     """Return the deformations of the trials."""
     if count < 1:
         raise ValueError(f"{count} deformations: expected at least 1")
-    return draw(family, count, SEED)
+    return draw(family, count, SEED, skin)
 
 
-def _phantoms(touches: Touches, deformations: int, each: int, family: Family, labels: Labels) -> list[Phantom]:
+def _phantoms(
+    touches: Touches, deformations: int, each: int, family: Family, labels: Labels, skin: Skin
+) -> list[Phantom]:
     if each < 1:
         raise ValueError(f"{each} touch sets at each deformation: expected at least 1")
     found = []
-    for number, bend in enumerate(deformations_of(deformations, family)):
+    for number, bend in enumerate(deformations_of(deformations, family, skin)):
         rng = np.random.default_rng([SEED, ord(family), number])
         for index in range(each):
-            scene = Scene(bend=bend, touches=touches(rng))
+            scene = nominal_scene(skin, bend, touches(rng))
             found.append(Phantom(f"{family}{number}.{index}", scene, labels))
     return found
 
@@ -178,13 +194,14 @@ def _square(x_mm: float, y_mm: float, size_mm: float) -> Touch:
     return Touch((Rect(x_mm, y_mm, x_mm + size_mm, y_mm + size_mm),))
 
 
-def _shape(rng: np.random.Generator) -> Shape:
+def _shape(rng: np.random.Generator, grid: Grid) -> Shape:
+    along, across = grid.size_mm
     width, height = rng.uniform(*SIZES_MM, 2)
     if rng.random() < 0.5:
         radius = float(width) / 2
-        x, y = rng.uniform((radius, radius), (SHEET_MM[0] - radius, SHEET_MM[1] - radius))
+        x, y = rng.uniform((radius, radius), (along - radius, across - radius))
         return Disc(float(x), float(y), radius)
-    x, y = rng.uniform((0.0, 0.0), (SHEET_MM[0] - width, SHEET_MM[1] - height))
+    x, y = rng.uniform((0.0, 0.0), (along - width, across - height))
     return Rect(float(x), float(y), float(x + width), float(y + height))
 
 

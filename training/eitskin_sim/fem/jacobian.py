@@ -16,8 +16,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE
 from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, assemble, flat_metric
 from eitskin_sim.fem.mesh import MERGE_MM, Metric, TensorMesh, graded_lines
@@ -35,7 +36,7 @@ COARSE_MM: Final = 4.5
 def cell_mesh(
     sheet: Sheet,
     electrodes: Electrodes,
-    shape: tuple[int, int] = GRID_SHAPE,
+    shape: tuple[int, int] = PAPER.grid.shape,
     element_size_mm: float = COARSE_MM,
     touches: Sequence[Touch] = (),
 ) -> TensorMesh:
@@ -44,7 +45,7 @@ def cell_mesh(
     Args:
         sheet: The flat layer.
         electrodes: On its border.
-        shape: Rows along y and columns along x of the grid: ``GRID_SHAPE`` or ``UNIT_SHAPE``.
+        shape: Rows along y and columns along x of the grid: those of a map's pixels or units.
         element_size_mm: As in a scene.
         touches: Whose borders the mesh follows too.
     """
@@ -104,7 +105,7 @@ def cell_jacobian(
     metric: Metric = flat_metric,
     touches: Sequence[Touch] = (),
     *,
-    shape: tuple[int, int] = GRID_SHAPE,
+    shape: tuple[int, int] = PAPER.grid.shape,
     element_size_mm: float = COARSE_MM,
 ) -> tuple[Array, Array]:
     """Return the voltages (104,) in V and their Jacobian (104, cells) in V / (S/m) under 1 A.
@@ -114,7 +115,7 @@ def cell_jacobian(
         electrodes: On its border.
         metric: The bent surface's first fundamental form.
         touches: What touches the sheet; none for the classical solvers.
-        shape: ``GRID_SHAPE`` for the 1350 pixels, ``UNIT_SHAPE`` for the 126 units.
+        shape: Rows and columns of the cells: of a map's pixels or units.
         element_size_mm: As in a scene.
     """
     mesh = cell_mesh(sheet, electrodes, shape, element_size_mm, touches)
@@ -125,7 +126,7 @@ def cell_jacobian(
 
 
 def scene_jacobian(
-    scene: Scene, shape: tuple[int, int] = GRID_SHAPE, element_size_mm: float = COARSE_MM
+    scene: Scene, shape: tuple[int, int] = PAPER.grid.shape, element_size_mm: float = COARSE_MM
 ) -> tuple[Array, Array]:
     """Return a scene's voltages (104,) in V and their Jacobian (104, cells) in V / (S/m), under its current."""
     metric = bend_metric(scene.bend, scene.sheet, scene.touches)
@@ -135,13 +136,13 @@ def scene_jacobian(
     return scene.current_A * voltages, scene.current_A * found
 
 
-def pixel_jacobian(scene: Scene, element_size_mm: float = COARSE_MM) -> Array:
-    """Return (104, 1350) relative change of each row of the untouched scene per relative change of each pixel."""
-    voltages, found = scene_jacobian(scene.untouched(), GRID_SHAPE, element_size_mm)
+def pixel_jacobian(scene: Scene, element_size_mm: float = COARSE_MM, grid: Grid = PAPER.grid) -> Array:
+    """Return (104, pixels) relative change of each row of the untouched scene per relative change of each pixel."""
+    voltages, found = scene_jacobian(scene.untouched(), grid.shape, element_size_mm)
     return scene.sheet.conductivity_S_per_m * found / voltages[:, None]
 
 
-def unit_jacobian(scene: Scene, element_size_mm: float = COARSE_MM) -> Array:
-    """Return (104, 126) relative change of each row of the untouched scene per relative change of each unit."""
-    voltages, found = scene_jacobian(scene.untouched(), UNIT_SHAPE, element_size_mm)
+def unit_jacobian(scene: Scene, element_size_mm: float = COARSE_MM, grid: Grid = PAPER.grid) -> Array:
+    """Return (104, units) relative change of each row of the untouched scene per relative change of each unit."""
+    voltages, found = scene_jacobian(scene.untouched(), grid.units, element_size_mm)
     return scene.sheet.conductivity_S_per_m * found / voltages[:, None]

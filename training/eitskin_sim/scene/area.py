@@ -16,7 +16,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 from eitskin_sim.scene.touch_table import ELLIPSE, cover
@@ -27,23 +28,22 @@ SAMPLES: Final = 24
 """Samples a side of a pixel where shapes overlap: a straight border is then off by at most 1/24 of a pixel."""
 
 
-def area_map(touches: Sequence[Touch]) -> Array:
-    """Return the (30, 45) share of each pixel, 0 to 1, that is covered by at least one touch."""
+def area_map(touches: Sequence[Touch], grid: Grid = PAPER.grid) -> Array:
+    """Return the (rows, columns) share of each pixel, 0 to 1, that is covered by at least one touch."""
     shapes = [shape for touch in touches for shape in touch.shapes]
     apart = [s for s in shapes if not any(_overlap(s, other) for other in shapes if other is not s)]
     crowded = [s for s in shapes if not any(s is other for other in apart)]
-    found = np.zeros(GRID_SHAPE)
+    found = np.zeros(grid.shape)
     for shape in apart:
-        found += shape_map(shape)
+        found += shape_map(shape, grid)
     if crowded:
-        found += _sampled(crowded)
+        found += _sampled(crowded, grid)
     return np.asarray(np.clip(found, 0.0, 1.0), dtype=np.float64)
 
 
-def shape_map(shape: Shape) -> Array:
-    """Return the (30, 45) share of each pixel that one shape covers."""
-    x = np.arange(GRID_SHAPE[1] + 1, dtype=np.float64) * np.float64(PITCH_MM)
-    y = np.arange(GRID_SHAPE[0] + 1, dtype=np.float64) * np.float64(PITCH_MM)
+def shape_map(shape: Shape, grid: Grid) -> Array:
+    """Return the (rows, columns) share of each pixel that one shape covers."""
+    x, y = (np.arange(n + 1) * side for n, side in zip(grid.shape[::-1], grid.pixel_mm, strict=True))
     match shape:
         case Rect():
             wide = np.diff(np.clip(x, shape.x0_mm, shape.x1_mm))
@@ -52,14 +52,14 @@ def shape_map(shape: Shape) -> Array:
         case Disc():
             area = _cells(_disc_below(x[None, :] - shape.x_mm, y[:, None] - shape.y_mm, shape.radius_mm))
         case Ellipse():
-            share = np.zeros(GRID_SHAPE)
+            share = np.zeros(grid.shape)
             piece = (ELLIPSE, shape.x_mm, shape.y_mm, shape.along_mm, shape.across_mm, shape.angle_deg, 1.0)
             rows, columns, own = cover(np.array(piece), x, y)
             share[rows, columns] = own
-            area = share * PITCH_MM**2
+            area = share * grid.pixel_mm2
         case Polygon():
             area = _cells(_polygon_below(shape.corners_mm, x[None, :], y[:, None]))
-    return np.asarray(np.clip(area / PITCH_MM**2, 0.0, 1.0), dtype=np.float64)
+    return np.asarray(np.clip(area / grid.pixel_mm2, 0.0, 1.0), dtype=np.float64)
 
 
 def _cells(below: Array) -> Array:
@@ -112,11 +112,12 @@ def _overlap(a: Shape, b: Shape) -> bool:
     return min(ax1, bx1) - max(ax0, bx0) > rounding and min(ay1, by1) - max(ay0, by0) > rounding
 
 
-def _sampled(shapes: Sequence[Shape]) -> Array:
-    rows, columns = GRID_SHAPE
-    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES * PITCH_MM
-    x = (np.arange(columns) * PITCH_MM)[:, None] + offsets
-    y = (np.arange(rows) * PITCH_MM)[:, None] + offsets
+def _sampled(shapes: Sequence[Shape], grid: Grid) -> Array:
+    rows, columns = grid.shape
+    dx, dy = grid.pixel_mm
+    offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES
+    x = (np.arange(columns) * dx)[:, None] + offsets * dx
+    y = (np.arange(rows) * dy)[:, None] + offsets * dy
     points = np.stack(np.meshgrid(x.ravel(), y.ravel()), axis=-1)
     inside = np.zeros(points.shape[:2], dtype=bool)
     for shape in shapes:

@@ -3,7 +3,7 @@
 ::
 
     paper   q = 0, 1/9 .. 1       one path from flat to a half cylinder, all else follows q
-    A       seven parameters, each drawn by itself from the bounds below
+    A       seven parameters, each drawn by itself from the ranges that the skin states
     B       A, and two bumps of 6 mm, inwards or outwards, sigma 12 to 25 mm
 
 A network that sees only the paper's path falls from CC 0.98 to 0.77 on A, and its cloud channel stays idle; so A is
@@ -13,29 +13,21 @@ again.
 """
 
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import lru_cache
 from typing import Final, Literal
 
 import numpy as np
 
+from eitskin_proto.skin.parts import Deformations
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.folds import check_bend
-from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.nominal import nominal_sheet
+from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.strict_json import SceneError
 
 Family = Literal["A", "B"]
 """Which family to draw from."""
-
-BOUNDS: Final[dict[str, tuple[float, float]]] = {
-    "angle_deg": (0.0, 180.0),
-    "axis_deg": (-90.0, 90.0),
-    "skew": (-0.8, 0.8),
-    "twist_deg": (-40.0, 40.0),
-    "stretch_along": (0.96, 1.22),
-    "stretch_across": (0.92, 1.12),
-    "nonuniformity": (-0.15, 0.15),
-}
-"""Uniform and independent draws of family A, in the order of :class:`Bend`, which is the order they are drawn in."""
 
 SCALED: Final = 0.3
 """Share of draws that are multiplied by an amplitude from 0 to 1."""
@@ -49,11 +41,19 @@ BUMP_MM: Final = 6.0
 BUMP_SIGMA_MM: Final = (12.0, 25.0)
 """Width of a bump of family B."""
 
+BUMP_MARGIN_MM: Final = 15.0
+"""A bump of family B keeps this distance from the sheet's border."""
+
 OFFSET_MM: Final = 0.5
 """How far the paper-like family's conductive layer lies outside the neutral axis."""
 
 
-def paper_bend(q: float) -> Bend:
+def bounds(deformations: Deformations = PAPER.deformations) -> dict[str, tuple[float, float]]:
+    """Return the ranges of family A's uniform and independent draws by the names of :class:`Bend`, in their order."""
+    return asdict(deformations)
+
+
+def paper_bend(q: float, skin: Skin = PAPER) -> Bend:
     """Return the paper-like deformation at q from 0, flat, to 1, a half cylinder stretched by 19 %.
 
     Raises:
@@ -62,57 +62,61 @@ def paper_bend(q: float) -> Bend:
     if not 0.0 <= q <= 1.0:
         raise ValueError(f"q is {q:g}; it must be from 0 to 1")
     arc = 1.0 + 0.18 * q**2
-    curvature = np.deg2rad(180.0 * q) / (Sheet().size_mm[0] * arc)
+    curvature = np.deg2rad(180.0 * q) / (skin.outline.size_mm[0] * arc)
     along = arc * (1.0 + OFFSET_MM * float(curvature))
     return Bend(angle_deg=180.0 * q, stretch_along=along, stretch_across=along**-0.25, nonuniformity=0.1 * q)
 
 
-def paper_bends(count: int = 10) -> tuple[Bend, ...]:
+def paper_bends(count: int = 10, skin: Skin = PAPER) -> tuple[Bend, ...]:
     """Return evenly spaced deformations of the paper-like family, flat first."""
-    return tuple(paper_bend(float(q)) for q in np.linspace(0.0, 1.0, count))
+    return tuple(paper_bend(float(q), skin) for q in np.linspace(0.0, 1.0, count))
 
 
 @lru_cache(maxsize=16)
-def draw(family: Family, count: int, seed: int) -> tuple[Bend, ...]:
+def draw(family: Family, count: int, seed: int, skin: Skin = PAPER) -> tuple[Bend, ...]:
     """Return the first ``count`` deformations of a family's sequence; more of them begin with the same ones.
 
     Args:
         family: "A" or "B".
         count: How many.
         seed: Names the sequence.
+        skin: What is bent, and how far.
 
     Raises:
         ValueError: The family is unknown.
     """
     if family not in ("A", "B"):
         raise ValueError(f"family {family!r} is unknown; expected 'A' or 'B'")
-    sequence = _sequence(family, np.random.default_rng([seed, ord(family)]))
+    sequence = _sequence(family, skin, np.random.default_rng([seed, ord(family)]))
     return tuple(next(sequence) for _ in range(count))
 
 
-def _sequence(family: Family, generator: np.random.Generator) -> Iterator[Bend]:
+def _sequence(family: Family, skin: Skin, generator: np.random.Generator) -> Iterator[Bend]:
+    sheet = nominal_sheet(skin)
     while True:
-        bend = _draw(family, generator)
+        bend = _draw(family, skin, generator)
         try:
-            check_bend(bend, Sheet())
+            check_bend(bend, sheet)
         except SceneError:
             continue
         yield bend
 
 
-def _draw(family: Family, generator: np.random.Generator) -> Bend:
-    angle, axis, skew, twist, along, across, uneven = (float(generator.uniform(*bounds)) for bounds in BOUNDS.values())
+def _draw(family: Family, skin: Skin, generator: np.random.Generator) -> Bend:
+    ranges = bounds(skin.deformations).values()
+    angle, axis, skew, twist, along, across, uneven = (float(generator.uniform(*one)) for one in ranges)
     kind, amplitude = generator.random(2)
     bend = Bend(angle, axis, skew, twist, along, across, uneven)
     if family == "B":
-        bend = replace(bend, bumps_mm=(_bump(generator), _bump(generator)))
+        bend = replace(bend, bumps_mm=(_bump(skin, generator), _bump(skin, generator)))
     if kind < FLAT:
         return Bend()
     return scaled(bend, float(amplitude)) if kind < FLAT + SCALED else bend
 
 
-def _bump(generator: np.random.Generator) -> tuple[float, float, float, float]:
-    x, y = generator.uniform((15.0, 15.0), (135.0, 85.0))
+def _bump(skin: Skin, generator: np.random.Generator) -> tuple[float, float, float, float]:
+    length, width = skin.outline.size_mm
+    x, y = generator.uniform((BUMP_MARGIN_MM,) * 2, (length - BUMP_MARGIN_MM, width - BUMP_MARGIN_MM))
     height = BUMP_MM * generator.choice((-1.0, 1.0))
     return float(x), float(y), float(height), float(generator.uniform(*BUMP_SIGMA_MM))
 

@@ -1,7 +1,8 @@
 """The values that a scene is made of: sheet, electrodes, bend, touches, each with the paper's value as its default.
 
-Lengths are mm in the flat sheet's frame (x along 150, y along 100, origin at a corner); angles are degrees. Names and
-units are those of the scene's JSON, which :mod:`eitskin_sim.scene.scene` reads and checks.
+Lengths are mm in the flat sheet's frame (x along its length, y along its width, origin at a corner); angles are
+degrees. Names and units are those of the scene's JSON, which :mod:`eitskin_sim.scene.scene` reads and checks. Another
+skin's sheet and electrodes come from :mod:`eitskin_sim.scene.nominal`.
 """
 
 from dataclasses import dataclass, field, replace
@@ -10,8 +11,8 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.shapes import Shape
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +50,7 @@ class Late:
 class Sheet:
     """The conductive layer before it is bent (paper sections III and V.A), and in what it is not ideal."""
 
-    size_mm: tuple[float, float] = SHEET_MM
+    size_mm: tuple[float, float] = PAPER.outline.size_mm
     thickness_mm: float = 2.0
     conductivity_S_per_m: float = 1.0
     gauge_factor: float = 0.0
@@ -69,7 +70,7 @@ class Electrodes:
     """Of all, or of each of the 16."""
     contact_impedance_ohm_m2: float | tuple[float, ...] = 1e-4
     """Of all, or of each of the 16."""
-    arc_length_mm: tuple[float, ...] = tuple(12.5 + 31.25 * k for k in range(16))
+    arc_length_mm: tuple[float, ...] = tuple(PAPER.arc_length_mm.tolist())
     """Centres by arc length, counter-clockwise from the corner (0, 0)."""
 
     def sizes_mm(self) -> Array:

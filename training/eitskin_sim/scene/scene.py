@@ -11,7 +11,7 @@ from typing import Any, Final, Literal, cast
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import FileError, read_text
-from eitskin_proto.sensor.grid import UNIT_SHAPE
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene import limits
 from eitskin_sim.scene.device.read import read_electrodes, read_sheet, sheet_json
 from eitskin_sim.scene.electrodes import place
@@ -41,24 +41,32 @@ SHAPES: Final = ("rect_mm", "disc_mm", "ellipse_mm", "polygon_mm", "units")
 """Keys of a touch's shape, of which it has one."""
 
 
-def load_scene(path: str | Path) -> Scene:
+def load_scene(path: str | Path, skin: Skin = PAPER) -> Scene:
     """Return the scene that a JSON file holds.
+
+    Args:
+        path: The file.
+        skin: Whose sheet, electrodes and units it means where it does not say.
 
     Raises:
         SceneError: The file is no valid scene.
         OSError: The file cannot be read.
     """
-    return parse_scene(_read(path))
+    return parse_scene(_read(path), skin)
 
 
-def load_phantoms(path: str | Path) -> tuple[Phantom, ...]:
+def load_phantoms(path: str | Path, skin: Skin = PAPER) -> tuple[Phantom, ...]:
     """Return the phantoms that a JSON file holds.
+
+    Args:
+        path: The file.
+        skin: As for :func:`load_scene`.
 
     Raises:
         SceneError: The file is no list of phantoms.
         OSError: The file cannot be read.
     """
-    return parse_phantoms(_read(path))
+    return parse_phantoms(_read(path), skin)
 
 
 def _read(path: str | Path) -> object:
@@ -69,7 +77,7 @@ def _read(path: str | Path) -> object:
     return loads(text, str(path))
 
 
-def parse_phantoms(value: object) -> tuple[Phantom, ...]:
+def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
     """Return the phantoms of a parsed JSON list.
 
     Raises:
@@ -86,24 +94,24 @@ def parse_phantoms(value: object) -> tuple[Phantom, ...]:
                 f"phantoms[{index}]: found name {quoted(name)}, truth {quoted(truth)}; expected a string, and "
                 "'units' or 'area'"
             )
-        found.append(Phantom(name, parse_scene(scene), cast(Literal["units", "area"], truth)))
+        found.append(Phantom(name, parse_scene(scene, skin), cast(Literal["units", "area"], truth)))
     return tuple(found)
 
 
-def parse_scene(value: object) -> Scene:
+def parse_scene(value: object, skin: Skin = PAPER) -> Scene:
     """Return the scene of a parsed JSON object, checked as a whole.
 
     Raises:
         SceneError: A key is unknown, or a value is outside its bounds; the message has both.
     """
     fields = Fields(value, "scene")
-    sheet = read_sheet(fields.take("sheet", {}))
+    sheet = read_sheet(fields.take("sheet", {}), skin)
     scene = Scene(
         sheet=sheet,
-        electrodes=read_electrodes(fields.take("electrodes", {}), sheet),
+        electrodes=read_electrodes(fields.take("electrodes", {}), sheet, skin),
         bend=_bend(fields.take("bend", {}), sheet),
         touches=tuple(
-            _touch(item, sheet, f"scene.touches[{i}]")
+            _touch(item, sheet, skin.grid.units, f"scene.touches[{i}]")
             for i, item in enumerate(sequence(fields.take("touches", []), "scene.touches", limits.MOST_SHAPES))
         ),
         current_A=fields.number("current_A", 1.0, above=0.0, low=1e-9, high=1e6),
@@ -175,7 +183,7 @@ def _bend(value: object, sheet: Sheet) -> Bend:
     return bend
 
 
-def _touch(value: object, sheet: Sheet, where: str) -> Touch:
+def _touch(value: object, sheet: Sheet, units: tuple[int, int], where: str) -> Touch:
     fields = Fields(value, where)
     kinds = [kind for kind in SHAPES if kind in fields]
     if len(kinds) != 1:
@@ -187,7 +195,7 @@ def _touch(value: object, sheet: Sheet, where: str) -> Touch:
     readers = {"rect_mm": _rect, "disc_mm": _disc, "ellipse_mm": ellipse, "polygon_mm": _polygon}
     at = f"{where}.{kinds[0]}"
     if kinds[0] == "units":
-        return Touch(_units(shape, sheet, at), conductivity, **soft)
+        return Touch(_units(shape, sheet, units, at), conductivity, **soft)
     return Touch((readers[kinds[0]](shape, at),), conductivity, **soft)
 
 
@@ -218,8 +226,8 @@ def _polygon(value: object, where: str) -> Shape:
     return polygon
 
 
-def _units(value: object, sheet: Sheet, where: str) -> tuple[Shape, ...]:
-    rows, columns = UNIT_SHAPE
+def _units(value: object, sheet: Sheet, units: tuple[int, int], where: str) -> tuple[Shape, ...]:
+    rows, columns = units
     dx, dy = sheet.size_mm[0] / columns, sheet.size_mm[1] / rows
     shapes: list[Shape] = []
     for index, item in enumerate(sequence(value, where, rows * columns)):

@@ -21,7 +21,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, SHEET_MM
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
@@ -34,11 +35,11 @@ ELLIPSE: Final = 2.0
 STRIPS: Final = 32
 """Strips that a cell is cut into along x, for outlines that are not parallel to it."""
 
-PIXEL_LINES: Final[tuple[Array, Array]] = (
-    np.linspace(0.0, SHEET_MM[0], GRID_SHAPE[1] + 1),
-    np.linspace(0.0, SHEET_MM[1], GRID_SHAPE[0] + 1),
-)
-"""The borders of the map's pixels along x (46) and y (31), mm."""
+
+def pixel_lines(grid: Grid) -> tuple[Array, Array]:
+    """Return the (columns + 1,) borders of the map's pixels along x, and the (rows + 1,) along y, mm."""
+    (length, width), (rows, columns) = grid.size_mm, grid.shape
+    return np.linspace(0.0, length, columns + 1), np.linspace(0.0, width, rows + 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,32 +69,33 @@ class TouchTable:
         rows = np.arange(first[-1]) + np.repeat(self.first[numbers] - first[:-1], counts)
         return TouchTable(self.pieces[rows], first)
 
-    def areas(self, number: int) -> Array:
-        """Return the (30, 45) touched share of every pixel."""
-        total = np.zeros(GRID_SHAPE)
+    def areas(self, number: int, grid: Grid = PAPER.grid) -> Array:
+        """Return the (rows, columns) touched share of every pixel."""
+        total, lines = np.zeros(grid.shape), pixel_lines(grid)
         for piece in self.of(number):
-            rows, columns, share = cover(piece, *PIXEL_LINES)
+            rows, columns, share = cover(piece, *lines)
             total[rows, columns] += share
         return np.minimum(total, 1.0)
 
-    def area_table(self) -> csr_array:
-        """Return the (T, 1350) touched shares, sparse; a piece that recurs is measured once.
+    def area_table(self, grid: Grid = PAPER.grid) -> csr_array:
+        """Return the (T, pixels) touched shares, sparse; a piece that recurs is measured once.
 
         Shares of a pixel that several pieces touch add up; they may pass 1 by rounding.
         """
+        lines = pixel_lines(grid)
         unique, back = np.unique(self.pieces[:, :6], axis=0, return_inverse=True)
         shares, pixels, first = [], [], np.zeros(len(unique) + 1, dtype=np.int64)
         for number, piece in enumerate(unique):
-            rows, columns, share = cover(np.append(piece, 0.0), *PIXEL_LINES)
+            rows, columns, share = cover(np.append(piece, 0.0), *lines)
             at = np.flatnonzero(share)
             row, column = np.divmod(at, share.shape[1])
-            pixels.append((rows.start + row) * GRID_SHAPE[1] + columns.start + column)
+            pixels.append((rows.start + row) * grid.shape[1] + columns.start + column)
             shares.append(share.ravel()[at])
             first[number + 1] = first[number] + len(at)
         empty = np.zeros(0)
         maps = csr_array(
             (np.concatenate([*shares, empty]), np.concatenate([*pixels, empty.astype(np.intp)]), first),
-            (len(unique), N_PIXELS),
+            (len(unique), grid.n_pixels),
         )
         ones = np.ones(len(self.pieces))
         return csr_array((ones, back.ravel(), self.first), (len(self), len(unique))) @ maps

@@ -1,1 +1,1 @@
-"""Classical solvers: Tikhonov, l1 and structure-aware sparse Bayesian learning, on 1350 pixels or 126 units."""
+"""Classical solvers: Tikhonov, l1 and structure-aware sparse Bayesian learning, on a map's pixels or units."""

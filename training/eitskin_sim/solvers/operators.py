@@ -20,17 +20,18 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE, map_from_units
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.jacobian import cell_jacobian
-from eitskin_sim.scene.parts import Electrodes, Sheet
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.surface.predict import fit_cloud
 
 Array = npt.NDArray[np.float64]
 
 Cells = Literal["pixels", "units"]
-"""What the unknowns are: the 30 x 45 pixels, or the 9 x 14 touch units."""
+"""What the unknowns are: the map's pixels, or its touch units."""
 
 SATURATED: Final = 2.0
 """Effective contrast of a perfectly conducting touch: the polarisability of a disc, 2 (c - 1) / (c + 1), as c grows."""
@@ -47,53 +48,58 @@ class Operators:
     """(104, n) relative change of each voltage with the relative change of each cell's conductivity."""
     untouched_voltages: Array
     """(104,) V under 1 A, of the same mesh."""
-    shape: tuple[int, int]
-    """Rows and columns of the cells."""
+    cells: Cells
+    """The unknowns."""
+    grid: Grid
+    """The map that has them."""
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the cells."""
+        return self.grid.shape if self.cells == "pixels" else self.grid.units
 
     def to_map(self, values: Array) -> Array:
-        """Return the (30, 45) map of (n,) values of the cells."""
-        if self.shape == UNIT_SHAPE:
-            return np.asarray(map_from_units(values), dtype=np.float64)
-        return np.asarray(values.reshape(GRID_SHAPE), dtype=np.float64)
+        """Return the (rows, columns) map of (n,) values of the cells."""
+        if self.cells == "units":
+            return np.asarray(self.grid.map_from_units(values), dtype=np.float64)
+        return np.asarray(values.reshape(self.grid.shape), dtype=np.float64)
 
 
 def build_operators(
     metric: Callable[[Array], Array] = flat_metric,
     cells: Cells = "pixels",
-    *,
-    sheet: Sheet | None = None,
-    electrodes: Electrodes | None = None,
+    skin: Skin = PAPER,
 ) -> Operators:
-    """Return the operators of a sheet with a given metric.
+    """Return the operators of a skin, as it is stated, with a given metric.
 
     Args:
         metric: (n, 2) flat points in mm -> (n, 3) first fundamental form.
         cells: The unknowns.
-        sheet: The layer; the paper's if not given.
-        electrodes: On its border; the paper's if not given.
+        skin: Whose layer, electrodes and map.
 
     Raises:
         ValueError: The cells are unknown.
     """
     if cells not in ("pixels", "units"):
         raise ValueError(f"cells are 'pixels' or 'units', found {cells!r}")
-    sheet, shape = sheet or Sheet(), GRID_SHAPE if cells == "pixels" else UNIT_SHAPE
-    voltages, jacobian = cell_jacobian(sheet, electrodes or Electrodes(), metric, shape=shape)
+    sheet, shape = nominal_sheet(skin), skin.grid.shape if cells == "pixels" else skin.grid.units
+    voltages, jacobian = cell_jacobian(sheet, nominal_electrodes(skin), metric, shape=shape)
     relative = sheet.conductivity_S_per_m * jacobian / voltages[:, None]
-    return Operators(relative, voltages, shape)
+    return Operators(relative, voltages, cells, skin.grid)
 
 
-def operators_of_cloud(cloud_mm: npt.ArrayLike, cells: Cells = "pixels") -> Operators:
+def operators_of_cloud(cloud_mm: npt.ArrayLike, cells: Cells = "pixels", skin: Skin = PAPER) -> Operators:
     """Return the operators of the sheet that a cloud shows.
 
     Args:
-        cloud_mm: (3, 30, 45) mm, in any pose.
+        cloud_mm: (3, rows, columns) mm, in any pose.
         cells: The unknowns.
+        skin: Whose cloud.
 
     Raises:
         ValueError: The cloud is malformed, or the cells are unknown.
     """
-    return build_operators(fit_cloud(cloud_mm).metric, cells)
+    return build_operators(fit_cloud(cloud_mm, skin.grid).metric, cells, skin)
 
 
 def linear_data(voltages: Array, reference: Array) -> Array:

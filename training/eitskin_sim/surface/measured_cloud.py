@@ -11,29 +11,34 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.bend import surface
-from eitskin_sim.scene.parts import Bend, Sheet
-from eitskin_sim.surface.smooth_surface import NODES, by_arc_length
+from eitskin_sim.scene.nominal import nominal_sheet
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.surface.smooth_surface import by_arc_length, nodes_of
 
 NOISE_MM: Final = 0.1
 """Resolution of the scanner (paper section IV.A), taken as the noise of every coordinate."""
 
 
 def measured_cloud(
-    bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM
+    bend: Bend, rng: np.random.Generator | None = None, noise_mm: float = NOISE_MM, skin: Skin = PAPER
 ) -> npt.NDArray[np.float32]:
-    """Return the (3, 30, 45) mm cloud of a bend.
+    """Return the (3, rows, columns) mm cloud of a bend.
 
     Args:
         bend: The sheet's shape.
         rng: Source of the noise; None leaves it out.
         noise_mm: Standard deviation of every coordinate.
+        skin: What is bent.
     """
-    sheet = Sheet()
-    columns, rows = (np.linspace(0.0, extent, 2 * n - 1) for extent, n in zip(sheet.size_mm, NODES, strict=True))
+    sheet = nominal_sheet(skin)
+    columns, rows = (
+        np.linspace(0.0, extent, 2 * n - 1) for extent, n in zip(sheet.size_mm, nodes_of(sheet.size_mm), strict=True)
+    )
     x, y = np.meshgrid(columns, rows)
     points = surface(bend, sheet, np.stack([x.ravel(), y.ravel()], axis=-1))
-    cloud = by_arc_length(points.T.reshape(3, len(rows), len(columns)))
+    cloud = by_arc_length(points.T.reshape(3, len(rows), len(columns)), skin.grid.shape)
     if rng is not None:
         cloud = cloud + noise_mm * rng.standard_normal(cloud.shape)
-    return align_cloud(cloud).astype(np.float32)
+    return align_cloud(cloud, skin.grid).astype(np.float32)

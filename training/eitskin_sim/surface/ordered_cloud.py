@@ -1,4 +1,4 @@
-"""From raw points of the bent sheet, unordered and in any pose, to the ordered 3 x 30 x 45 cloud in the agreed one.
+"""From raw points of the bent sheet, unordered and in any pose, to the ordered cloud in the agreed one.
 
 ::
 
@@ -7,8 +7,9 @@
 
 A rectangle looks the same from either side and after half a turn, so four ways to put x and y on it fit the points
 equally well. Only a mark can tell: ``corner_mm``, a point near the sheet's corner (0, 0) in the points' own frame,
-decides between all four, side included, because x is the long way. Without it the scanner's frame is taken as the hint:
-of the four, the one whose pose is turned least against that frame; the result then says so.
+decides between all four, side included, because it is known which way is the long one. Without it the scanner's frame
+is taken as the hint: of the four, the one whose pose is turned least against that frame; the result then says so. On a
+sheet that is nearly square x may go either way, and a corner decides between eight but for the side: the frame does.
 """
 
 from dataclasses import dataclass
@@ -20,11 +21,12 @@ import numpy.typing as npt
 from scipy.spatial import QhullError
 
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_proto.skin.cloud import align_cloud, flat_cloud
 from eitskin_proto.skin.cloud_file import Surface, save_surface
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.surface.outline import find_outline, largest_hole_mm
-from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, side_lengths_mm
+from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, nodes_of, side_lengths_mm
 from eitskin_sim.surface.unroll import unroll
 
 Array = npt.NDArray[np.float64]
@@ -35,15 +37,17 @@ LARGEST_HOLE_MM: Final = 15.0
 HOLE_SLACK_MM: Final = 1.0
 """How much larger a hole of exactly that size may measure: the gaps between the points around it."""
 
-LEAST_POINTS: Final = 1500
-"""Fewer points, one in 10 mm^2, do not carry the shape."""
+LEAST_PER_MM2: Final = 0.1
+"""Fewer points do not carry the shape: 1500 on the paper's sheet."""
 
-MOST_POINTS: Final = 40_000
+MOST_PER_MM2: Final = 8 / 3
 """Points used of more, taken by chance: 40 a cell of 4 mm, so that 0.1 mm of noise leaves 0.016 mm."""
+
+NEARLY_SQUARE: Final = 1.35
+"""A sheet whose sides differ by less may be stretched until the shorter is the longer."""
 
 STRETCH_BOUNDS: Final = (0.7, 1.5)
 """A side outside these multiples of the flat sheet's is not this sheet."""
-
 
 RMS_PER_MM: Final = 0.12
 """What V_pred is off by for each millimetre that the sides are uncertain by: the median of 350 draws of families A and
@@ -66,7 +70,7 @@ class OrderedCloud:
     """The ordered cloud, and what was found on the way."""
 
     cloud_mm: Array
-    """(3, 30, 45) in the agreed pose, even by arc length."""
+    """(3, rows, columns) in the agreed pose, even by arc length."""
     size_mm: tuple[float, float]
     """Mean arc length along x and along y."""
     outline_sigma_mm: float
@@ -90,19 +94,22 @@ class OrderedCloud:
     """(3,) added after the rotation."""
 
 
-def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None) -> OrderedCloud:
+def organise(
+    points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | None = None, grid: Grid = PAPER.grid
+) -> OrderedCloud:
     """Return the ordered cloud of raw points.
 
     Args:
         points_mm: (n, 3) unordered points, in any pose.
         corner_mm: A point near the sheet's corner (0, 0), in the points' frame.
+        grid: Of the skin: the sheet's size, and whose pixels the cloud has.
 
     Raises:
         PointCloudError: Too few points, not the sheet, a hole that is too large, or a corner hint that decides nothing.
     """
-    points = _check_points(points_mm)
+    points = _check_points(points_mm, grid)
     try:
-        return _organise(points, corner_mm)
+        return _organise(points, corner_mm, grid)
     except (np.linalg.LinAlgError, QhullError) as error:
         raise PointCloudError(
             f"the {len(points)} points lie on a line or crowd at a few places, so that they carry no surface: expected "
@@ -110,15 +117,16 @@ def organise(points_mm: npt.ArrayLike, corner_mm: tuple[float, float, float] | N
         ) from error
 
 
-def _organise(points: Array, corner_mm: tuple[float, float, float] | None) -> OrderedCloud:
+def _organise(points: Array, corner_mm: tuple[float, float, float] | None, grid: Grid) -> OrderedCloud:
+    flat_mm = max(grid.size_mm), min(grid.size_mm)  # as the chart has it: the longer side first
     try:
-        chart = unroll(points)
-        outline = find_outline(chart.uv_mm, chart.noise_mm)
+        chart = unroll(points, flat_mm)
+        outline = find_outline(chart.uv_mm, chart.noise_mm, flat_mm)
     except (np.linalg.LinAlgError, QhullError):
         raise
     except ValueError as error:
         raise PointCloudError(f"the points do not show the sheet: {error}") from error
-    _check_size(outline.size_mm)
+    _check_size(outline.size_mm, flat_mm)
     square = outline.to_square(chart.uv_mm)
     hole = largest_hole_mm(square, outline.size_mm)
     if hole > LARGEST_HOLE_MM + HOLE_SLACK_MM:
@@ -128,12 +136,13 @@ def _organise(points: Array, corner_mm: tuple[float, float, float] | None) -> Or
         )
     size = np.array(outline.size_mm)
     on_sheet = np.all((square > -0.02) & (square < 1.02), axis=0)
-    surface = fit_surface(square[:, on_sheet] * size[:, None], chart.points_mm[:, on_sheet], outline.size_mm)
-    ordered, corner = _choose_corner(surface, corner_mm)
-    raw = by_arc_length(ordered)
-    rotation, translation = _pose(raw)
+    places = square[:, on_sheet] * size[:, None]
+    surface = fit_surface(places, chart.points_mm[:, on_sheet], outline.size_mm, nodes_of(flat_mm))
+    ordered, corner = _choose_corner(_ways(surface, grid.size_mm), corner_mm, grid.size_mm)
+    raw = by_arc_length(ordered, grid.shape)
+    rotation, translation = _pose(raw, grid)
     return OrderedCloud(
-        cloud_mm=align_cloud(raw),
+        cloud_mm=align_cloud(raw, grid),
         size_mm=side_lengths_mm(ordered),
         outline_sigma_mm=float(np.hypot(outline.sigma_mm, outline.shift_mm)),
         prediction_rms=float(np.hypot(RMS_PER_MM * outline.sigma_mm, RMS_PER_SHIFT_MM * outline.shift_mm)),
@@ -147,13 +156,16 @@ def _organise(points: Array, corner_mm: tuple[float, float, float] | None) -> Or
     )
 
 
-def save_cloud(path: str | Path, result: OrderedCloud, predicted: tuple[Array, Array] | None = None) -> None:
+def save_cloud(
+    path: str | Path, result: OrderedCloud, predicted: tuple[Array, Array] | None = None, skin: Skin = PAPER
+) -> None:
     """Write an ordered cloud, and how it was found, as the file that the runtime takes.
 
     Args:
         path: See :mod:`eitskin_proto.skin.cloud_file` for what is in it.
         result: The cloud.
         predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
+        skin: Whose cloud it is.
 
     Raises:
         OSError: The file cannot be written.
@@ -166,34 +178,37 @@ def save_cloud(path: str | Path, result: OrderedCloud, predicted: tuple[Array, A
         "rotation": result.rotation,
         "translation_mm": result.translation_mm,
     }
-    save_surface(path, Surface(result.cloud_mm, *(predicted or ())), about)
+    save_surface(path, Surface(result.cloud_mm, *(predicted or ())), about, skin)
 
 
-def _check_points(points_mm: npt.ArrayLike) -> Array:
+def _check_points(points_mm: npt.ArrayLike, grid: Grid) -> Array:
+    area_mm2 = grid.size_mm[0] * grid.size_mm[1]
+    least, most = round(LEAST_PER_MM2 * area_mm2), round(MOST_PER_MM2 * area_mm2)
     points = np.asarray(points_mm, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise PointCloudError(f"points are a list of x, y, z in mm: found shape {points.shape}, expected (n, 3)")
     finite = np.isfinite(points)
     if not finite.all():  # row by row takes 2 ms more
         points = points[finite.all(axis=1)]
-    if len(points) > MOST_POINTS:
+    if len(points) > most:
         # By chance: every second or third point of a regular grid would leave out whole rows.
-        points = points[np.random.default_rng(0).choice(len(points), MOST_POINTS, replace=False, shuffle=False)]
-    if len(points) < LEAST_POINTS:
+        points = points[np.random.default_rng(0).choice(len(points), most, replace=False, shuffle=False)]
+    if len(points) < least:
         raise PointCloudError(
-            f"found {len(points)} finite points, expected at least {LEAST_POINTS}: measure the sheet more densely"
+            f"found {len(points)} finite points, expected at least {least}: measure the sheet more densely"
         )
     sample = points[:: len(points) // 5000 + 1]
     spread = np.percentile(sample, 95, axis=0) - np.percentile(sample, 5, axis=0)
     if spread.max() < 5.0 or spread.max() > 5000.0:
         raise PointCloudError(
-            f"the points span {spread.max():.3g} mm; the sheet is {SHEET_MM[0]:g} mm long: save them in millimetres"
+            f"the points span {spread.max():.3g} mm; the sheet is {max(grid.size_mm):g} mm long: "
+            "save them in millimetres"
         )
     return points
 
 
-def _check_size(size_mm: tuple[float, float]) -> None:
-    for name, found, flat in zip(("long", "wide"), size_mm, SHEET_MM, strict=True):
+def _check_size(size_mm: tuple[float, float], flat_mm: tuple[float, float]) -> None:
+    for name, found, flat in zip(("long", "wide"), size_mm, flat_mm, strict=True):
         low, high = (bound * flat for bound in STRETCH_BOUNDS)
         if not low <= found <= high:
             raise PointCloudError(
@@ -202,35 +217,48 @@ def _check_size(size_mm: tuple[float, float]) -> None:
             )
 
 
-def _choose_corner(surface: Array, corner_mm: tuple[float, float, float] | None) -> tuple[Array, str]:
+def _ways(surface: Array, size_mm: tuple[float, float]) -> list[Array]:
+    """The ways to put x and y on a surface whose rows run along its longer side: four, or eight if near square."""
+    length, width = size_mm
+    laid = [surface] if length * NEARLY_SQUARE >= width else []
+    if width * NEARLY_SQUARE >= length:
+        laid.append(surface.transpose(0, 2, 1))
+    return [one[:, ::down, ::back] for one in laid for down in (1, -1) for back in (1, -1)]
+
+
+def _choose_corner(
+    candidates: list[Array], corner_mm: tuple[float, float, float] | None, size_mm: tuple[float, float]
+) -> tuple[Array, str]:
     """The surface with (0, 0) first, and what decided."""
-    candidates = [surface, surface[:, :, ::-1], surface[:, ::-1, :], surface[:, ::-1, ::-1]]
+    turned = np.array([_alignment(candidate, size_mm) for candidate in candidates])
     if corner_mm is None:
-        turned = [_alignment(candidate) for candidate in candidates]
         return candidates[int(np.argmax(turned))], "scanner frame"
     hint = np.asarray(corner_mm, dtype=np.float64)
-    distance = np.array([np.linalg.norm(candidate[:, 0, 0] - hint) for candidate in candidates])
-    nearest, second = np.sort(distance)[:2]
+    corners = np.array([candidate[:, 0, 0] for candidate in candidates])
+    distance = np.linalg.norm(corners - hint, axis=1)
+    at_it = np.all(corners == corners[int(np.argmin(distance))], axis=1)  # two candidates where x may go either way
+    nearest, second = float(distance.min()), float(distance[~at_it].min())
     if not nearest < 0.5 * second:
         raise PointCloudError(
             f"the corner hint {tuple(float(x) for x in hint)} is {nearest:.1f} and {second:.1f} mm from the two "
             "nearest corners: give a point, in the points' frame, clearly nearest to the corner (0, 0)"
         )
-    return candidates[int(np.argmin(distance))], "given"
+    return candidates[int(np.argmax(np.where(at_it, turned, -np.inf)))], "given"
 
 
-def _alignment(surface: Array) -> float:
+def _alignment(surface: Array, size_mm: tuple[float, float]) -> float:
     """Trace of the rotation that lays a surface's nodes on the flat sheet: 3 for none, -1 for half a turn."""
     rows, columns = np.meshgrid(*(np.linspace(-0.5, 0.5, n) for n in surface.shape[1:]), indexing="ij")
-    flat = np.stack([SHEET_MM[0] * columns, SHEET_MM[1] * rows, np.zeros_like(rows)]).reshape(3, -1)
+    flat = np.stack([size_mm[0] * columns, size_mm[1] * rows, np.zeros_like(rows)]).reshape(3, -1)
     left, _, right = np.linalg.svd(flat @ (surface - surface.mean(axis=(1, 2), keepdims=True)).reshape(3, -1).T)
     return float(np.trace(left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right))
 
 
-def _pose(cloud: Array) -> tuple[Array, Array]:
+def _pose(cloud: Array, grid: Grid) -> tuple[Array, Array]:
     """The rigid motion that ``align_cloud`` applies."""
-    points, aligned = cloud.reshape(3, -1), align_cloud(cloud - cloud.mean(axis=(1, 2), keepdims=True)).reshape(3, -1)
-    target = flat_cloud().reshape(3, -1).mean(axis=1)
+    centred = cloud - cloud.mean(axis=(1, 2), keepdims=True)
+    points, aligned = cloud.reshape(3, -1), align_cloud(centred, grid).reshape(3, -1)
+    target = flat_cloud(grid).reshape(3, -1).mean(axis=1)
     centre = points.mean(axis=1)
     rotation = (aligned - target[:, None]) @ np.linalg.pinv(points - centre[:, None])
     left, _, right = np.linalg.svd(rotation)  # a flat sheet leaves the pseudo-inverse blind along its normal

@@ -20,7 +20,6 @@ import numpy.typing as npt
 from scipy import ndimage
 from scipy.spatial import ConvexHull
 
-from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_sim.surface.edge import DEGREE, Edge, fit_edge
 
 Array = npt.NDArray[np.float64]
@@ -73,12 +72,13 @@ class Outline:
         return np.stack([(u - low_u) / (_at(right, v) - low_u), (v - low_v) / (_at(top, u) - low_v)])
 
 
-def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
+def find_outline(uv_mm: Array, noise_mm: float, size_mm: tuple[float, float]) -> Outline:
     """Return the four sides of a charted sheet.
 
     Args:
         uv_mm: (2, n) points on the chart.
         noise_mm: Standard deviation of the points.
+        size_mm: The two sides of the flat sheet, the longer first.
 
     Raises:
         ValueError: A side has too few points.
@@ -95,7 +95,7 @@ def find_outline(uv_mm: Array, noise_mm: float) -> Outline:
             span = (float(corners[ends[0]][along]), float(corners[ends[1]][along]))
             edges.append(fit_edge(box[along], sign * box[across], span, sign * side, noise_mm))
         guess = [sign * edge.coefficients for (_, _, sign), edge in zip(_SIDES, edges, strict=True)]
-    guess, doubt = _beyond_rows(guess, edges)
+    guess, doubt = _beyond_rows(guess, edges, size_mm)
     sigma, shift = (
         float(np.sqrt(np.mean(np.square(values))))
         for values in ([edge.sigma_mm for edge in edges], [doubt * edge.rows_mm for edge in edges])
@@ -114,7 +114,7 @@ def _spans(sides: list[Array]) -> tuple[float, float]:
     return float(np.mean(_at(right, v) - _at(left, v))), float(np.mean(_at(top, u) - _at(bottom, u)))
 
 
-def _beyond_rows(sides: list[Array], edges: list[Edge]) -> tuple[list[Array], float]:
+def _beyond_rows(sides: list[Array], edges: list[Edge], size_mm: tuple[float, float]) -> tuple[list[Array], float]:
     """Sides moved from the outermost rows of a regular grid to where the border is.
 
     That is half a row's distance farther out if the points are the middles of cells, and no farther if the grid ends on
@@ -132,7 +132,7 @@ def _beyond_rows(sides: list[Array], edges: list[Edge]) -> tuple[list[Array], fl
         ]
 
     for part in (0.0, 1.0):
-        if np.allclose(_spans(moved(part)), SHEET_MM, rtol=0.0, atol=SAME_SIZE_MM):
+        if np.allclose(_spans(moved(part)), size_mm, rtol=0.0, atol=SAME_SIZE_MM):
             return moved(part), 0.0
     return moved(0.5), 0.25
 

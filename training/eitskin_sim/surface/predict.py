@@ -13,6 +13,7 @@ A network's head takes the prediction as :func:`predicted_log`, the logarithm of
 sheet: what the two have in common, the model's own error and the current, drops out.
 """
 
+import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -23,30 +24,38 @@ import numpy.typing as npt
 from scipy import linalg
 from scipy.interpolate import BSpline
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, SHEET_MM
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import check_cloud
-from eitskin_sim.fem.forward import assemble, flat_metric
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet
+from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 
 Array = npt.NDArray[np.float64]
 
-COEFFICIENTS: Final = (11, 8)
-"""Spline coefficients along x and y: 88 for 1350 points, and a bump of sigma 12 mm still fits."""
+KNOTS_MM: Final = 20.0
+"""The spline's knots are no farther apart: 88 coefficients for the paper's 1350 points, and a bump of sigma 12 mm still
+fits."""
 
 COARSE_MM: Final = 4.5
 """Element size of the solve."""
 
 FINE_MM: Final = 1.5
-"""Element size of the flat sheet's correction, solved once a process."""
+"""Element size of the flat sheet's correction, solved once a process and skin."""
 
-MODEL: Final = f"spline {COEFFICIENTS[0]}x{COEFFICIENTS[1]}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
-"""Names everything of this module that a stored prediction depends on, beside the forward model."""
+SKINS_KEPT: Final = 4
+"""Skins whose flat sheets and meshes are kept while the process runs."""
 
 _DEGREE: Final = 3
+
+
+def model(skin: Skin = PAPER) -> str:
+    """Return what names everything of this module that a stored prediction depends on, beside the forward model."""
+    along_x, along_y = _counts(skin.grid)
+    return f"spline {along_x}x{along_y}, elements {COARSE_MM:g} and {FINE_MM:g} mm"
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +64,8 @@ class FittedSurface:
 
     coefficients: Array
     """(nx, ny, 3) mm."""
+    size_mm: tuple[float, float]
+    """Length and width of the flat sheet."""
 
     def metric(self, xy_mm: Array) -> Array:
         """Return the (n, 3) first fundamental form E, F, G at flat points (n, 2)."""
@@ -70,68 +81,80 @@ class FittedSurface:
         # Meshes repeat their coordinates: a few hundred different values of each serve tens of thousands of points.
         x, at_x = np.unique(xy_mm[:, 0], return_inverse=True)
         y, at_y = np.unique(xy_mm[:, 1], return_inverse=True)
-        in_x = _basis(x, SHEET_MM[0], COEFFICIENTS[0], derivative[0])
-        in_y = _basis(y, SHEET_MM[1], COEFFICIENTS[1], derivative[1])
+        count_x, count_y, _ = self.coefficients.shape
+        in_x = _basis(x, self.size_mm[0], count_x, derivative[0])
+        in_y = _basis(y, self.size_mm[1], count_y, derivative[1])
         grid = np.einsum("ai,ijk,bj->abk", in_x, self.coefficients, in_y, optimize=True)
         return np.asarray(grid[at_x, at_y])
 
 
-def fit_cloud(cloud_mm: npt.ArrayLike) -> FittedSurface:
-    """Return the smooth surface through a cloud (3, 30, 45) in mm, in any pose.
+def fit_cloud(cloud_mm: npt.ArrayLike, grid: Grid = PAPER.grid) -> FittedSurface:
+    """Return the smooth surface through a cloud (3, rows, columns) of a grid's pixels in mm, in any pose.
 
     Raises:
         ValueError: The cloud is malformed.
     """
-    cloud = check_cloud(cloud_mm)
-    to_x, to_y = _fitters()
-    return FittedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True))
+    cloud = check_cloud(cloud_mm, grid)
+    to_x, to_y = _fitters(grid)
+    return FittedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True), grid.size_mm)
 
 
-def predict(cloud_mm: npt.ArrayLike) -> Array:
+def predict(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> Array:
     """Return the (104,) V that the untouched sheet of a cloud reads under 1 A.
 
     Args:
-        cloud_mm: (3, 30, 45) mm, in any pose.
+        cloud_mm: (3, rows, columns) mm, in any pose.
+        skin: Whose cloud it is; the model is of the skin as it is stated.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
-    fine, coarse = _flat()
-    return np.asarray(_solve(fit_cloud(cloud_mm).metric, COARSE_MM) * (fine / coarse))
+    fine, coarse = _flat(skin)
+    return np.asarray(_solve(skin, fit_cloud(cloud_mm, skin.grid).metric, COARSE_MM) * (fine / coarse))
 
 
-def flat_voltages() -> Array:
+def flat_voltages(skin: Skin = PAPER) -> Array:
     """Return the (104,) V of the same model on the flat sheet: the partner that V_pred is to be compared with."""
-    return _flat()[0].copy()
+    return _flat(skin)[0].copy()
 
 
-def predicted_log(clouds_mm: Iterable[npt.ArrayLike]) -> npt.NDArray[np.float32]:
+def predicted_log(clouds_mm: Iterable[npt.ArrayLike], skin: Skin = PAPER) -> npt.NDArray[np.float32]:
     """Return the (D, 104) log |V_pred| / |V_flat| of D sheets: the head's second input.
 
     About 40 ms a sheet on one core. :func:`eitskin_sim.dataset.prediction_cache.predicted_log_of` keeps a data set's.
 
     Args:
-        clouds_mm: D clouds (3, 30, 45) mm, in any pose.
+        clouds_mm: D clouds (3, rows, columns) mm, in any pose.
+        skin: Whose clouds.
 
     Raises:
         ValueError: A cloud is malformed, or folds in its own plane.
     """
-    predicted = np.array([predict(cloud) for cloud in clouds_mm]).reshape(-1, N_ROWS)
-    return log_prediction(predicted, _flat()[0])
+    predicted = np.array([predict(cloud, skin) for cloud in clouds_mm]).reshape(-1, N_ROWS)
+    return log_prediction(predicted, _flat(skin)[0])
 
 
-@lru_cache(maxsize=1)
-def _flat() -> tuple[Array, Array]:
-    return _solve(flat_metric, FINE_MM), _solve(flat_metric, COARSE_MM)
+@lru_cache(maxsize=SKINS_KEPT)
+def _flat(skin: Skin) -> tuple[Array, Array]:
+    metric = flat_metric_of(skin)
+    return _solve(skin, metric, FINE_MM), _solve(skin, metric, COARSE_MM)
 
 
-@lru_cache(maxsize=2)
-def _mesh(element_size_mm: float) -> TensorMesh:
-    return scene_mesh(Scene(element_size_mm=element_size_mm))
+@lru_cache(maxsize=2 * SKINS_KEPT)
+def _mesh(skin: Skin, element_size_mm: float) -> TensorMesh:
+    return scene_mesh(nominal_scene(skin, element_size_mm=element_size_mm))
 
 
-def _solve(metric: Callable[[Array], Array], element_size_mm: float) -> Array:
-    return assemble(_mesh(element_size_mm), Sheet(), Electrodes(), metric).factorise().voltages()
+def _solve(skin: Skin, metric: Callable[[Array], Array], element_size_mm: float) -> Array:
+    mesh = _mesh(skin, element_size_mm)
+    return assemble(mesh, nominal_sheet(skin), nominal_electrodes(skin), metric).factorise().voltages()
+
+
+def _counts(grid: Grid) -> tuple[int, int]:
+    """Spline coefficients along x and along y: no more than there are pixels."""
+    along = (math.ceil(extent / KNOTS_MM) + _DEGREE for extent in grid.size_mm)
+    count_x, count_y = (min(count, n) for count, n in zip(along, grid.shape[::-1], strict=True))
+    return count_x, count_y
 
 
 def _basis(at_mm: Array, extent_mm: float, count: int, derivative: int = 0) -> Array:
@@ -142,11 +165,12 @@ def _basis(at_mm: Array, extent_mm: float, count: int, derivative: int = 0) -> A
     return np.asarray(splines(np.clip(at_mm, 0.0, extent_mm), nu=derivative))
 
 
-@lru_cache(maxsize=1)
-def _fitters() -> tuple[Array, Array]:
-    """(nx, 45) and (ny, 30) least squares from samples at pixel centres to spline coefficients."""
+@lru_cache(maxsize=SKINS_KEPT)
+def _fitters(grid: Grid) -> tuple[Array, Array]:
+    """(nx, columns) and (ny, rows) least squares from samples at pixel centres to spline coefficients."""
     found = []
-    for extent, count, n in zip(SHEET_MM, COEFFICIENTS, GRID_SHAPE[::-1], strict=True):
-        centres = np.asarray((np.arange(n) + 0.5) * PITCH_MM, dtype=np.float64)
+    sides = zip(grid.size_mm, _counts(grid), grid.shape[::-1], grid.pixel_mm, strict=True)
+    for extent, count, n, pixel in sides:
+        centres = np.asarray((np.arange(n) + 0.5) * pixel, dtype=np.float64)
         found.append(np.asarray(linalg.pinv(_basis(centres, extent, count)), dtype=np.float64))
     return found[0], found[1]

@@ -19,8 +19,6 @@ import numpy.typing as npt
 from scipy import linalg
 from scipy.interpolate import make_interp_spline
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
-
 Array = npt.NDArray[np.float64]
 
 CELL_MM: Final = 6.0
@@ -29,38 +27,42 @@ CELL_MM: Final = 6.0
 SMOOTHING_MM: Final = 2.5
 """h: a bump of sigma 12 mm loses 0.2 % of its height to it."""
 
-NODES: Final = (31, 21)
-"""Nodes along x and y at which the fitted spline is evaluated, about 5 mm apart; cubic splines go on from there."""
-
+NODE_MM: Final = 5.0
+"""About the distance of the nodes at which the fitted spline is evaluated; cubic splines go on from there."""
 
 FINER: Final = 8
 """Arc length is summed over chords this many times shorter than a step between nodes."""
 
 
-def fit_surface(places_mm: Array, points_mm: Array, size_mm: tuple[float, float]) -> Array:
-    """Return (3, ny, nx) smooth positions on the ``NODES``, which span the sheet from side to side.
+def nodes_of(size_mm: tuple[float, float]) -> tuple[int, int]:
+    """Return how many nodes a flat sheet has along x and along y."""
+    return round(size_mm[0] / NODE_MM) + 1, round(size_mm[1] / NODE_MM) + 1
+
+
+def fit_surface(places_mm: Array, points_mm: Array, size_mm: tuple[float, float], nodes: tuple[int, int]) -> Array:
+    """Return (3, ny, nx) smooth positions on nodes that span the sheet from side to side.
 
     Args:
         places_mm: (2, n) where the points lie on the flat sheet.
         points_mm: (3, n) where they lie in space.
         size_mm: Length and width of the flat sheet.
+        nodes: How many along x and along y.
     """
     centre, mean, count, spread = _average(places_mm, points_mm, size_mm)
-    nodes = np.stack(np.meshgrid(*(np.linspace(0.0, s, n) for s, n in zip(size_mm, NODES, strict=True))), 0).reshape(
-        2, -1
-    )
+    lines = (np.linspace(0.0, s, n) for s, n in zip(size_mm, nodes, strict=True))
+    at = np.stack(np.meshgrid(*lines), 0).reshape(2, -1)
     stiffness = count.sum() / (size_mm[0] * size_mm[1]) * SMOOTHING_MM**4
     solve = _plate_solver(centre, stiffness / count)
-    kernel = np.concatenate([_kernel(nodes, centre), np.ones((nodes.shape[1], 1)), nodes.T], axis=1)
-    fitted = (kernel @ solve(mean)).T.reshape(3, NODES[1], NODES[0])
+    kernel = np.concatenate([_kernel(at, centre), np.ones((at.shape[1], 1)), at.T], axis=1)
+    fitted = (kernel @ solve(mean)).T.reshape(3, nodes[1], nodes[0])
     data = mean - _inside(fitted, size_mm, centre, spread)
     # A plate ends straight, a bent sheet does not: fitting what the first fit left over takes 3/4 of that error away.
     coefficients = solve(data)
     left_over = (stiffness / count)[:, None] * coefficients[:-3]
-    return np.asarray((kernel @ (coefficients + solve(left_over))).T.reshape(3, NODES[1], NODES[0]))
+    return np.asarray((kernel @ (coefficients + solve(left_over))).T.reshape(3, nodes[1], nodes[0]))
 
 
-def by_arc_length(surface: Array, shape: tuple[int, int] = GRID_SHAPE, rounds: int = 3) -> Array:
+def by_arc_length(surface: Array, shape: tuple[int, int], rounds: int = 3) -> Array:
     """Return (3, rows, columns) points at the centres of equal parts, by arc length, of a surface's rows and columns.
 
     Rows and columns are redrawn in turn until both are even; on a sheet that is stretched evenly that is where the
@@ -135,15 +137,16 @@ def _plate_solver(centre: Array, slack: Array) -> Callable[[Array], Array]:
 
 def _inside(fitted: Array, size_mm: tuple[float, float], centre: Array, spread: Array) -> Array:
     """(m, 3) how far the mean over each cell lies from the surface at the cell's mean place."""
-    step = [s / (n - 1) for s, n in zip(size_mm, NODES, strict=True)]
+    nodes = fitted.shape[:0:-1]
+    step = [s / (n - 1) for s, n in zip(size_mm, nodes, strict=True)]
     second = np.zeros((3, *fitted.shape))
     second[0, :, :, 1:-1] = (fitted[:, :, 2:] - 2.0 * fitted[:, :, 1:-1] + fitted[:, :, :-2]) / step[0] ** 2
     second[1, :, 1:-1, :] = (fitted[:, 2:, :] - 2.0 * fitted[:, 1:-1, :] + fitted[:, :-2, :]) / step[1] ** 2
     second[0, :, :, [0, -1]] = second[0, :, :, [1, -2]]
     second[1, :, [0, -1], :] = second[1, :, [1, -2], :]
     second[2] = np.gradient(np.gradient(fitted, step[0], axis=2), step[1], axis=1)
-    column = np.clip(np.round(centre[0] / step[0]).astype(np.intp), 0, NODES[0] - 1)
-    row = np.clip(np.round(centre[1] / step[1]).astype(np.intp), 0, NODES[1] - 1)
+    column = np.clip(np.round(centre[0] / step[0]).astype(np.intp), 0, nodes[0] - 1)
+    row = np.clip(np.round(centre[1] / step[1]).astype(np.intp), 0, nodes[1] - 1)
     here = second[:, :, row, column]
     return np.asarray((0.5 * here[0] * spread[0] + 0.5 * here[1] * spread[1] + here[2] * spread[2]).T)
 

@@ -14,6 +14,7 @@ sieves: cubes with too few points, cubes that do not hang together with the rest
 curved surface.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -31,8 +32,9 @@ CELL_MM: Final = 4.0
 REACH_CELLS: Final = 2.2
 """Cubes this near, in cells, are neighbours; layers of a curled sheet must lie farther apart (9 mm)."""
 
-EXTENT_MM: Final = 260.0
-"""No point of the sheet is farther than this from its median point: the diagonal is 180 mm, stretched 253 mm."""
+EXTENT: Final = 1.45
+"""No point of the sheet is farther than this many diagonals of the flat one from its median point: stretched by 1.4 at
+most, and seen from a corner."""
 
 SPARSE_CUBE: Final = 0.15
 """A cube with less than this part of the median count is no part of the graph."""
@@ -73,18 +75,19 @@ class Chart:
     """Points left out."""
 
 
-def unroll(points_mm: Array) -> Chart:
+def unroll(points_mm: Array, size_mm: tuple[float, float]) -> Chart:
     """Return a flat chart of unordered points, without its outliers.
 
     Args:
         points_mm: (n, 3) points in any pose.
+        size_mm: Length and width of the flat sheet.
 
     Raises:
         ValueError: The points do not form one surface.
     """
     axes = np.ascontiguousarray(points_mm.T)  # (3, n): gathers along a long last axis are several times faster
     middle = np.median(axes[:, :: len(points_mm) // 5000 + 1], axis=1, keepdims=True)
-    near = np.all(np.abs(axes - middle) < EXTENT_MM, axis=0)
+    near = np.all(np.abs(axes - middle) < EXTENT * math.hypot(*size_mm), axis=0)
     axes = axes if near.all() else np.ascontiguousarray(axes[:, near])
     cell_mm = CELL_MM
     cube, count = _bin(axes, cell_mm)
@@ -96,7 +99,8 @@ def unroll(points_mm: Array) -> Chart:
     keep = _largest_piece(centroid, solid, REACH_CELLS * cell_mm)
     if len(keep) < LEAST_CELLS:
         raise ValueError(
-            f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about 1000: "
+            f"only {len(keep)} cells of {cell_mm:g} mm hold a connected surface; a sheet has about "
+            f"{size_mm[0] * size_mm[1] / CELL_MM**2:.0f} of {CELL_MM:g} mm: "
             "are the points in millimetres, and of the whole sheet?"
         )
     nodes = centroid[keep]

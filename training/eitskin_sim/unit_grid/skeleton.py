@@ -1,8 +1,7 @@
 """A bent sheet cut along the borders of its 126 units, each unit condensed onto what it shares with others.
 
 Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What
-remains
-is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
+remains is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
 
     +-----o-----o-----+      o  lines between units: 1,500 nodes of 5,900 at the default size
     |     o     o     |      .  insides and the sheet's border: eliminated, unit by unit
@@ -39,6 +38,9 @@ Against a converged mesh a touch's dV is off by 0.1 % (interior) to 0.6 % (under
 
 SNAP: Final = 0.25
 """A line this near to a contact's edge, as a share of the unit's side, moves onto it."""
+
+NULL: Final = 1e-13
+"""Relative size under which an eigenvalue of a unit is its one zero: a constant potential passes no current."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,6 +189,13 @@ def assemble_skeleton(units: Sequence[Condensed], which: int, n_dofs: int) -> Ar
         total[np.ix_(unit.dofs, unit.dofs)] += unit.schur[which]
     total[-N_ELECTRODES:, -N_ELECTRODES:] += ground(total)
     return total
+
+
+def square_root(conductance: Array) -> Array:
+    """Return (b, r) L with L L^T = S, of a unit's (b, b) S or of what touching adds to it; r is the rank of S."""
+    value, vector = np.linalg.eigh(conductance)
+    kept = value > NULL * value[-1]
+    return np.asarray(vector[:, kept] * np.sqrt(value[kept]))
 
 
 def ground(stiffness: Array) -> float:

@@ -31,20 +31,14 @@ from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE, voltages_from_potentials
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.unit_grid.contrasts import ContrastUnits, check_contrasts, updated
-from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, unit_system
+from eitskin_sim.unit_grid.contrasts import ContrastUnits, at_once, check_contrasts, updated
+from eitskin_sim.unit_grid.skeleton import Condensed, assemble_skeleton, condense_units, square_root, unit_system
 
 TOUCHED: Final = 50.0
 """S/m of a touched unit (paper section V.A)."""
 
 MOST_GATHERED: Final = 8
 """Sets of more units are condensed onto their outline first: blocks grow with the square of the count."""
-
-BATCH_BYTES: Final = 2e6
-"""Size of the matrices that are gathered at once: they stay in the cache."""
-
-NULL: Final = 1e-13
-"""Relative size under which an eigenvalue of D_u is its one zero: a constant potential passes no current."""
 
 
 class UnitGenerator:
@@ -91,7 +85,7 @@ class UnitGenerator:
     def _pairs(self) -> tuple[Array, Array]:
         """Return H and W, which sets of one contrast above 1 need, and no others."""
         if self._coupled is None:
-            self._coupled = self._couple([_factor(unit) for unit in self._units])
+            self._coupled = self._couple([square_root(unit.schur[1] - unit.schur[0]) for unit in self._units])
         return self._coupled
 
     def voltages(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
@@ -151,7 +145,7 @@ class UnitGenerator:
         count, k = sets.shape
         rank = self._blocks.shape[-1]
         size = (k - 1) * rank + N_ELECTRODES
-        step = max(1, int(BATCH_BYTES / (8 * size * size)))
+        step = at_once(size)
         found = np.empty((count, N_ROWS))
         panels, rests = np.empty((step, rank, size)), np.empty((step, size, size))
         for start in range(0, count, step):
@@ -216,13 +210,6 @@ def inverse(matrix: Array) -> Array:
     diagonal = np.arange(len(whole))
     whole[diagonal, diagonal] /= 2
     return np.asarray(whole)
-
-
-def _factor(unit: Condensed) -> Array:
-    """Return (b, r) L with L L^T = D_u, of a unit that conducts better than the sheet."""
-    value, vector = np.linalg.eigh(unit.schur[1] - unit.schur[0])
-    kept = value > NULL * value[-1]
-    return np.asarray(vector[:, kept] * np.sqrt(value[kept]))
 
 
 def _halves(units: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:

@@ -25,7 +25,7 @@ from eitskin_sim.freeform.patterns import CONTRAST
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene import bend as surfaces
-from eitskin_sim.scene.family import BOUNDS, FLAT, SCALED, draw, scaled
+from eitskin_sim.scene.family import FLAT, SCALED, bounds, draw, scaled
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
 from eitskin_training.samples.batches import TrainingData
@@ -145,7 +145,7 @@ def wide_bends(count: int, seed: int) -> list[Bend]:
     rng = np.random.default_rng([seed, 0x71DE])
     found = []
     for _ in range(count):
-        bend = Bend(**{name: float(rng.uniform(*bounds)) for name, bounds in BOUNDS.items()})  # type: ignore[arg-type]
+        bend = Bend(**{name: float(rng.uniform(*one)) for name, one in bounds().items()})  # type: ignore[arg-type]
         if rng.random() < DENTED:
             bend = replace(bend, bumps_mm=tuple(_dent(rng) for _ in range(int(rng.integers(1, MOST_DENTS + 1)))))
         kind, amplitude = rng.random(2)

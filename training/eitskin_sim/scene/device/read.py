@@ -7,9 +7,10 @@ from dataclasses import asdict
 from typing import Any, Literal, cast
 
 from eitskin_proto.files.plain import quoted
-from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.scene import limits
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Electrodes, Late, Sheet, SmoothField
 from eitskin_sim.scene.strict_json import Fields, SceneError, number, numbers
 
@@ -17,15 +18,15 @@ IDEAL = ("gauge_factor", "field", "late")
 """Keys of a sheet that an ideal one lacks."""
 
 
-def read_sheet(value: object) -> Sheet:
-    """Return the sheet of ``scene.sheet``.
+def read_sheet(value: object, skin: Skin) -> Sheet:
+    """Return the sheet of ``scene.sheet``; what it does not say is as the skin states it.
 
     Raises:
         SceneError: A key is unknown, or a value is outside its bounds.
     """
-    where = "scene.sheet"
+    where, stated = "scene.sheet", nominal_sheet(skin)
     fields = Fields(value, where)
-    size = numbers(fields.take("size_mm", list(SHEET_MM)), f"{where}.size_mm", 2)
+    size = numbers(fields.take("size_mm", list(stated.size_mm)), f"{where}.size_mm", 2)
     for index, side in enumerate(size):
         number(side, f"{where}.size_mm[{index}]", above=0.0, low=1.0, high=10_000.0)
     if max(size) > limits.MOST_ASPECT * min(size):
@@ -34,9 +35,11 @@ def read_sheet(value: object) -> Sheet:
         )
     sheet = Sheet(
         size_mm=(size[0], size[1]),
-        thickness_mm=fields.number("thickness_mm", 2.0, above=0.0, low=1e-3, high=1e3),
-        conductivity_S_per_m=fields.number("conductivity_S_per_m", 1.0, above=0.0, low=1e-6, high=1e8),
-        gauge_factor=fields.number("gauge_factor", 0.0, low=-limits.MOST_GAUGE, high=limits.MOST_GAUGE),
+        thickness_mm=fields.number("thickness_mm", stated.thickness_mm, above=0.0, low=1e-3, high=1e3),
+        conductivity_S_per_m=fields.number(
+            "conductivity_S_per_m", stated.conductivity_S_per_m, above=0.0, low=1e-6, high=1e8
+        ),
+        gauge_factor=fields.number("gauge_factor", stated.gauge_factor, low=-limits.MOST_GAUGE, high=limits.MOST_GAUGE),
         field=_field(fields.take("field", None), f"{where}.field"),
         late=_late(fields.take("late", None), f"{where}.late"),
     )
@@ -82,35 +85,40 @@ def _seed(fields: Fields) -> int:
 
 
 def even_arc_length_mm(size_mm: tuple[float, float]) -> tuple[float, ...]:
-    """Return sixteen even positions on the border of a sheet: the paper's where it is 150 x 100 mm."""
+    """Return sixteen even positions on the border of a sheet, as the paper's are on its own."""
     perimeter = 2.0 * (size_mm[0] + size_mm[1])
     return tuple(perimeter * (0.4 + k) / 16 for k in range(16))
 
 
-def read_electrodes(value: object, sheet: Sheet) -> Electrodes:
-    """Return the electrodes of ``scene.electrodes``.
+def read_electrodes(value: object, sheet: Sheet, skin: Skin) -> Electrodes:
+    """Return the electrodes of ``scene.electrodes``; what it does not say is as the skin states it.
+
+    On a sheet of another size than the skin's they are even by default.
 
     Raises:
         SceneError: A key is unknown, or a value is outside its bounds.
     """
-    where = "scene.electrodes"
+    where, stated = "scene.electrodes", nominal_electrodes(skin)
     fields = Fields(value, where)
-    contact = fields.take("contact", "patch")
+    contact = fields.take("contact", stated.contact)
     if not isinstance(contact, str) or contact not in ("patch", "edge"):
         raise SceneError(f"{where}.contact is {quoted(contact)}; it must be 'patch' or 'edge'")
-    even = list(even_arc_length_mm(sheet.size_mm))
+    own = sheet.size_mm == skin.outline.size_mm
+    arc = stated.arc_length_mm if own else even_arc_length_mm(sheet.size_mm)
     electrodes = Electrodes(
         contact=cast(Literal["patch", "edge"], contact),
-        size_mm=_each(fields, "size_mm", 4.0, low=0.01),
-        contact_impedance_ohm_m2=_each(fields, "contact_impedance_ohm_m2", 1e-4, low=1e-9, high=1e6),
-        arc_length_mm=numbers(fields.take("arc_length_mm", even), f"{where}.arc_length_mm", 16),
+        size_mm=_each(fields, "size_mm", stated.size_mm, low=0.01),
+        contact_impedance_ohm_m2=_each(
+            fields, "contact_impedance_ohm_m2", stated.contact_impedance_ohm_m2, low=1e-9, high=1e6
+        ),
+        arc_length_mm=numbers(fields.take("arc_length_mm", arc), f"{where}.arc_length_mm", 16),
     )
     fields.close()
     return electrodes
 
 
 def _each(
-    fields: Fields, key: str, default: float, *, low: float, high: float | None = None
+    fields: Fields, key: str, default: float | tuple[float, ...], *, low: float, high: float | None = None
 ) -> float | tuple[float, ...]:
     """Return a number of all electrodes, or one of each."""
     where, value = f"{fields.where}.{key}", fields.take(key, default)

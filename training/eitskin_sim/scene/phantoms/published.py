@@ -7,7 +7,7 @@ compares this table with the phantom files themselves.
 from collections.abc import Iterable
 from typing import Final
 
-from eitskin_proto.sensor.grid import UNIT_SHAPE
+from eitskin_proto.skin.skin import PAPER
 
 Rect = tuple[float, float, float, float]
 """x0, y0, x1, y1 in mm on the flat sheet."""
@@ -44,10 +44,15 @@ PHANTOM_RECTS_MM: Final[dict[str, tuple[Rect, ...]]] = {
 """The touched rectangles of each phantom in true millimetres."""
 
 _PUBLISHED_UNITS: Final = frozenset(
-    frozenset(row * UNIT_SHAPE[1] + column for column, row in units) for units in PHANTOM_UNITS.values()
+    frozenset(row * PAPER.grid.units[1] + column for column, row in units) for units in PHANTOM_UNITS.values()
 )
 
 
-def is_published(units: Iterable[int]) -> bool:
-    """Return whether a set of unit numbers (row * 14 + column) is one of the published phantoms."""
-    return frozenset(units) in _PUBLISHED_UNITS
+def is_published(units: Iterable[int], shape: tuple[int, int] = PAPER.grid.units) -> bool:
+    """Return whether a set of unit numbers (row * columns + column) is one of the published phantoms.
+
+    Args:
+        units: Numbers of the touched units.
+        shape: Rows and columns of the units; phantoms were published for the paper's alone.
+    """
+    return shape == PAPER.grid.units and frozenset(units) in _PUBLISHED_UNITS

@@ -9,7 +9,8 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_proto.sensor.grid import PITCH_MM
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Phantom, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
@@ -20,13 +21,14 @@ TRIES: Final = 1000
 """Draws after which a group that fits nowhere stays where it is."""
 
 
-def shifted(phantom: Phantom, shift_px: float, rng: np.random.Generator) -> Phantom:
+def shifted(phantom: Phantom, shift_px: float, rng: np.random.Generator, grid: Grid = PAPER.grid) -> Phantom:
     """Return a phantom whose touches are each moved by a uniform draw from -shift_px to shift_px along x and y.
 
     Args:
         phantom: With touches anywhere; one on the unit grid cannot move.
-        shift_px: Largest move, in pixels of 10/3 mm; 0 returns the phantom itself.
+        shift_px: Largest move, in pixels; 0 returns the phantom itself.
         rng: Source of the moves.
+        grid: Whose pixels.
 
     Raises:
         ValueError: The phantom's truth is a set of units, or the shift is negative or above a pixel.
@@ -37,13 +39,13 @@ def shifted(phantom: Phantom, shift_px: float, rng: np.random.Generator) -> Phan
         return phantom
     if phantom.truth != "area":
         raise ValueError(f"phantom {phantom.name} touches units of the grid, which cannot be shifted: give one in mm")
-    touches = list(phantom.scene.touches)
+    touches, farthest = list(phantom.scene.touches), shift_px * np.array(grid.pixel_mm)
     length, width = phantom.scene.sheet.size_mm
     groups = _groups(touches)
     for group in groups:
         others = [touches[i] for other in groups if other is not group for i in other]
         for _ in range(TRIES):
-            x, y = rng.uniform(-shift_px * PITCH_MM, shift_px * PITCH_MM, 2)
+            x, y = rng.uniform(-farthest, farthest)
             moved = [_moved(touches[i], float(x), float(y)) for i in group]
             boxes = [shape.bounds_mm for touch in moved for shape in touch.shapes]
             inside = all(b[0] >= 0.0 and b[1] >= 0.0 and b[2] <= length and b[3] <= width for b in boxes)

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE, unit_rect_mm
-from eitskin_sim.scene.family import BOUNDS
+from eitskin_sim.scene.family import bounds
 from eitskin_sim.scene.parts import Bend, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.unit_grid.patterns import MOST_UNITS
@@ -61,7 +61,7 @@ def _explain_bend(samples: Sequence[Sample], angle_deg: float) -> str:
                      / voltages_of(replace(s.scene, bend=Bend())) - 1.0).max())
         for s in samples
     )  # fmt: skip
-    largest = BOUNDS["angle_deg"][1]
+    largest = bounds()["angle_deg"][1]
     return (
         f"a bend to {angle_deg:.3g} degrees changes the voltages by {apart:.1g}, so what it does to a map comes in by "
         f"the cloud, and training ends at {largest:g} degrees"
@@ -75,7 +75,7 @@ def _stretched(sample: Sample, stretch: float, rng: np.random.Generator) -> Samp
 def _explain_stretch(samples: Sequence[Sample], stretch: float) -> str:
     flat = [sample.solved(replace(sample.scene, bend=Bend())) for sample in samples]
     change, share = nuisance(flat, [_stretched(s.bare(), stretch, np.random.default_rng(0)) for s in samples])
-    low, high = BOUNDS["stretch_along"]
+    low, high = bounds()["stretch_along"]
     return (
         f"stretching by {stretch:.3g} changes dV by {change:.3g} rms, {share:.3g} times what the touches change; "
         f"training ends at {low:g} and {high:g}"
