@@ -98,9 +98,7 @@ ROOMS: dict[str, Arrows] = {
         "gate_audit": {"parity"},
         "graphs": {"fold"},
         "quantise": {"graphs"},
-        "package": {
-            "bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise",
-        },
+        "package": {"bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise"},
     },
     "eitskin_tools": {
         "__init__": set(),
