@@ -27,7 +27,7 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
-    "surface": ("live.surface", "order measured points of the bent sheet into a 3 x 30 x 45 cloud"),
+    "surface": ("live.surface", "order measured points of the bent sheet into a cloud"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
@@ -86,9 +86,10 @@ def _parser(named: str | None) -> Parser:
 def _print_version() -> None:
     from importlib.metadata import version
 
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.skin import PAPER
 
-    print(f"eitskin {version('eitskin')} protocol_id {PROTOCOL_ID} grid_id {GRID_ID}")
+    print(f"eitskin {version('eitskin')} protocol_id {PROTOCOL_ID} grid_id {PAPER.grid_id}")
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -11,7 +11,8 @@ from typing import Any, Final, TextIO
 
 import numpy as np
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, SHEET_MM
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.console.status_line import StatusLine
 
 REDRAW_S: Final = 0.1
@@ -21,12 +22,25 @@ REPEAT_S: Final = 1.0
 """Between two lines elsewhere."""
 
 
-def peak_mm(image: Any) -> tuple[float, float, float]:
-    """Return (height, x, y) of the highest pixel of a (30, 45) map, its centre in mm of the flat sheet."""
-    row, column = np.unravel_index(int(np.argmax(image)), GRID_SHAPE)
-    x_mm = (float(column) + 0.5) * SHEET_MM[0] / GRID_SHAPE[1]
-    y_mm = (float(row) + 0.5) * SHEET_MM[1] / GRID_SHAPE[0]
-    return float(image[row, column]), x_mm, y_mm
+def peak_mm(image: Any, grid: Grid) -> tuple[float, float, float]:
+    """Return (height, x, y) of the highest pixel of a map, its centre in mm of the flat sheet.
+
+    Args:
+        image: (rows, columns) of the grid.
+        grid: Of the skin.
+    """
+    row, column = np.unravel_index(int(np.argmax(image)), image.shape)
+    dx, dy = grid.pixel_mm
+    return float(image[row, column]), (float(column) + 0.5) * dx, (float(row) + 0.5) * dy
+
+
+def peak(image: Any, grid: Grid) -> str:
+    """Return height and place of the highest pixel: in mm, or by its numbers where the map is another skin's."""
+    if image.shape == grid.shape:
+        height, x_mm, y_mm = peak_mm(image, grid)
+        return f"peak {height:.2f} at x {x_mm:.1f}, y {y_mm:.1f} mm"
+    row, column = np.unravel_index(int(np.argmax(image)), image.shape)
+    return f"peak {float(image[row, column]):.2f} at row {row}, column {column}"
 
 
 class StreamView:
@@ -35,9 +49,11 @@ class StreamView:
     Args:
         stream: Where the line goes.
         now_s: The clock.
+        grid: Of the skin that streams.
     """
 
-    def __init__(self, stream: TextIO, now_s: Callable[[], float] = time.monotonic) -> None:
+    def __init__(self, stream: TextIO, now_s: Callable[[], float] = time.monotonic, grid: Grid = PAPER.grid) -> None:
+        self._grid = grid
         self._line = StatusLine(stream)
         self._now_s = now_s
         self._every_s = REDRAW_S if self._line.live else REPEAT_S
@@ -70,22 +86,22 @@ class StreamView:
 
     def _draw(self) -> None:
         self._pending = False
-        text = describe(self._newest, self._rate_hz)
+        text = describe(self._newest, self._rate_hz, self._grid)
         if self._line.live:
             self._line.show(text)
         else:
             self._line.above(text)
 
 
-def describe(frame: Any, rate_hz: float) -> str:
+def describe(frame: Any, rate_hz: float, grid: Grid = PAPER.grid) -> str:
     """Return a frame in a line.
 
     Args:
         frame: :class:`eitskin.Frame`.
         rate_hz: Frames a second that the runtime publishes; 0 while that is unknown.
+        grid: Of the skin that streams.
     """
-    height, x_mm, y_mm = peak_mm(frame.map)
-    shown = f"touched  peak {height:.2f} at x {x_mm:.1f}, y {y_mm:.1f} mm" if frame.touched else "untouched"
+    shown = f"touched  {peak(frame.map, grid)}" if frame.touched else "untouched"
     rate = f"{rate_hz:.1f} frames/s" if rate_hz else f"frame {frame.sequence}"
     parts = [rate, shown, frame.solver, f"age {frame.age_s * 1e3:.1f} ms", f"lost {frame.counts['lost']}"]
     if frame.electrodes:

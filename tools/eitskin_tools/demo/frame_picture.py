@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.grid import GRID_SHAPE, SHEET_MM
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.pictures.draw import palette
 
@@ -44,7 +43,7 @@ def choose(record: Record, script: Any, start_us: int) -> tuple[int, float]:
         raise ValueError(f"no frame of this record is touched and bent by {LEAST_ANGLE_DEG:g} deg; record more seconds")
     most = max(count for count, _, _ in found)
     rated = [
-        (correlation(record.maps[index].astype(np.float64).reshape(GRID_SHAPE), script.truth_at(time_s)), index, time_s)
+        (correlation(record.maps[index].astype(np.float64), script.truth_at(time_s)), index, time_s)
         for count, index, time_s in found
         if count == most
     ]
@@ -75,7 +74,7 @@ def picture(record: Record, script: Any, start_us: int, path: Path) -> None:
     from eitskin_sim.evaluation.metrics import correlation
 
     index, time_s = choose(record, script, start_us)
-    image = record.maps[index].astype(np.float64).reshape(GRID_SHAPE)
+    image = record.maps[index].astype(np.float64)
     truth = script.truth_at(time_s).astype(np.float64)
     colours = ListedColormap(palette() / 255.0)
     figure = pyplot.figure(figsize=SIZE_INCH, dpi=DPI, layout="constrained")
@@ -90,7 +89,8 @@ def picture(record: Record, script: Any, start_us: int, path: Path) -> None:
         axes.set_axis_off()
         axes.set_title(title)
     flat = figure.add_subplot(1, 3, 3)
-    extent = (0.0, SHEET_MM[0], 0.0, SHEET_MM[1])
+    length, width = script.skin.outline.size_mm
+    extent = (0.0, length, 0.0, width)
     shown = flat.imshow(image, origin="lower", extent=extent, cmap=colours, vmin=0.0, vmax=1.0, interpolation="nearest")
     _outline(flat, script.scene_at(time_s).touches)
     flat.set(title="streamed, laid flat; white: the true touches", xlabel="x, mm", ylabel="y, mm")
@@ -122,13 +122,13 @@ def _outline(axes: Any, touches: Any) -> None:
 
 
 def _surface(script: Any, time_s: float) -> tuple[npt.NDArray[np.float64], ...]:
-    """Return x, y, z of the corners of the surface's cells, (30 FINE + 1, 45 FINE + 1) each."""
+    """Return x, y, z of the corners of the surface's cells, (rows FINE + 1, columns FINE + 1) each."""
     from eitskin_sim.scene.bend import surface
 
     scene = script.scene_at(time_s)
-    rows, columns = GRID_SHAPE
-    x = np.linspace(0.0, SHEET_MM[0], columns * FINE + 1)
-    y = np.linspace(0.0, SHEET_MM[1], rows * FINE + 1)
+    (rows, columns), (length, width) = script.skin.grid.shape, script.skin.outline.size_mm
+    x = np.linspace(0.0, length, columns * FINE + 1)
+    y = np.linspace(0.0, width, rows * FINE + 1)
     flat = np.stack(np.meshgrid(x, y), axis=-1)
     points = surface(scene.bend, scene.sheet, flat.reshape(-1, 2)).reshape(*flat.shape[:2], 3)
     return points[..., 0], points[..., 1], points[..., 2]

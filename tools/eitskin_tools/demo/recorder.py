@@ -17,13 +17,12 @@ import numpy as np
 import numpy.typing as npt
 
 import eitskin
-from eitskin_proto.sensor.grid import N_PIXELS
 
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""
 
 MOST_MAPS: Final = 6000
-"""Maps kept: 32 MB."""
+"""Maps kept: of the paper's skin, 16 MB."""
 
 SILENCE_S: Final = 60.0
 """How long the first frame may take, since device, reference and runtime come before it, and any other."""
@@ -43,7 +42,7 @@ class Record:
     """Whether a solver ran for the frame, and no earlier map stands for it."""
     cloud: npt.NDArray[np.int64]
     maps: npt.NDArray[np.float16]
-    """(m, 1350) of frames 0, stride, 2 stride, ..."""
+    """(m, rows, columns) of frames 0, stride, 2 stride, ..."""
     stride: int
     late: int
     """Frames that the subscriber was too slow for."""
@@ -51,14 +50,14 @@ class Record:
     withheld: int
 
     @classmethod
-    def empty(cls, capacity: int) -> "Record":
-        """Return room for so many frames."""
+    def empty(cls, capacity: int, shape: tuple[int, int]) -> "Record":
+        """Return room for so many frames, whose maps have so many rows and columns."""
         stride = max(1, -(-capacity // MOST_MAPS))
         whole = np.zeros(capacity, dtype=np.int64)
         return cls(
             whole, whole.copy(), whole.copy(), np.zeros((capacity, len(STAGES)), dtype=np.int64),
             np.zeros(capacity, dtype=bool), np.zeros(capacity, dtype=bool), whole.copy(),
-            np.zeros((-(-capacity // stride), N_PIXELS), dtype=np.float16), stride, 0, 0, 0,
+            np.zeros((-(-capacity // stride), *shape), dtype=np.float16), stride, 0, 0, 0,
         )  # fmt: skip
 
     def note(self, index: int, frame: Any) -> None:
@@ -72,7 +71,7 @@ class Record:
         self.inferred[index] = not any(reason.startswith("inference:") for reason in frame.skipped)
         self.cloud[index] = frame.cloud
         if index % self.stride == 0:
-            self.maps[index // self.stride] = frame.map.reshape(-1)
+            self.maps[index // self.stride] = frame.map
         self.corrupt, self.withheld = frame.counts["corrupt"], frame.counts["withheld"]
 
     def save(self, path: Path, count: int) -> None:
@@ -117,13 +116,15 @@ def record(endpoint: str, seconds: float, capacity: int, path: Path) -> int:
     Raises:
         SkinError: No frame came, or the stream went silent.
     """
-    found = Record.empty(capacity)
+    found: Record | None = None
     count = 0
     gc.collect()
     gc.disable()
     with eitskin.subscribe(endpoint, mode="all", timeout_s=SILENCE_S) as frames:
         try:
-            found.note(0, frames.next_frame())
+            first = frames.next_frame()
+            found = Record.empty(capacity, first.map.shape)
+            found.note(0, first)
             count = 1
             print("first", flush=True)
             end_ns = int(found.received_ns[0]) + int(seconds * 1e9)
@@ -135,6 +136,8 @@ def record(endpoint: str, seconds: float, capacity: int, path: Path) -> int:
                 count += 1
         except _Stopped:
             pass
+        if found is None:
+            raise _Stopped
         found.late = frames.lost
     found.save(path, count)
     return count

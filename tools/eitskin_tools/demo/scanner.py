@@ -18,6 +18,8 @@ from typing import Final
 import numpy as np
 
 import eitskin
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import load
 from eitskin_tools.processes.skin_log import script_start
 
 NICENESS: Final = 2
@@ -33,7 +35,9 @@ def _stop(number: int, frame: FrameType | None) -> None:
     raise _Stopped
 
 
-def send_clouds(control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool) -> None:
+def send_clouds(
+    control: str, log: Path, rate_hz: float, scene: Path | None, seed: int, predict: bool, skin: Skin = PAPER
+) -> None:
     """Send clouds until the process is stopped.
 
     Args:
@@ -43,16 +47,17 @@ def send_clouds(control: str, log: Path, rate_hz: float, scene: Path | None, see
         scene: What the virtual skin holds, or None for the demonstration.
         seed: Of the scanner's noise.
         predict: Send the predicted voltages too.
+        skin: What is scanned.
 
     Raises:
         SkinError: The runtime refuses a cloud.
     """
-    from eitskin_tools.scripted_scene.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene.script import script_of
 
-    script = demonstration() if scene is None else from_scene(scene)
+    script = script_of(scene, skin)
     rng = np.random.default_rng(seed)
     if predict:
-        _predicted(script.cloud_at(0.0))  # the first one solves the flat sheet finely
+        _predicted(script.cloud_at(0.0), skin)  # the first one solves the flat sheet finely
     start_ns = script_start(log)["host_ns"]
     period_ns = round(1e9 / rate_hz)
     due_ns = time.perf_counter_ns()
@@ -63,7 +68,7 @@ def send_clouds(control: str, log: Path, rate_hz: float, scene: Path | None, see
         if bend != last:  # a sheet that does not move needs no new cloud
             last = bend
             cloud = script.cloud_at(time_s, rng)
-            predicted, flat = _predicted(cloud) if predict else (None, None)
+            predicted, flat = _predicted(cloud, skin) if predict else (None, None)
             print(json.dumps({"time_s": time_s, "cloud": _send(control, cloud, predicted, flat)}), flush=True)
         due_ns += period_ns
         behind_ns = time.perf_counter_ns() - due_ns
@@ -73,10 +78,10 @@ def send_clouds(control: str, log: Path, rate_hz: float, scene: Path | None, see
             time.sleep(-behind_ns * 1e-9)
 
 
-def _predicted(cloud: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def _predicted(cloud: np.ndarray, skin: Skin) -> tuple[np.ndarray, np.ndarray]:
     from eitskin_sim.surface.predict import flat_voltages, predict
 
-    return predict(cloud), flat_voltages()
+    return predict(cloud, skin), flat_voltages(skin)
 
 
 def _send(control: str, cloud: np.ndarray, predicted: np.ndarray | None, flat: np.ndarray | None) -> int:
@@ -90,6 +95,7 @@ def main() -> int:
     parser.add_argument("log", type=Path)
     parser.add_argument("--rate", type=float, default=4.0)
     parser.add_argument("--scene", type=Path)
+    parser.add_argument("--skin", type=Path)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--predict", action="store_true")
     arguments = parser.parse_args()
@@ -97,8 +103,9 @@ def main() -> int:
         signal.signal(number, _stop)
     os.nice(NICENESS)
     try:
+        skin = PAPER if arguments.skin is None else load(arguments.skin)
         send_clouds(
-            arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict
+            arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict, skin
         )
     except _Stopped:
         pass

@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_tools.demo.recorder import STAGES, Record
 
 SPANS: Final = ("wire", *STAGES[1:], "deliver")
@@ -98,7 +97,7 @@ def accuracy(record: Record, script: Any, start_us: int) -> Accuracy:
     correlations: Mapping[bool, list[float]] = {True: [], False: []}
     for index in np.flatnonzero(touched[:: record.stride]):
         time_s = times_s[index * record.stride]
-        image = record.maps[index].astype(np.float64).reshape(GRID_SHAPE)
+        image = record.maps[index].astype(np.float64)
         flat = script.scene_at(time_s).bend == Bend()
         correlations[flat].append(correlation(image, script.truth_at(time_s)))
     both = correlations[True] + correlations[False]

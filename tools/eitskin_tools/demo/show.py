@@ -23,6 +23,8 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.writing import write_bytes
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
@@ -150,6 +152,10 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
+    if (skin := skin_of(options.bundle)) != PAPER:
+        description = folder / "skin.toml"
+        description.write_text(to_toml(skin), encoding="utf-8")
+        scene += ["--skin", str(description)]
     module, first = (
         ("eitskin_tools.emulator.emulated_skin", [])
         if options.device == "qemu"
@@ -226,9 +232,16 @@ def _going_on(children: list[Child], end: float) -> bool:
 
 def script_of(options: Options) -> Any:
     """Return the script that the virtual skin plays."""
-    from eitskin_tools.scripted_scene.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene import script
 
-    return demonstration() if options.scene is None else from_scene(options.scene)
+    return script.script_of(options.scene, skin_of(options.bundle))
+
+
+def skin_of(bundle: Path | None) -> Skin:
+    """Return the skin that a bundle is for; that of the shipped one by default."""
+    from eitskin.model.bundle import load_bundle
+
+    return load_bundle(bundle, lazily=True).skin
 
 
 def _uses_prediction(bundle: Path | None) -> bool:

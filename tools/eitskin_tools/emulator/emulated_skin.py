@@ -29,6 +29,8 @@ import numpy.typing as npt
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin_proto.errors import SkinError
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import load
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
@@ -55,11 +57,11 @@ CONVERTER_NOISE_V: Final = 4e-8
 """A count of 24 bit at the usual gain: no front end is without noise."""
 
 
-def recording(rate_hz: float, scene: Path | None, noise: str, seed: int) -> npt.NDArray[np.float64]:
+def recording(rate_hz: float, scene: Path | None, noise: str, seed: int, skin: Skin = PAPER) -> npt.NDArray[np.float64]:
     """Return the (frames, 208) V of a whole period of the script, with noise; reciprocal rows are equal."""
-    from eitskin_tools.scripted_scene.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene.script import script_of
 
-    script = demonstration() if scene is None else from_scene(scene)
+    script = script_of(scene, skin)
     length_s = min(script.period_s, LONGEST_S) if np.isfinite(script.period_s) else HELD_S
     solved = prepare(script, length_s)
     source = Noise(noise, 50.0, seed, script.voltages_at(0.0, solved), CONVERTER_NOISE_V)
@@ -142,6 +144,7 @@ def main(argv: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--rate", type=float, default=200.0)
     parser.add_argument("--scene", type=Path)
+    parser.add_argument("--skin", type=Path)
     parser.add_argument("--noise", default="N2")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--seconds", type=float, default=3600.0)
@@ -166,7 +169,8 @@ def _stop(number: int, frame: FrameType | None) -> None:
 
 
 def _serve(arguments: argparse.Namespace) -> None:
-    volts = recording(arguments.rate, arguments.scene, arguments.noise, arguments.seed)
+    skin = PAPER if arguments.skin is None else load(arguments.skin)
+    volts = recording(arguments.rate, arguments.scene, arguments.noise, arguments.seed, skin)
     with tempfile.TemporaryDirectory(prefix="eitskin-board-") as folder, arguments.log.open("w", buffering=1) as log:
         storage = Path(folder) / "storage.bin"
         new_storage(storage)

@@ -49,6 +49,8 @@ def plain_lines(image: npt.NDArray[np.floating]) -> list[str]:
     """Return a line of shades for two rows of a map, for a terminal without colours or for a text file."""
     shades = " ░▒▓█"
     upright = np.asarray(image, dtype=np.float64)[::-1]
+    if len(upright) % 2:
+        upright = np.concatenate([np.zeros((1, upright.shape[1])), upright])
     pairs = np.maximum(upright[0::2], upright[1::2])
     levels = np.clip((pairs * len(shades)).astype(int), 0, len(shades) - 1)
     return ["".join(shades[level] for level in row) for row in levels]
@@ -101,8 +103,8 @@ class Painter:
 
         Args:
             title: First line; it is wrapped where it is too long.
-            image: (30, 45) the streamed map.
-            truth: (30, 45) what it should be.
+            image: (rows, columns) the streamed map.
+            truth: (rows, columns) what it should be.
             footer: Lines below, wrapped as well; they say what is left out where the terminal is too small.
         """
         text = self.picture(*shutil.get_terminal_size(), title, image, truth, footer)
@@ -130,10 +132,10 @@ class Painter:
             footer: See :meth:`show`.
         """
         above, below = _wrapped([title], width), _wrapped(footer, width)
-        layout = arrange(width, height - len(above) - len(below), truth=truth is not None)
+        layout = arrange(width, height - len(above) - len(below), image.shape, truth=truth is not None)
         if layout.left_out:  # texts get a line each, so that the map keeps the rest
             above, below = [title[:width]], [line[:width] for line in (LEFT_OUT, *footer)]
-            layout = arrange(width, height - len(above) - len(below), truth=False)
+            layout = arrange(width, height - len(above) - len(below), image.shape, truth=False)
         maps = self._maps(layout, image, truth)
         spare = height - len(above) - len(maps) - len(below)
         return [*above, *[""][: max(spare - 1, 0)], *maps, *[""][: max(spare, 0)], *below][: max(height, 1)]

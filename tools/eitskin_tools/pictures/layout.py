@@ -1,7 +1,7 @@
 """How maps fit on a screen: side by side, one below the other, larger or smaller, and what is left out if they cannot.
 
-A map has 45 x 30 pixels; a character shows one across and two down. Both maps are drawn as large as the screen allows,
-whole pixels enlarged where there is room, and averaged over areas where there is not.
+The paper's map has 45 x 30 pixels; a character shows one across and two down. Both maps are drawn as large as the
+screen allows, whole pixels enlarged where there is room, and averaged over areas where there is not.
 """
 
 from dataclasses import dataclass
@@ -9,8 +9,6 @@ from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
-
-from eitskin_proto.sensor.grid import GRID_SHAPE
 
 GAP: Final = 4
 """Characters between two maps side by side."""
@@ -36,37 +34,38 @@ class Layout:
     """Whether there is a truth that is not shown."""
 
 
-def arrange(width: int, height: int, *, truth: bool) -> Layout:
+def arrange(width: int, height: int, shape: tuple[int, int], *, truth: bool) -> Layout:
     """Return how maps fit.
 
     Args:
         width: Characters of the screen.
         height: Lines that are left for maps and captions.
+        shape: Rows and columns of a map's pixels.
         truth: Whether there are two maps.
     """
-    alone = _largest(width, height - 1)
+    alone = _largest(width, height - 1, shape)
     if not truth:
         return Layout(*alone, "alone")
-    beside = _largest((width - GAP) // 2, height - 1)
-    below = _largest(width, (height - 2) // 2)
+    beside = _largest((width - GAP) // 2, height - 1, shape)
+    below = _largest(width, (height - 2) // 2, shape)
     if max(beside[0], below[0]) < LEAST_COLUMNS:
         return Layout(*alone, "alone", left_out=True)
     return Layout(*below, "below") if below[0] > beside[0] else Layout(*beside, "beside")
 
 
-def _largest(width: int, lines: int) -> tuple[int, int]:
+def _largest(width: int, lines: int, shape: tuple[int, int]) -> tuple[int, int]:
     """Return (columns, lines) of the largest map in a box, at least 2 by 1."""
-    rows, columns = GRID_SHAPE
-    times = min(width // columns, 2 * lines // rows, MOST_TIMES)
+    rows, columns = shape
+    times = min(width // columns, 2 * lines // (rows + rows % 2), MOST_TIMES)
     if times >= 1:
-        return times * columns, times * rows // 2
+        return times * columns, -(-times * rows // 2)
     share = min(width / columns, 2 * lines / rows)
     return max(int(share * columns), 2), max(round(share * rows / 2), 1)
 
 
 def fitted(image: npt.NDArray[np.floating], columns: int, lines: int) -> npt.NDArray[np.float64]:
-    """Return a (30, 45) map as (2 lines, columns), each value the mean over the area that it stands for."""
-    rows_in, columns_in = GRID_SHAPE
+    """Return a map as (2 lines, columns), each value the mean over the area that it stands for."""
+    rows_in, columns_in = image.shape
     return np.asarray(_means(rows_in, 2 * lines) @ image @ _means(columns_in, columns).T, dtype=np.float64)
 
 

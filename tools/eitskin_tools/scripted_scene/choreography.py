@@ -17,6 +17,7 @@ import itertools
 from dataclasses import dataclass, fields
 from typing import Final
 
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.scene.scene import Bend, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
 
@@ -32,8 +33,15 @@ PRESS_S: Final = 0.15
 FIRST_CONTACT: Final = 0.7
 """Size at which a touch comes and goes, relative to its size when pressed."""
 
-CONDUCTIVITY_S_PER_M: Final = 50.0
-"""Of a touched place (paper section V.A)."""
+RAISED: Final = 50.0
+"""Conductivity of a touched place over the sheet's (paper section V.A)."""
+
+LOWERED: Final = 0.4
+"""The same of a press on a skin that knows only touches that lower it."""
+
+LENGTH_MM: Final = 150.0
+WIDTH_MM: Final = 100.0
+"""The sheet that the paths below are written for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,14 +65,15 @@ class Press:
         """When it goes."""
         return self.path[-1][0]
 
-    def at(self, time_s: float) -> Touch:
-        """Return the touch at a time between coming and going, both included."""
-        x, y = _between(self.path, time_s)
+    def at(self, time_s: float, skin: Skin) -> Touch:
+        """Return the touch at a time between coming and going, both included; its path is stretched to the skin."""
+        (x, y), (length, width) = _between(self.path, time_s), skin.outline.size_mm
+        x, y = x * (length / LENGTH_MM), y * (width / WIDTH_MM)
         pressed = min(time_s - self.comes_s, self.goes_s - time_s, PRESS_S) / PRESS_S
         scale = FIRST_CONTACT + (1.0 - FIRST_CONTACT) * smooth(pressed)
         width, height = self.size_mm[0] * scale / 2, self.size_mm[1] * scale / 2
         shape = Disc(x, y, width) if self.disc else Rect(x - width, y - height, x + width, y + height)
-        return Touch((shape,), CONDUCTIVITY_S_PER_M)
+        return Touch((shape,), conductivity_S_per_m(skin))
 
 
 PRESSES: Final[tuple[Press, ...]] = (
@@ -96,13 +105,19 @@ def smooth(part: float) -> float:
     return part * part * (3.0 - 2.0 * part)
 
 
-def touches_at(time_s: float, *, before: bool = False) -> tuple[Touch, ...]:
+def conductivity_S_per_m(skin: Skin) -> float:
+    """Return that of a touched place."""
+    contrast = RAISED if skin.touches.higher else LOWERED
+    return contrast * float(skin.layer.conductivity_S_per_m.nominal(1)[0])
+
+
+def touches_at(time_s: float, skin: Skin, *, before: bool = False) -> tuple[Touch, ...]:
     """Return the touches at a time of the loop; at the moment of an event those after it, or before it."""
 
     def present(press: Press) -> bool:
         return press.comes_s < time_s <= press.goes_s if before else press.comes_s <= time_s < press.goes_s
 
-    return tuple(press.at(time_s) for press in PRESSES if present(press))
+    return tuple(press.at(time_s, skin) for press in PRESSES if present(press))
 
 
 def bend_at(time_s: float) -> Bend:

@@ -14,7 +14,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.scene import Scene, load_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_tools.scripted_scene import choreography, keyframes
@@ -38,6 +40,8 @@ class Script:
     """Times within a period between which everything is smooth, ascending, from 0."""
     scene: Callable[[float, bool], Scene]
     """(time within the period, whether just before it) -> scene."""
+    skin: Skin = PAPER
+    """What it plays on: its size, electrodes and map."""
 
     def scene_at(self, time_s: float) -> Scene:
         """Return the scene at a time since the start, the touches and bend of that moment."""
@@ -48,17 +52,17 @@ class Script:
         return time_s % self.period_s if np.isfinite(self.period_s) else max(time_s, 0.0)
 
     def truth_at(self, time_s: float) -> npt.NDArray[np.float32]:
-        """Return the (30, 45) map of how much of each pixel is touched, 0 to 1."""
-        return np.asarray(area_map(self.scene_at(time_s).touches), dtype=np.float32)
+        """Return the (rows, columns) map of how much of each pixel is touched, 0 to 1."""
+        return np.asarray(area_map(self.scene_at(time_s).touches, self.skin.grid), dtype=np.float32)
 
     def cloud_at(self, time_s: float, rng: np.random.Generator | None = None) -> npt.NDArray[np.float64]:
-        """Return the (3, 30, 45) mm cloud that a scanner gives at a time.
+        """Return the (3, rows, columns) mm cloud that a scanner gives at a time.
 
         Args:
             time_s: Since the start.
             rng: Source of the scanner's noise; None for a perfect scanner.
         """
-        return np.asarray(measured_cloud(self.scene_at(time_s).bend, rng), dtype=np.float64)
+        return np.asarray(measured_cloud(self.scene_at(time_s).bend, rng, skin=self.skin), dtype=np.float64)
 
     def moments(self, until_s: float, step_s: float = keyframes.STEP_S) -> list[Moment]:
         """Return the keyframes to solve so that times up to ``until_s`` can be interpolated."""
@@ -75,27 +79,27 @@ class Script:
         return solved.at(self.phase_s(time_s))
 
 
-def demonstration() -> Script:
+def demonstration(skin: Skin = PAPER) -> Script:
     """Return the looping script of the demonstration."""
+    flat = replace(nominal_scene(skin, element_size_mm=ELEMENT_MM), current_A=CURRENT_A)
 
     def scene(time_s: float, before: bool) -> Scene:
-        return Scene(
-            bend=choreography.bend_at(time_s),
-            touches=choreography.touches_at(time_s, before=before),
-            current_A=CURRENT_A,
-            element_size_mm=ELEMENT_MM,
-        )
+        touches = choreography.touches_at(time_s, skin, before=before)
+        return replace(flat, bend=choreography.bend_at(time_s), touches=touches)
 
-    return Script("demonstration", choreography.PERIOD_S, choreography.events_s(), scene)
+    return Script("demonstration", choreography.PERIOD_S, choreography.events_s(), scene, skin)
 
 
-def still(scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUCHED_FLAT_S) -> Script:
+def still(
+    scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUCHED_FLAT_S, skin: Skin = PAPER
+) -> Script:
     """Return a script that is flat and untouched for a while, and then holds one scene for ever.
 
     Args:
         scene: What to hold; its current is replaced by the electronics'.
         name: What messages call it.
         flat_s: How long the sheet stays flat and untouched.
+        skin: Whose scene it is.
     """
     held = replace(scene, current_A=CURRENT_A)
     flat = held.reference()
@@ -103,14 +107,24 @@ def still(scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUC
     def at(time_s: float, before: bool) -> Scene:
         return flat if time_s < flat_s or (before and time_s == flat_s) else held
 
-    return Script(name, float("inf"), (0.0, flat_s, flat_s + 1.0), at)
+    return Script(name, float("inf"), (0.0, flat_s, flat_s + 1.0), at, skin)
 
 
-def from_scene(path: str | Path) -> Script:
+def from_scene(path: str | Path, skin: Skin = PAPER) -> Script:
     """Return a script that holds the scene of a JSON file.
 
     Raises:
         SceneError: The file is no valid scene.
         OSError: The file cannot be read.
     """
-    return still(load_scene(path), Path(path).name)
+    return still(load_scene(path, skin), Path(path).name, skin=skin)
+
+
+def script_of(scene: str | Path | None, skin: Skin = PAPER) -> Script:
+    """Return the script that holds a scene's file, or the demonstration's.
+
+    Raises:
+        SceneError: The file is no valid scene.
+        OSError: The file cannot be read.
+    """
+    return demonstration(skin) if scene is None else from_scene(scene, skin)

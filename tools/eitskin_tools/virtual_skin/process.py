@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any
 
 from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.frames import full_scale
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import CONVERTER_V, VirtualDevice
@@ -38,6 +39,7 @@ class Options:
     configuration: str = "paper"
     scene: Path | None = None
     """A scene to hold; the demonstration's script if None."""
+    skin: Skin = PAPER
     seconds: float | None = None
     """Of serving, from when the port appears; for ever if None."""
     seed: int = 0
@@ -87,11 +89,11 @@ def serve(options: Options) -> int:
 
 def _build(options: Options, stack: ExitStack) -> SkinServer:
     from eitskin_tools.scripted_scene.prepare import prepare
-    from eitskin_tools.scripted_scene.script import demonstration, from_scene
+    from eitskin_tools.scripted_scene.script import script_of
 
     configuration = configuration_for(options.rate_hz, options.configuration)
     player = FaultPlayer(options.faults, options.seed)
-    script = demonstration() if options.scene is None else from_scene(options.scene)
+    script = script_of(options.scene, options.skin)
     until_s = script.period_s if options.seconds is None else options.seconds
     solved = prepare(script, until_s)
     count_V = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import skins
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
@@ -28,6 +29,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--region", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help="only this rectangle is needed, in mm"
     )
+    skins.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
@@ -47,6 +49,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.subscription import subscribe
     from eitskin_tools.console.stream_view import StreamView
 
+    grid = skins.chosen(arguments).grid
     if arguments.region is not None:
         try:
             Region.from_mm(*arguments.region)
@@ -62,7 +65,7 @@ def run(arguments: argparse.Namespace) -> int:
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
-    view = StreamView(sys.stdout)
+    view = StreamView(sys.stdout, grid=grid)
     show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}

@@ -37,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.stages import Stages
     from eitskin_training import curves, train
     from eitskin_training.gate import stored
-    from eitskin_training.recipes import recipe
+    from eitskin_training.recipes import fitted, recipe
     from eitskin_training.samples.joined import load_all
 
     changes = {
@@ -57,6 +57,7 @@ def run(arguments: argparse.Namespace) -> int:
     for folder in arguments.data:
         files.find(folder, files.DATA_SET)
     data = load_all(arguments.data)
+    chosen = fitted(chosen, data.skin)
     with _Reporter() as report:
         done = train.train(
             data,
