@@ -52,18 +52,19 @@ def toy_data() -> Callable[..., Any]:
     """Return a maker of linear toy data that trains in seconds: V = V0 (1 - A x), and bends that scale it."""
     import numpy as np
 
-    from eitskin_proto.sensor.grid import N_UNITS, map_from_units
     from eitskin_proto.sensor.table import N_ROWS
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_training.samples.batches import TrainingData
 
-    def make(labels_kind: Any = "units", samples: int = 600, bends: int = 4, seed: int = 0) -> Any:
+    def make(labels_kind: Any = "units", samples: int = 600, bends: int = 4, seed: int = 0, skin: Any = PAPER) -> Any:
+        grid = skin.grid
         rng = np.random.default_rng(seed)
         sets, trained = samples // bends, bends - 2
-        units = np.zeros((sets, N_UNITS), dtype=np.uint8)
-        units[np.arange(sets), rng.integers(N_UNITS, size=sets)] = 1
+        units = np.zeros((sets, grid.n_units), dtype=np.uint8)
+        units[np.arange(sets), rng.integers(grid.n_units, size=sets)] = 1
         units[0] = 0
-        labels = units if labels_kind == "units" else 255 * map_from_units(units).reshape(sets, -1)
-        mixing = 0.1 * np.abs(rng.standard_normal((N_ROWS, N_UNITS)))
+        labels = units if labels_kind == "units" else 255 * grid.map_from_units(units).reshape(sets, -1)
+        mixing = 0.1 * np.abs(rng.standard_normal((N_ROWS, grid.n_units)))
         reference = -np.exp(rng.uniform(-3, 0, N_ROWS))
         scale = 1.0 + 0.1 * rng.permutation(bends) / bends
         touch_set = np.tile(np.arange(sets), bends)
@@ -76,7 +77,7 @@ def toy_data() -> Callable[..., Any]:
             touch_set=touch_set,
             reference=reference,
             untouched=reference * scale[:, None],
-            clouds=rng.standard_normal((bends, 3, 30, 45)).astype(np.float32),
+            clouds=rng.standard_normal((bends, 3, *grid.shape)).astype(np.float32),
             log_predicted=np.log(scale)[:, None].repeat(N_ROWS, 1).astype(np.float32),
             labels_kind=labels_kind,
             labels=labels.astype(np.uint8),
@@ -85,6 +86,7 @@ def toy_data() -> Callable[..., Any]:
             held_out={"A": np.flatnonzero(validation & (deformation >= trained))},
             digest="toy",
             seed=seed,
+            skin=skin,
         )
 
     return make

@@ -3,8 +3,9 @@
 A bundle is a ZIP whose members are stored, not compressed (weights do not shrink) ::
 
     manifest.json    format, version, ids, sha256 of every other member, recipe, seeds, metrics
+    skin.toml        which skin it is for; its digest and its grid's id are in the manifest
     geometry.onnx    cloud -> bias            head.onnx        dv, bias -> map
-    head_int8.onnx   the same, 8-bit          tikhonov.npy     (1350, 104) projection on the flat sheet
+    head_int8.onnx   the same, 8-bit          tikhonov.npy     (pixels, 104) projection on the flat sheet
     gate.npz         touched or not
 
 Its id is the first 16 hex digits of the manifest's sha256: whoever has the id has every byte. Members carry a fixed
@@ -25,9 +26,11 @@ from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import parse, to_toml
 
 VERSION: Final = 1
 """Version of the manifest."""
@@ -35,49 +38,58 @@ VERSION: Final = 1
 MANIFEST: Final = "manifest.json"
 """The member that lists the others."""
 
+SKIN: Final = "skin.toml"
+"""The member that describes the skin."""
+
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
 
-def projection_bytes(projection: npt.NDArray[np.floating]) -> bytes:
+def projection_bytes(projection: npt.NDArray[np.floating], grid: Grid) -> bytes:
     """Return a projection as the bytes of a float32 .npy file.
 
     Raises:
-        ValueError: The shape is not (1350, 104), or a value is not finite.
+        ValueError: The shape is not (pixels, 104), or a value is not finite.
     """
-    if projection.shape != (N_PIXELS, N_ROWS) or not np.isfinite(projection).all():
-        raise ValueError(f"projection has shape {projection.shape}; expected ({N_PIXELS}, {N_ROWS}) finite numbers")
+    if projection.shape != (grid.n_pixels, N_ROWS) or not np.isfinite(projection).all():
+        raise ValueError(
+            f"projection has shape {projection.shape}; expected ({grid.n_pixels}, {N_ROWS}) finite numbers"
+        )
     buffer = io.BytesIO()
     np.save(buffer, projection.astype("<f4"))
     return buffer.getvalue()
 
 
-def manifest(files: dict[str, bytes], facts: dict[str, Any]) -> bytes:
+def manifest(files: dict[str, bytes], facts: dict[str, Any], skin: Skin) -> bytes:
     """Return the manifest of some members.
 
     Args:
         files: Name and contents of every other member.
         facts: What else to state: labels, head, gate, recipe, seeds, metrics and so on.
+        skin: What it is for.
     """
     content = {
         "format": "eitskin-bundle",
         "version": VERSION,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        "grid_id": skin.grid_id,
+        "skin_digest": skin.digest,
         **facts,
         "files": {name: {"sha256": sha256_of(data), "bytes": len(data)} for name, data in files.items()},
     }
     return (json.dumps(content, indent=1, allow_nan=False) + "\n").encode()
 
 
-def write(path: Path, files: dict[str, bytes], facts: dict[str, Any]) -> str:
+def write(path: Path, files: dict[str, bytes], facts: dict[str, Any], skin: Skin) -> str:
     """Write a bundle in one rename and return its id.
 
     Args:
         path: Where; by custom it ends in ``.eitskin``.
-        files: Name and contents of every member but the manifest.
+        files: Name and contents of every member but the manifest and the skin.
         facts: See :func:`manifest`.
+        skin: What it is for.
     """
-    head = manifest(files, facts)
+    files = {SKIN: to_toml(skin).encode(), **files}
+    head = manifest(files, facts, skin)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
         for name, data in {MANIFEST: head, **files}.items():
@@ -85,8 +97,8 @@ def write(path: Path, files: dict[str, bytes], facts: dict[str, Any]) -> str:
     return id_of(head)
 
 
-def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
-    """Return the members of a bundle and its facts, as :func:`write` took them.
+def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any], Skin]:
+    """Return the members of a bundle, its facts and its skin, as :func:`write` took them.
 
     Raises:
         SkinError: A member is missing or is not the one that the manifest vouches for.
@@ -98,9 +110,10 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any]]:
     except BundleError as error:
         raise SkinError(f"{path} is no bundle ({error}); make one with 'eitskin export'") from error
     del facts["files"]
-    for name in ("format", "version", "protocol_id", "grid_id"):
-        del facts[name]
-    return files, facts
+    for name in ("format", "version", "protocol_id", "grid_id", "skin_digest"):
+        facts.pop(name, None)
+    skin = parse(files.pop(SKIN).decode()) if SKIN in files else PAPER
+    return files, facts, skin
 
 
 def amend(path: Path, metrics: dict[str, Any]) -> str:
@@ -114,5 +127,5 @@ def amend(path: Path, metrics: dict[str, Any]) -> str:
         SkinError: It is no whole bundle.
         OSError: The file cannot be read or written.
     """
-    files, facts = read(path)
-    return write(path, files, {**facts, "metrics": {**facts.get("metrics", {}), **metrics}})
+    files, facts, skin = read(path)
+    return write(path, files, {**facts, "metrics": {**facts.get("metrics", {}), **metrics}}, skin)

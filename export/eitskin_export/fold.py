@@ -8,68 +8,73 @@ blocks, so the bias comes out already scaled. Folding is done in float64 and rou
 import copy
 
 import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 
-from eitskin_proto.sensor.grid import N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.grid import Grid
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear, images_of_clouds, places
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.images import ImageLinear, fixed, images_of_clouds, places, signs
+from eitskin_training.network.mirror import Mirror
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
-from eitskin_training.network.sharpen import CELL, CELLS, LOGITS, PIXEL_OF_CELL, Sharpen
+from eitskin_training.network.sharpen import CELL, LOGITS, Sharpen, cells, pixel_of_cell
+
+Mirrors = tuple[Mirror, ...]
 
 
 class GeometryHalf(nn.Module):
-    """(1, 3, 30, 45) cloud -> (1, H) bias, or (1, 4 H), that of every mirror image."""
+    """(1, 3, rows, columns) cloud -> (1, H) bias, or (1, n H), that of every mirror image."""
 
-    def __init__(self, convolutions: nn.Module, linear: nn.Linear, use_cloud: bool, symmetric: bool) -> None:
+    def __init__(self, convolutions: nn.Module, linear: nn.Linear, model: VD2T) -> None:
         super().__init__()
         self.convolutions = convolutions
         self.linear = linear
-        self.use_cloud = use_cloud
-        self.symmetric = symmetric
+        self.use_cloud = model.architecture.use_cloud
+        self.mirrors = model.mirrors if model.architecture.symmetric else None
+        self.skin = model.skin
 
     def forward(self, cloud: Tensor) -> Tensor:
-        """Return (D, H) for (D, 3, 30, 45)."""
+        """Return (D, H) for (D, 3, rows, columns)."""
         if not self.use_cloud:
             cloud = cloud * 0.0
-        if self.symmetric:
-            images = images_of_clouds(cloud).transpose(0, 1).flatten(0, 1)
+        if self.mirrors is not None:
+            images = images_of_clouds(cloud, self.mirrors).transpose(0, 1).flatten(0, 1)
             return self.linear(self.convolutions(images)).view(len(cloud), -1)  # type: ignore[no-any-return]
         return self.linear(self.convolutions(cloud))  # type: ignore[no-any-return]
 
 
 class Mixed(nn.Module):
-    """An :class:`ImageLinear` as one matrix: (4 B, inputs) -> (4 B, outputs), the four images of a sample in a row.
+    """An :class:`ImageLinear` as one matrix: (n B, inputs) -> (n B, outputs), the n images of a sample in a row.
 
-    Image g reads those g, g with x mirrored, g with y, g with both, in this order; then the weights are the same for
-    each g, and a frame reads them once.
+    Image g reads those g then each of all, in their order (of four: g, g with x mirrored, g with y, g with both); then
+    the weights are the same for each g, and a frame reads them once.
     """
 
     order: Tensor
 
     def __init__(self, layer: ImageLinear) -> None:
         super().__init__()
-        signs = torch.tensor(SIGNS, dtype=torch.float64)
-        weight = 0.25 * torch.einsum("kg,kio->gio", signs, layer.weight.detach()).flatten(0, 1)
+        self.images = len(layer.weight)
+        each = torch.from_numpy(signs(self.images)).double()
+        weight = torch.einsum("kg,kio->gio", each, layer.weight.detach()).flatten(0, 1) / self.images
         self.linear = _linear(weight.T.contiguous(), layer.bias).eval()
-        image = torch.arange(IMAGES)
+        image = torch.arange(self.images)
         self.register_buffer("order", (image[:, None] ^ image).reshape(-1), persistent=False)
 
     def gathered(self, x: Tensor) -> Tensor:
-        """Return (4 B, 4 inputs)."""
-        first = IMAGES * torch.arange(len(x) // IMAGES)
+        """Return (n B, n inputs)."""
+        first = self.images * torch.arange(len(x) // self.images)
         return torch.index_select(x, 0, (first[:, None] + self.order).flatten()).view(len(x), -1)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (4 B, outputs)."""
+        """Return (n B, outputs)."""
         return self.linear(self.gathered(x))  # type: ignore[no-any-return]
 
 
 class Head(nn.Module):
-    """(1, 104) dv [, (1, 104) log_predicted], (1, H) bias -> (1, 1350) map in [0, 1].
+    """(1, 104) dv [, (1, 104) log_predicted], (1, H) bias -> (1, n_pixels) map in [0, 1].
 
     Every permutation is a gather of single elements (``GatherElements``): ONNX Runtime does 1350 in under 2 us, where a
     Gather or a Transpose of them takes 10 to 35. The first one gives cells as the convolutions read them and is what
@@ -80,24 +85,24 @@ class Head(nn.Module):
     pixel: Tensor
     images: Tensor
 
-    def __init__(
-        self, architecture: Architecture, voltage: nn.Module, fusion: nn.Module, out: nn.Module, sharpen: Sharpen
-    ) -> None:
+    def __init__(self, model: VD2T, voltage: nn.Module, fusion: nn.Module, out: nn.Module, sharpen: Sharpen) -> None:
         super().__init__()
-        self.architecture = architecture
+        self.architecture: Architecture = model.architecture
+        self.skin = model.skin
+        self.bias_width = model.bias_width
+        self.n_images = len(model.mirrors)
         self.voltage = voltage
         self.fusion = fusion
-        self.activation = activation(architecture)
+        self.activation = activation(self.architecture)
         self.out = out
         self.blocks = sharpen.blocks
-        channel_of_cell = PIXEL_OF_CELL.reshape(-1, CELL**2).T.reshape(1, -1)
-        pixel = np.argsort(channel_of_cell) if len(self.blocks) else UNIT_OF_PIXEL.reshape(1, -1)
-        if architecture.symmetric:
-            place = places()[0].reshape(1, -1)
+        channel_of_cell, pixel = _permutations(self.skin.grid, bool(len(self.blocks)))
+        if self.architecture.symmetric:
+            place = places(model.mirrors)[:1]
             channel_of_cell = place[:, channel_of_cell[0]]
             pixel = pixel if len(self.blocks) else place
-            rows = np.stack([mirror.rows for mirror in MIRRORS])
-            blocks = N_ROWS * np.arange(architecture.feature_blocks)
+            rows = np.stack([mirror.rows for mirror in model.mirrors])
+            blocks = N_ROWS * np.arange(self.architecture.feature_blocks)
             self.register_buffer(
                 "images", torch.from_numpy((rows[:, None] + blocks[:, None]).reshape(1, -1)), persistent=False
             )
@@ -105,18 +110,18 @@ class Head(nn.Module):
         self.register_buffer("pixel", torch.from_numpy(pixel.astype(np.int64)), persistent=False)
 
     def map(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None) -> Tensor:
-        """Return (B, 1350)."""
+        """Return (B, n_pixels)."""
         x = features(dv, self.architecture, log_predicted)
         if self.architecture.symmetric:
-            x = _gather(x, self.images).view(IMAGES * len(dv), -1)
-            bias = bias.view(IMAGES * len(dv), -1)
+            x = _gather(x, self.images).view(self.n_images * len(dv), -1)
+            bias = bias.view(self.n_images * len(dv), -1)
         logits = self.out(self.activation(self._fused(self.voltage(x), bias)))
         if self.architecture.symmetric:
             logits = logits.view(len(dv), -1)
         if len(self.blocks):
             return torch.sigmoid(_gather(self._sharpened(logits), self.pixel))
         touched = torch.sigmoid(logits)
-        plain = self.architecture.outputs == N_PIXELS and not self.architecture.symmetric
+        plain = self.architecture.outputs == "pixels" and not self.architecture.symmetric
         return touched if plain else _gather(touched, self.pixel)
 
     def _fused(self, x: Tensor, bias: Tensor) -> Tensor:
@@ -126,11 +131,19 @@ class Head(nn.Module):
         return torch.addmm(bias, x, self.fusion.weight.T)
 
     def _sharpened(self, logits: Tensor) -> Tensor:
-        """Return (B, 1350) in the order of channels, then cells."""
-        cells = _gather(logits, self.channel_of_cell).view(-1, CELL**2, *CELLS)
+        """Return (B, n_pixels) in the order of channels, then cells."""
+        z = _gather(logits, self.channel_of_cell).view(-1, CELL**2, *cells(self.skin.grid.shape))
         for block in self.blocks:
-            cells = torch.add(cells, block(cells))
-        return cells.flatten(1)
+            z = torch.add(z, block(z))
+        return z.flatten(1)
+
+
+def _permutations(grid: Grid, sharpened: bool) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Return two (1, n_pixels): pixels in the order of channels, then cells, and what each pixel takes at the end."""
+    if not sharpened:
+        return np.zeros((1, 0), dtype=np.int64), grid.unit_of_pixel.reshape(1, -1)
+    channel_of_cell = pixel_of_cell(grid.shape).reshape(-1, CELL**2).T.reshape(1, -1)
+    return channel_of_cell, np.argsort(channel_of_cell)
 
 
 def _gather(values: Tensor, index: Tensor) -> Tensor:
@@ -141,7 +154,7 @@ class PlainHead(Head):
     """The head whose inputs are dv and bias."""
 
     def forward(self, dv: Tensor, bias: Tensor) -> Tensor:
-        """Return (B, 1350)."""
+        """Return (B, n_pixels)."""
         return self.map(dv, bias, None)
 
 
@@ -149,7 +162,7 @@ class PredictedHead(Head):
     """The head whose inputs are dv, log_predicted and bias."""
 
     def forward(self, dv: Tensor, log_predicted: Tensor, bias: Tensor) -> Tensor:
-        """Return (B, 1350)."""
+        """Return (B, n_pixels)."""
         return self.map(dv, bias, log_predicted)
 
 
@@ -170,7 +183,7 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
         mixed = Mixed(exact.fusion_voltage)
         mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])
         fusion: nn.Module = mixed
-        out: nn.Module = Mixed(_central(exact.out))
+        out: nn.Module = Mixed(_central(exact.out, exact.mirrors))
     else:
         assert isinstance(exact.fusion_voltage, nn.Linear)
         fusion = _linear(exact.fusion_voltage.weight * scale[:, None], None)
@@ -180,8 +193,8 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
     for block in exact.sharpen.blocks:
         assert isinstance(block, nn.Sequential)
         _divide(block[0], LOGITS)
-    head = kind(architecture, voltage, fusion, out, exact.sharpen)
-    geometry = GeometryHalf(_folded(exact.cloud), linear, architecture.use_cloud, architecture.symmetric)
+    head = kind(exact, voltage, fusion, out, exact.sharpen)
+    geometry = GeometryHalf(_folded(exact.cloud), linear, exact)
     return geometry.float().eval(), head.float().eval()
 
 
@@ -208,12 +221,12 @@ def _folded(module: nn.Module) -> nn.Module:
     return nn.Sequential(*layers)
 
 
-def _central(layer: nn.Module) -> ImageLinear:
-    """Return the last layer with pixels on the middle line even in x, as the mean over both halves makes them."""
+def _central(layer: nn.Module, mirrors: Mirrors) -> ImageLinear:
+    """Return the last layer with pixels on a mirror's own line even in it, as the mean over their places makes them."""
     assert isinstance(layer, ImageLinear)
-    middle = torch.arange(layer.weight.shape[2]) % QUARTER_SHAPE[1] == QUARTER_SHAPE[1] - 1
-    odd = torch.tensor([signs[1] < 0 for signs in SIGNS])
-    layer.weight = nn.Parameter(torch.where(odd[:, None, None] & middle, 0.0, layer.weight.detach()))
+    odd = signs(len(mirrors)) < 0
+    vanish = torch.from_numpy(odd.astype(int) @ fixed(mirrors).astype(int) > 0)
+    layer.weight = nn.Parameter(torch.where(vanish[:, None, :], 0.0, layer.weight.detach()))
     return layer
 
 

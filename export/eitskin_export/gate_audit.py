@@ -13,11 +13,11 @@ import numpy.typing as npt
 
 from eitskin.pipeline.gate_audit import STRONG_VALUE
 from eitskin_export import parity
-from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.cloud import network_input
+from eitskin_proto.skin.grid import Grid
 from eitskin_training.gate.material import noisy_change
 
-FEWEST_PIXELS: Final = 9
+FEWEST_MM2: Final = 100.0
 """10 mm square: the least that counts as a strong touch, however quiet the network is."""
 
 MARGIN: Final = 2
@@ -26,7 +26,7 @@ MARGIN: Final = 2
 Array = npt.NDArray[np.float64]
 
 
-def audit_pixels(geometry: bytes, head: bytes, bends: Array, reference: Array, frames: int = 400) -> int:
+def audit_pixels(geometry: bytes, head: bytes, bends: Array, reference: Array, grid: Grid, frames: int = 400) -> int:
     """Return how many pixels above one half make a strong touch.
 
     Args:
@@ -34,11 +34,12 @@ def audit_pixels(geometry: bytes, head: bytes, bends: Array, reference: Array, f
         head: The head.
         bends: (n, 104) log(V / V0) of untouched sheets that nothing learned from.
         reference: (104,) V0.
+        grid: Of the map.
         frames: How many are looked at, with the cloud of the flat sheet and no prediction.
     """
     rng = np.random.default_rng(0xA0D17)
     dv = noisy_change(bends[rng.integers(len(bends), size=frames)], reference, rng).astype(np.float32)
-    flat = np.repeat(network_input(flat_cloud())[np.newaxis], frames, axis=0)
+    flat = np.repeat(network_input(grid.flat_cloud_mm(), grid)[np.newaxis], frames, axis=0)
     maps = parity.run_graphs(geometry, head, dv, flat, np.zeros_like(dv))["map"]
     largest = int(np.count_nonzero(maps > STRONG_VALUE, axis=1).max())
-    return min(max(FEWEST_PIXELS, MARGIN * largest), N_PIXELS)
+    return min(max(round(FEWEST_MM2 / grid.pixel_mm2), 1, MARGIN * largest), grid.n_pixels)

@@ -17,7 +17,7 @@ import torch
 
 from eitskin_export.fold import GeometryHalf, Head
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
 
@@ -29,13 +29,13 @@ TRAINING_ONLY: Final = frozenset({"Dropout", "BatchNormalization"})
 
 
 def geometry_graph(geometry: GeometryHalf) -> bytes:
-    """Return the graph from "cloud" (1, 3, 30, 45) to "bias" (1, H)."""
+    """Return the graph from "cloud" (1, 3, rows, columns) to "bias" (1, H)."""
     return _export(geometry, (torch.zeros(1, *PAPER.grid.cloud_shape),), ["cloud"], ["bias"])
 
 
 def head_graph(head: Head) -> bytes:
-    """Return the graph from "dv" (1, 104) [, "log_predicted" (1, 104)] and "bias" (1, H) to "map" (1, 1350)."""
-    rows, bias = torch.zeros(1, N_ROWS), torch.zeros(1, head.architecture.bias_width)
+    """Return the graph from "dv" (1, 104) [, "log_predicted" (1, 104)] and "bias" (1, H) to "map" (1, n_pixels)."""
+    rows, bias = torch.zeros(1, N_ROWS), torch.zeros(1, head.bias_width)
     if head.architecture.log_predicted:
         return _export(head, (rows, rows.clone(), bias), ["dv", "log_predicted", "bias"], ["map"])
     return _export(head, (rows, bias), ["dv", "bias"], ["map"])
@@ -54,7 +54,9 @@ def quiet() -> Iterator[None]:
         logging.disable(before)
 
 
-def _export(module: torch.nn.Module, example: tuple[torch.Tensor, ...], inputs: list[str], outputs: list[str]) -> bytes:
+def _export(
+    module: GeometryHalf | Head, example: tuple[torch.Tensor, ...], inputs: list[str], outputs: list[str]
+) -> bytes:
     if module.training:
         raise SkinError(
             "a network in training mode cannot be exported: call eval() first, or dropout stays in the graph"
@@ -74,7 +76,7 @@ def _export(module: torch.nn.Module, example: tuple[torch.Tensor, ...], inputs: 
     model = program.model_proto
     check(model)
     without_traces(model)
-    onnx.helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID})
+    onnx.helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": module.skin.grid_id})
     onnx.checker.check_model(model)
     buffer = io.BytesIO()
     onnx.save_model(model, buffer)

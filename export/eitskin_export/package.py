@@ -18,6 +18,7 @@ from eitskin_export.bundle import read as read_bundle
 from eitskin_export.fold import split
 from eitskin_export.gate_audit import audit_pixels
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.skin import Skin
 from eitskin_training.card import card
 from eitskin_training.gate.fit import Gate
 from eitskin_training.gate.stored import GiveBends, gate_of_run
@@ -31,7 +32,7 @@ def export(
     out: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    jacobian: Callable[[], npt.NDArray[np.float64]] = projection.flat_jacobian,
+    jacobian: Callable[[Skin], npt.NDArray[np.float64]] = projection.flat_jacobian,
     bends: GiveBends | None = None,
     gate_steps: int | None = None,
 ) -> dict[str, Any]:
@@ -42,13 +43,14 @@ def export(
         data: Its data set, which the gate learns from and the metrics are measured on.
         out: The bundle's path.
         tell: Told what is being done.
-        jacobian: Gives the (104, 1350) relative Jacobian of the projection.
+        jacobian: Gives the (104, pixels) relative Jacobian of the projection.
         bends: Gives the untouched sheets for a gate that must be made up; None solves them.
         gate_steps: Steps that such a gate is fitted for; None takes the usual ones.
 
     Raises:
         SkinError: The graphs differ from the network, or still hold a training layer.
     """
+    skin = found.skin
     tell("exporting the two graphs")
     geometry, head = split(found.model)
     geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
@@ -58,9 +60,11 @@ def export(
     int8 = parity.int8_error(geometry_bytes, head_bytes, int8_bytes, *held_out_inputs(data))
     own = gate_of_run(found.folder, data, found.seed, tell=tell, bends=bends, steps=gate_steps)
     tell("auditing the gate")
-    touch_gate = own.gate.audited(audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference))
+    touch_gate = own.gate.audited(
+        audit_pixels(geometry_bytes, head_bytes, own.bends.measure, data.reference, skin.grid)
+    )
     tell("measuring what healthy frames look like")
-    inverse = projection.damped_inverse(jacobian())
+    inverse = projection.damped_inverse(jacobian(skin))
     filling = {name: value.numpy() for name, value in found.content.get("filling", {}).items()}
     healthy = consistency.healthy(data, found.recipe, own.bends, inverse, filling)
     tell("scoring on held-out bends")
@@ -76,12 +80,12 @@ def export(
         "geometry.onnx": geometry_bytes,
         "head.onnx": head_bytes,
         "head_int8.onnx": int8_bytes,
-        "tikhonov.npy": projection_bytes(projection.tikhonov(jacobian())),
+        "tikhonov.npy": projection_bytes(projection.tikhonov(jacobian(skin)), skin.grid),
         "gate.npz": touch_gate.to_npz(),
         "consistency.npz": healthy.to_npz(),
     }
     facts = _facts(found, data, touch_gate, metrics)
-    identity = write(out, files, facts)
+    identity = write(out, files, facts, skin)
     tell("running it through the runtime's engine")
     differences = {**differences, "map through the runtime": parity.through_runtime(found.model, out)}
     return {
@@ -119,16 +123,16 @@ def refit_gate(
         MismatchError: The bundle is of another data set.
         SkinError: It is no whole bundle.
     """
-    files, facts = read_bundle(path)
+    files, facts, skin = read_bundle(path)
     if facts["data_digest"] != data.digest:
         raise MismatchError(
             f"{path}: data set", found=facts["data_digest"], expected=data.digest, hint="name the run it was made from"
         )
     own = gate_of_run(found.folder, data, found.seed, tell=tell, anew=True, bends=bends, steps=gate_steps)
     tell("auditing the gate")
-    pixels = audit_pixels(files["geometry.onnx"], files["head.onnx"], own.bends.measure, data.reference)
+    pixels = audit_pixels(files["geometry.onnx"], files["head.onnx"], own.bends.measure, data.reference, skin.grid)
     touch_gate = own.gate.audited(pixels)
-    identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()})
+    identity = write(path, {**files, "gate.npz": touch_gate.to_npz()}, {**facts, "gate": touch_gate.facts()}, skin)
     return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
 
@@ -149,7 +153,7 @@ def _facts(found: Trained, data: TrainingData, touch_gate: Gate, metrics: dict[s
         "labels": found.recipe.labels,
         "head": {
             "inputs": ["dv", "log_predicted"] if architecture.log_predicted else ["dv"],
-            "bias": architecture.bias_width,
+            "bias": found.model.bias_width,
             "precision": ["fp32", "int8"],
         },
         "gate": touch_gate.facts(),

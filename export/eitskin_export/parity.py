@@ -27,10 +27,12 @@ from eitskin.model.session import onnxruntime
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.normalise import relative_change
-from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.cloud import network_input
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.evaluation import trials
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_training.network.model import VD2T
@@ -52,16 +54,16 @@ Exact = npt.NDArray[np.float64]
 
 
 @lru_cache(maxsize=4)
-def stored_inputs(count: int = 32) -> tuple[Array, Array, Array]:
-    """Return (n, 104) dv, (n, 3, 30, 45) clouds and (n, 104) log_predicted that never change."""
+def stored_inputs(skin: Skin, count: int = 32) -> tuple[Array, Array, Array]:
+    """Return (n, 104) dv, (n, 3, rows, columns) clouds and (n, 104) log_predicted that never change."""
     rng = np.random.default_rng(SEED)
     bends = min(BENDS, count)
-    phantoms = trials.random((1, 4), bends, -(-count // bends), "A", "area")[:count]
-    flat = _voltages(Scene())
+    phantoms = trials.random((1, 4), bends, -(-count // bends), "A", "area", skin)[:count]
+    flat = _voltages(nominal_scene(skin))
     changes, clouds, predicted = [], [], []
     for bend, group in groupby(phantoms, key=lambda phantom: phantom.scene.bend):
-        untouched = _voltages(Scene(bend=bend))
-        cloud = network_input(measured_cloud(bend, rng))
+        untouched = _voltages(nominal_scene(skin, bend))
+        cloud = network_input(measured_cloud(bend, rng, skin=skin), skin.grid)
         for phantom in group:
             noisy = add_noise(_voltages(phantom.scene), flat, "N2", 50.0, rng)
             changes.append(relative_change(noisy, flat))
@@ -84,7 +86,7 @@ def session(graph: bytes) -> onnxruntime.InferenceSession:
 
 
 def run_graphs(geometry: bytes, head: bytes, dv: Array, clouds: Array, predicted: Array) -> dict[str, Array]:
-    """Return {"bias": (n, H), "map": (n, 1350)} of the two graphs, one sample at a time as they stream."""
+    """Return {"bias": (n, H), "map": (n, n_pixels)} of the two graphs, one sample at a time as they stream."""
     geometry_session, head_session = session(geometry), session(head)
     wanted = {item.name for item in head_session.get_inputs()}
     biases, maps = [], []
@@ -118,7 +120,7 @@ def parity(model: VD2T, geometry: bytes, head: bytes) -> dict[str, float]:
     Raises:
         SkinError: The map differs by more than ``TOLERANCE``.
     """
-    inputs = stored_inputs()
+    inputs = stored_inputs(model.skin)
     expected, found = run_network(model, *inputs), run_graphs(geometry, head, *inputs)
     # The bias has no bound of its own size, so its difference is given relative to its largest value.
     size = max(1.0, float(np.abs(expected["bias"]).max()))
@@ -143,16 +145,18 @@ def through_runtime(model: VD2T, bundle: Path) -> float:
     loaded = load_bundle(bundle)
     geometry_graph, buffers = GeometryGraph(loaded), Buffers(loaded.bias_width)
     (head,) = (engine for engine in engines(loaded, buffers) if engine.name == "vd2t")
-    dv, _, predicted = stored_inputs(8)
+    dv, _, predicted = stored_inputs(model.skin, 8)
     rng = np.random.default_rng(9)
-    clouds = [flat_cloud() + 5.0 * rng.standard_normal((3, 1, 1)) * np.sin(flat_cloud()[:1] / 40.0) for _ in dv]
+    grid = model.skin.grid
+    flat = grid.flat_cloud_mm()
+    clouds = [flat + 5.0 * rng.standard_normal((3, 1, 1)) * np.sin(flat[:1] / 40.0) for _ in dv]
     largest = 0.0
     for revision, cloud in enumerate(clouds):
         buffers.take(geometry_graph.geometry(cloud, predicted[revision], revision))
         buffers.change[0] = dv[revision]
         head.infer()
         one = slice(revision, revision + 1)
-        expected = run_network(model, dv[one], network_input(cloud)[np.newaxis], predicted[one])["map"]
+        expected = run_network(model, dv[one], network_input(cloud, grid)[np.newaxis], predicted[one])["map"]
         largest = max(largest, float(np.abs(buffers.map - expected).max()))
     if not largest < TOLERANCE:
         raise SkinError(

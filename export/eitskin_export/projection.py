@@ -1,4 +1,4 @@
-"""Tikhonov on the flat sheet as one matrix: 1350 values are one product away from 104 changes.
+"""Tikhonov on the flat sheet as one matrix: a map is one product away from 104 changes.
 
 The pixels' conductivities answer dV by x = J^T (J J^T + tau I)^-1 dV, with J = d(dV)/d(sigma) on the flat, untouched
 sheet and tau relative to the largest eigenvalue of J J^T. It is built in float64 and rounded once: in float32 the
@@ -6,25 +6,26 @@ matrix is off by 0.3 % at tau = 1e-5 and by a third at 1e-7. This is the fallbac
 that is compared with: a bent sheet has its own matrix.
 """
 
-from functools import cache
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.jacobian import cell_jacobian
-from eitskin_sim.scene.parts import Electrodes, Sheet
+from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_sheet
 
 FACTOR: Final = 1e-3
 """Tikhonov's factor (paper section V.B), relative to the largest eigenvalue of J J^T."""
 
 
 def tikhonov(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) -> npt.NDArray[np.float32]:
-    """Return the (1350, 104) projection of a Jacobian.
+    """Return the (pixels, 104) projection of a Jacobian.
 
     Args:
-        jacobian: (104, 1350) relative change of each row per relative change of each pixel.
+        jacobian: (104, pixels) relative change of each row per relative change of each pixel.
         factor: Regularisation, relative.
 
     Raises:
@@ -46,14 +47,14 @@ def damped_inverse(jacobian: npt.NDArray[np.float64], factor: float = FACTOR) ->
     return np.asarray(np.linalg.inv(gram + tau * np.eye(N_ROWS)))
 
 
-@cache
-def flat_jacobian() -> npt.NDArray[np.float64]:
-    """Return the (104, 1350) relative Jacobian of the flat sheet of the default scene."""
-    sheet = Sheet()
-    untouched, slope = cell_jacobian(sheet, Electrodes())
+@lru_cache(maxsize=4)
+def flat_jacobian(skin: Skin) -> npt.NDArray[np.float64]:
+    """Return the (104, pixels) relative Jacobian of a skin's flat sheet, as it is stated."""
+    sheet = nominal_sheet(skin)
+    untouched, slope = cell_jacobian(sheet, nominal_electrodes(skin), flat_metric_of(skin), shape=skin.grid.shape)
     return np.asarray(slope * sheet.conductivity_S_per_m / untouched[:, np.newaxis])
 
 
-def flat_projection(factor: float = FACTOR) -> npt.NDArray[np.float32]:
-    """Return the (1350, 104) projection on the flat sheet of the default scene."""
-    return tikhonov(flat_jacobian(), factor)
+def flat_projection(skin: Skin, factor: float = FACTOR) -> npt.NDArray[np.float32]:
+    """Return the (pixels, 104) projection on a skin's flat sheet."""
+    return tikhonov(flat_jacobian(skin), factor)

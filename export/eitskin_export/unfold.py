@@ -19,7 +19,8 @@ from torch import Tensor, nn
 
 from eitskin_export.bundle import read
 from eitskin_proto.errors import SkinError
-from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear
+from eitskin_proto.skin.skin import Skin
+from eitskin_training.network.images import ImageLinear, signs
 from eitskin_training.network.model import VD2T, Residual
 from eitskin_training.network.sharpen import LOGITS
 from eitskin_training.recipes import Recipe
@@ -37,29 +38,30 @@ def start_of_bundle(path: Path) -> Start:
     Raises:
         SkinError: It is no bundle, or one whose network cannot be taken apart.
     """
-    files, facts = read(path)
+    files, facts, skin = read(path)
     try:
         recipe = Recipe.from_dict(facts["recipe"])
     except (KeyError, ValueError, TypeError) as error:
         raise SkinError(f"{path} does not say how it was trained ({error}); start from a run instead") from error
-    model = unfolded(files["geometry.onnx"], files["head.onnx"], recipe)
+    model = unfolded(files["geometry.onnx"], files["head.onnx"], recipe, skin)
     lineage = {"bundle_data": facts.get("data_digest"), "seeds": facts.get("seeds"), "still": True}
-    return Start(model.state_dict(), recipe.architecture, lineage)
+    return Start(model.state_dict(), recipe.architecture, skin, lineage)
 
 
-def unfolded(geometry: bytes, head: bytes, recipe: Recipe) -> VD2T:
+def unfolded(geometry: bytes, head: bytes, recipe: Recipe, skin: Skin) -> VD2T:
     """Return the network of a bundle, in evaluation mode.
 
     Args:
         geometry: ``geometry.onnx``.
         head: ``head.onnx``.
         recipe: The manifest's, with the architecture.
+        skin: What the bundle is for.
 
     Raises:
         SkinError: The graphs are not those of the architecture.
     """
     try:
-        return _filled(VD2T(recipe.architecture), _weights(geometry), _weights(head))
+        return _filled(VD2T(recipe.architecture, skin), _weights(geometry), _weights(head))
     except (KeyError, RuntimeError, ValueError) as error:
         raise SkinError(
             f"the bundle's graphs are not those of its recipe's network ({error}); start from a run instead"
@@ -113,8 +115,9 @@ def _linear(layer: nn.Module, weight: npt.NDArray[np.float32], bias: npt.NDArray
     assert isinstance(own, Tensor)
     found = torch.from_numpy(np.array(weight))
     if isinstance(layer, ImageLinear):
-        signs = torch.tensor(SIGNS, dtype=found.dtype)
-        found = torch.einsum("kg,gio->kio", signs, found.T.reshape(IMAGES, -1, len(weight)))
+        images = len(own)
+        each = torch.from_numpy(signs(images)).to(found.dtype)
+        found = torch.einsum("kg,gio->kio", each, found.T.reshape(images, -1, len(weight)))
     if found.shape != own.shape:
         raise ValueError(f"a layer of shape {tuple(found.shape)}, expected {tuple(own.shape)}")
     own.copy_(found)

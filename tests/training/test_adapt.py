@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from eitskin_proto.sensor.row_gaussian import log_of_change, rows_of
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.measurement.consistency import Filler, fit
 from eitskin_training import run_files, train
 from eitskin_training.adapt import Plan, adapt, write
@@ -29,7 +30,7 @@ def tiny(**changes: Any) -> Recipe:
 
 def trained(data: Any) -> VD2T:
     torch.manual_seed(0)
-    return VD2T(tiny().architecture).eval()
+    return VD2T(tiny().architecture, PAPER).eval()
 
 
 def test_untaught_it_fills_in_what_the_gaussian_says(toy_data: Any) -> None:
@@ -101,7 +102,7 @@ def test_maps_without_an_electrode_gain(toy_data: Any, tmp_path: Path) -> None:
     data, chosen = toy_data("units", samples=1000), tiny(epochs=6, learning_rate=5e-3, lost_electrode=0.0)
     train.train(data, chosen, tmp_path / "run")
     content = run_files.read(tmp_path / "run" / "best.pt")
-    model = run_files.network(chosen, content["weights"])
+    model = run_files.network(chosen, content["weights"], PAPER)
     adapted = adapt(model, chosen, data, replace(QUICK, steps=80))
     before, after = adapted.facts["before"], adapted.facts["after"]
     assert after["two_lost"] > before["two_lost"]
@@ -109,7 +110,7 @@ def test_maps_without_an_electrode_gain(toy_data: Any, tmp_path: Path) -> None:
     path = write(tmp_path / "adapted", content, adapted)
     again = run_files.read(path)
     assert again["adapted"] == adapted.facts
-    network = run_files.network(chosen, again["weights"])
+    network = run_files.network(chosen, again["weights"], PAPER)
     assert torch.equal(network.out.weight, adapted.model.out.weight)
     assert again["filling"]["filling_first"].shape[0] == 224
 

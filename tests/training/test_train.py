@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tests.second_skin import SECOND
 
 from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training import curves, run_files, train
 from eitskin_training.card import card
 from eitskin_training.recipes import Recipe, recipe
@@ -44,7 +46,7 @@ def test_training_learns_and_the_best_epoch_is_what_is_kept(toy_data: Any, tmp_p
     losses = [epoch.validation_loss for epoch in run.history]
     assert min(losses) < 0.8 * losses[0]
     content = run_files.read(tmp_path / "best.pt")
-    kept = run_files.network(run.recipe, content["weights"])
+    kept = run_files.network(run.recipe, content["weights"], PAPER)
     again = score(kept, data, data.validation, run.recipe.noises)
     assert again.loss == pytest.approx(min(losses), rel=1e-5)
     assert run.best is not None
@@ -106,10 +108,42 @@ def test_statistics_stay_where_they_are_part_of_the_weights(toy_data: Any, tmp_p
     assert Start.of_run(tmp_path / "still").facts["still"]
 
 
-@pytest.mark.parametrize("field", ["protocol_id", "grid_id"])
-def test_data_of_another_protocol_or_grid_is_refused(field: str, toy_data: Any, tmp_path: Path) -> None:
-    with pytest.raises(MismatchError, match=rf"{field}: found 0123, expected .*eitskin dataset"):
-        train.train(replace(toy_data("area"), **{field: "0123"}), tiny(), tmp_path)
+def test_data_of_another_protocol_is_refused(toy_data: Any, tmp_path: Path) -> None:
+    with pytest.raises(MismatchError, match=r"protocol_id: found 0123, expected .*eitskin dataset"):
+        train.train(replace(toy_data("area"), protocol_id="0123"), tiny(), tmp_path)
+
+
+def test_a_run_carries_the_skin_of_its_data_and_one_without_is_the_papers(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area", samples=200, skin=SECOND)
+    train.train(data, tiny(epochs=1), tmp_path / "run")
+    found = run_files.trained(tmp_path / "run")
+    assert found.skin == SECOND
+    maps = found.model.maps(found.model(torch.zeros(1, 104), torch.zeros(1, 3, *SECOND.grid.shape)))
+    assert maps.shape == (1, SECOND.grid.n_pixels)
+    content = run_files.read(tmp_path / "run" / "best.pt")
+    older = {name: value for name, value in content.items() if name not in ("skin", "skin_digest")}
+    run_files.write_file(tmp_path / "best.pt", older)
+    with pytest.raises(MismatchError, match=f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}"):
+        run_files.read(tmp_path / "best.pt")
+    run_files.write_file(tmp_path / "best.pt", {**older, "grid_id": PAPER.grid_id})
+    assert run_files.skin_of(run_files.read(tmp_path / "best.pt"), tmp_path) is PAPER
+    run_files.write_file(tmp_path / "best.pt", {**content, "skin_digest": "0123"})
+    with pytest.raises(MismatchError, match="skin_digest: found 0123"):
+        run_files.read(tmp_path / "best.pt")
+    run_files.write_file(tmp_path / "best.pt", {**content, "skin": "no skin"})
+    with pytest.raises(SkinError, match="train again"):
+        run_files.read(tmp_path / "best.pt")
+
+
+def test_a_run_goes_on_and_starts_with_data_of_its_own_skin_alone(toy_data: Any, tmp_path: Path) -> None:
+    second, paper = toy_data("units", samples=200, skin=SECOND), toy_data("units", samples=200)
+    plain = replace(recipe("units"), epochs=1, batch=64)
+    plain = replace(plain, architecture=replace(plain.architecture, widths=(16, 16), hidden=16))
+    train.train(second, plain, tmp_path / "run")
+    with pytest.raises(MismatchError, match=f"skin_digest: found {SECOND.digest}, expected {PAPER.digest}"):
+        train.train(paper, plain, tmp_path / "run", resume=True)
+    with pytest.raises(MismatchError, match=f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}"):
+        train.train(paper, plain, tmp_path / "other", start=tmp_path / "run")
 
 
 def test_labels_that_the_recipe_does_not_learn_from_are_refused(toy_data: Any, tmp_path: Path) -> None:
@@ -139,9 +173,13 @@ def test_the_loss_over_units_equals_the_loss_over_their_pixels(toy_data: Any) ->
     generator = torch.Generator().manual_seed(0)
     logits = torch.randn(4, 126, generator=generator)
     labels = (torch.rand(4, 126, generator=generator) < 0.1).float()
-    spread = torch.from_numpy(train.VD2T(recipe("paper").architecture).get_buffer("unit_of_pixel").numpy())
-    torch.testing.assert_close(loss_of(logits, labels), loss_of(logits[:, spread], labels[:, spread]))
-    torch.testing.assert_close(loss_of(logits[:, spread], labels), loss_of(logits[:, spread], labels[:, spread]))
+    spread = torch.from_numpy(train.VD2T(recipe("paper").architecture, PAPER).get_buffer("unit_of_pixel").numpy())
+    torch.testing.assert_close(
+        loss_of(logits, labels, PAPER.grid), loss_of(logits[:, spread], labels[:, spread], PAPER.grid)
+    )
+    torch.testing.assert_close(
+        loss_of(logits[:, spread], labels, PAPER.grid), loss_of(logits[:, spread], labels[:, spread], PAPER.grid)
+    )
 
 
 def test_the_cycle_rises_then_falls_to_nearly_nothing() -> None:
@@ -162,7 +200,7 @@ def test_correlation_is_pearsons_and_zero_for_a_constant_map() -> None:
 
 def test_the_card_scores_each_family_under_each_noise(toy_data: Any) -> None:
     data = toy_data("area")
-    found = card(train.VD2T(recipe("tiny").architecture), data)
+    found = card(train.VD2T(recipe("tiny").architecture, PAPER), data)
     assert set(found) == {"A"}
     assert set(found["A"]) == {"N1", "N2", "N3"}
     assert found["A"]["N1"]["samples"] == len(data.held_out["A"])
@@ -183,16 +221,16 @@ def test_the_training_loss_adds_what_touched_maps_lack_in_correlation() -> None:
     logits = torch.randn(5, 1350, generator=generator)
     touched = labels.amax(dim=1) > 0
     cc = correlation(torch.sigmoid(logits).numpy(), labels.numpy())
-    expected = float(loss_of(logits, labels)) + 0.3 * float(((1.0 - cc) * touched.numpy()).mean())
-    assert float(training_loss(logits, labels, 0.3)) == pytest.approx(expected, rel=1e-5)
-    assert torch.equal(training_loss(logits, labels, 0.0), loss_of(logits, labels))
+    expected = float(loss_of(logits, labels, PAPER.grid)) + 0.3 * float(((1.0 - cc) * touched.numpy()).mean())
+    assert float(training_loss(logits, labels, 0.3, PAPER.grid)) == pytest.approx(expected, rel=1e-5)
+    assert torch.equal(training_loss(logits, labels, 0.0, PAPER.grid), loss_of(logits, labels, PAPER.grid))
 
 
 def test_a_map_without_contrast_has_a_finite_gradient() -> None:
     logits = torch.full((2, 1350), -8.0, requires_grad=True)
     labels = torch.zeros(2, 1350)
     labels[0, :9] = 1.0
-    training_loss(logits, labels, 0.3).backward()
+    training_loss(logits, labels, 0.3, PAPER.grid).backward()
     assert torch.isfinite(logits.grad).all()
 
 

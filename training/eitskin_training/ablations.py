@@ -28,7 +28,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_training.network.model import VD2T
-from eitskin_training.recipes import Recipe
+from eitskin_training.recipes import OF_AN_IMAGE, Recipe, widened
 from eitskin_training.run_files import network
 from eitskin_training.samples.batches import TrainingData
 from eitskin_training.score import Score, score, untouched_peaks
@@ -44,9 +44,6 @@ VARIANTS: Final = (
 
 WITH_BOTH: Final = ("both", "unsharpened", "cross-entropy", "unmirrored")
 """Variants that take the prediction and the cloud."""
-
-OF_AN_IMAGE: Final = 1.6
-"""Width of a network without symmetry beside that of each of four images, for as many weights a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,17 +93,11 @@ def variant_recipe(base: Recipe, variant: str) -> Recipe:
     unmirrored = variant == "unmirrored"
     if unmirrored and not base.architecture.symmetric:
         raise ValueError(f"recipe {base.name!r} knows no symmetry that variant 'unmirrored' could leave out")
-    widths = base.architecture.widths, base.architecture.hidden
-    if unmirrored:
-        widths = tuple(round(OF_AN_IMAGE * width) for width in widths[0]), round(OF_AN_IMAGE * widths[1])
     architecture = replace(
-        base.architecture,
+        widened(base.architecture, OF_AN_IMAGE, symmetric=False) if unmirrored else base.architecture,
         log_predicted=variant in ("predicted", "post", *WITH_BOTH),
         use_cloud=variant in ("cloud", "paper-cloud", *WITH_BOTH),
         cloud_channels=channels,
-        widths=widths[0],
-        hidden=widths[1],
-        symmetric=base.architecture.symmetric and not unmirrored,
         sharpening=() if variant == "unsharpened" else base.architecture.sharpening,
     )
     weight = 0.0 if variant == "cross-entropy" else base.correlation_weight
@@ -177,7 +168,7 @@ def ablate(
         recipe, own = variant_recipe(base, variant), variant_data(data, variant, deformations, samples, seed)
         with TemporaryDirectory() as folder:
             run = train(own, recipe, Path(folder) / "run", seed=seed)
-        model = network(recipe, run.averaged)
+        model = network(recipe, run.averaged, own.skin)
         in_a, in_b = (score(model, own, own.held_out[family], recipe.noises) for family in ("A", "B"))
         wrong: Score | None = None
         if recipe.architecture.use_cloud or recipe.architecture.log_predicted:

@@ -26,7 +26,7 @@ from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_training.missing_electrodes_score import held_out, score_line
 from eitskin_training.network.filling import WIDTH, Filling, Missing
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import write_file
@@ -148,7 +148,7 @@ class _Drawn:
 def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.random.Generator) -> _Drawn:
     """Return samples of which the first ``share`` lose electrodes, in groups."""
     rows = rng.choice(data.train, size=size)
-    number = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
+    number = int(rng.integers(len(mirrors(data.skin)))) if recipe.flips else 0
     change = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
     incomplete = max(GROUPS, int(share * size))
     whole = change[incomplete:]
@@ -156,7 +156,7 @@ def _draw(data: TrainingData, recipe: Recipe, size: int, share: float, rng: np.r
     change[incomplete:] = whole
     predicted = data.log_predicted[data.deformation[rows]]
     predicted[rng.random(size) < recipe.predicted_dropout] = 0.0
-    image = MIRRORS[number].rows
+    image = mirrors(data.skin)[number].rows
     change, predicted = np.ascontiguousarray(change[:, image]), np.ascontiguousarray(predicted[:, image])
     edges = np.linspace(0, incomplete, GROUPS + 1).astype(int)
     groups = []
@@ -191,20 +191,21 @@ def _map_loss(
     change = torch.cat(
         [torch.where(missing, torch.expm1(filled), drawn.change[: drawn.incomplete]), drawn.change[drawn.incomplete :]]
     )
-    mirror = MIRRORS[drawn.mirror]
+    mirror = mirrors(data.skin)[drawn.mirror]
     columns = mirror.units if data.labels_kind == "units" else mirror.pixels
     labels = torch.from_numpy(data.labels[data.touch_set[drawn.rows]][:, columns].astype(np.float32))
     if data.labels_kind == "area":
         labels = labels / 255.0
     bias = biases[drawn.mirror][torch.from_numpy(data.deformation[drawn.rows])]
-    found = training_loss(model.logits(change, bias, drawn.predicted), labels, recipe.correlation_weight)
+    logits = model.logits(change, bias, drawn.predicted)
+    found = training_loss(logits, labels, recipe.correlation_weight, data.skin.grid)
     return found + ROWS_WEIGHT * _rows_error(filling, drawn, filled, missing)
 
 
 def _biases(model: VD2T, data: TrainingData) -> list[Tensor]:
     """Return what each cloud adds, (D, H) for each mirror image: the cloud's half does not change."""
     with torch.inference_mode():
-        found = [model.bias(torch.from_numpy(mirror.clouds(data.clouds))) for mirror in MIRRORS]
+        found = [model.bias(torch.from_numpy(mirror.clouds(data.clouds))) for mirror in mirrors(data.skin)]
     return [bias.clone() for bias in found]
 
 

@@ -3,13 +3,12 @@
 import numpy as np
 import torch
 
-from eitskin_proto.sensor.grid import map_from_units
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_training.network.filling import Filling, Missing
 from eitskin_training.network.model import VD2T
 from eitskin_training.samples.batches import TrainingData, assemble, noisy_change
-from eitskin_training.score import correlation
+from eitskin_training.score import correlation, truth_of
 
 
 def held_out(
@@ -30,8 +29,7 @@ def held_out(
     rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
     change = noisy_change(data, rows, ("N2",), 50.0, rng)
     batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])
-    truth = batch.labels.numpy()
-    truth = map_from_units(truth).reshape(len(rows), -1) if data.labels_kind == "units" else truth
+    truth = truth_of(batch.labels.numpy(), data)
     touched = truth.max(axis=1) > 0
     logs = torch.from_numpy(log_of_change(change).astype(np.float32))
 

@@ -8,8 +8,9 @@ all three noises, the sheet's mirror symmetries, missing rows; ``units`` keeps t
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Final, Literal
 
-from eitskin_proto.sensor.grid import N_PIXELS, N_UNITS
-from eitskin_training.network.architecture import Architecture
+from eitskin_proto.skin.skin import Skin
+from eitskin_training.network.architecture import STORED_OUTPUTS, Architecture
+from eitskin_training.network.mirror import mirrors
 
 Labels = Literal["units", "area"]
 Schedule = Literal["constant", "onecycle"]
@@ -26,6 +27,9 @@ PAPER_LEARNING_RATE: Final = 1e-4
 
 PAPER_SNR_DB: Final = 50.0
 """White noise added to the training data (paper section V.A)."""
+
+OF_AN_IMAGE: Final = 1.6
+"""Width of a network without symmetry beside that of each of four images, for as many weights a frame."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +49,7 @@ class Recipe:
         noises: Definitions of 50 dB, one drawn for each sample.
         snr_db: Signal-to-noise ratio.
         correlation_weight: Weight of 1 - correlation beside the cross-entropy.
-        flips: Whether each batch is shown in one of the sheet's four mirror images, drawn at random.
+        flips: Whether each batch is shown in one of the skin's mirror images, drawn at random.
         lost_rows: Share of the samples that lose one to four rows.
         lost_electrode: Share of the samples that lose every row of one electrode.
         predicted_dropout: Share of the samples whose V_pred is replaced by V0, as when none was sent.
@@ -76,8 +80,8 @@ class Recipe:
             raise ValueError(f"epochs {self.epochs} and batch {self.batch}; expected at least 1 epoch and a batch of 2")
         if self.together < 0:
             raise ValueError(f"deformations together are {self.together}; expected 0 for all, or more")
-        if self.labels == "area" and self.architecture.outputs != N_PIXELS:
-            raise ValueError(f"area labels need {N_PIXELS} outputs; the architecture has {self.architecture.outputs}")
+        if self.labels == "area" and self.architecture.outputs != "pixels":
+            raise ValueError(f"area labels need pixels as outputs; the architecture has {self.architecture.outputs}")
 
     def as_dict(self) -> dict[str, Any]:
         """Return the recipe as plain values, for a checkpoint or a manifest."""
@@ -94,6 +98,7 @@ class Recipe:
             architecture: dict[str, Any] = {
                 k: tuple(v) if isinstance(v, list) else v for k, v in values["architecture"].items()
             }
+            architecture["outputs"] = STORED_OUTPUTS.get(architecture["outputs"], architecture["outputs"])
             rest: dict[str, Any] = {k: tuple(v) if isinstance(v, list) else v for k, v in values.items()}
             return cls(**{**rest, "architecture": Architecture(**architecture)})
         except (KeyError, TypeError) as error:
@@ -107,7 +112,7 @@ _PAPER_NETWORK: Final = Architecture(
     convolutions=(8, 16, 8),
     cloud_channels=(16, 8),
     hidden=384,
-    outputs=N_PIXELS,
+    outputs="pixels",
     dropout=0.1,
 )
 
@@ -137,7 +142,7 @@ RECIPES: Final[dict[str, Recipe]] = {
         _ROBUST,
         name="units",
         labels="units",
-        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs=N_UNITS, sharpening=()),
+        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs="units", sharpening=()),
         lost_electrode=0.15,
     ),
     "free": replace(
@@ -170,3 +175,17 @@ def recipe(name: str) -> Recipe:
     if name not in RECIPES:
         raise ValueError(f"no recipe is called {name!r}; expected one of {', '.join(RECIPES)}")
     return RECIPES[name]
+
+
+def fitted(base: Recipe, skin: Skin) -> Recipe:
+    """Return a recipe for a skin with fewer mirror images than the paper's four: wider, for as many weights a frame."""
+    architecture, images = base.architecture, len(mirrors(skin))
+    if not architecture.symmetric or images == 4:
+        return base
+    return replace(base, architecture=widened(architecture, OF_AN_IMAGE ** (0.5 if images == 2 else 1.0), images > 1))
+
+
+def widened(architecture: Architecture, factor: float, symmetric: bool) -> Architecture:
+    """Return an architecture with wider layers, with or without symmetry."""
+    widths = tuple(round(factor * width) for width in architecture.widths)
+    return replace(architecture, widths=widths, hidden=round(factor * architecture.hidden), symmetric=symmetric)

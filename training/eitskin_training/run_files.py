@@ -5,7 +5,7 @@ A run's folder holds ``checkpoint.pt`` and ``best.pt`` (:mod:`eitskin_training.t
 ``weights_only``.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -17,7 +17,9 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain, stated
 from eitskin_proto.files.reading import opened
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import parse, to_toml
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.samples.batches import TrainingData
@@ -51,6 +53,11 @@ class Trained:
     folder: Path
 
     @property
+    def skin(self) -> Skin:
+        """What it is for."""
+        return self.model.skin
+
+    @property
     def seed(self) -> int:
         """What its first weights and all its draws came from."""
         return int(self.content["seed"])
@@ -60,13 +67,14 @@ def trained(run: Path) -> Trained:
     """Return the best epoch of a run.
 
     Raises:
-        SkinError: There is none, or it was made for another protocol or grid.
+        SkinError: There is none, or it was made for another protocol.
     """
     content = read(run / "best.pt")
+    skin = skin_of(content, run / "best.pt")
     try:
         recipe = Recipe.from_dict(content["recipe"])
         check_weights(recipe, content["weights"])
-        found = Trained(network(recipe, content["weights"]), recipe, content, run)
+        found = Trained(network(recipe, content["weights"], skin), recipe, content, run)
         _ = found.seed, content["data"], content["data_digest"]
         return found
     except (LookupError, TypeError, ValueError, AttributeError, OverflowError, RuntimeError) as error:
@@ -119,11 +127,35 @@ def _is_stored(value: Tensor) -> bool:
     return value.untyped_storage().nbytes() >= value.numel() * value.element_size()
 
 
-def network(recipe: Recipe, state: dict[str, Tensor]) -> VD2T:
+def network(recipe: Recipe, state: dict[str, Tensor], skin: Skin) -> VD2T:
     """Return a network in evaluation mode with the given weights."""
-    model = VD2T(recipe.architecture)
+    model = VD2T(recipe.architecture, skin)
     model.load_state_dict(state)
     return model.eval().to(next(iter(state.values())).device)
+
+
+def skin_entries(skin: Skin) -> dict[str, str]:
+    """Return what a file says of the skin that it is for."""
+    return {"grid_id": skin.grid_id, "skin_digest": skin.digest, "skin": to_toml(skin)}
+
+
+def skin_of(content: Mapping[str, Any], path: Path) -> Skin:
+    """Return the skin that a file is for; one from before skins were described is for the paper's.
+
+    Raises:
+        MismatchError: Its ids are not those of its skin.
+        SkinError: Its skin is no description.
+    """
+    try:
+        skin = parse(content["skin"]) if "skin" in content else PAPER
+    except (ValueError, TypeError, AttributeError) as error:
+        raise SkinError(f"{path}: skin: {plain(str(error))[:200]}; train again with 'eitskin train'") from error
+    for name, expected in (("grid_id", skin.grid_id), ("skin_digest", skin.digest)):
+        found = content.get(name, PAPER.digest if name == "skin_digest" else None)
+        if found != expected:
+            hint = "train again with 'eitskin train'"
+            raise MismatchError(f"{path}: {name}", found=stated(found), expected=expected, hint=hint)
+    return skin
 
 
 def write_file(path: Path, content: dict[str, Any]) -> None:
@@ -136,7 +168,7 @@ def read(path: Path) -> dict[str, Any]:
     """Return what a run's .pt file holds.
 
     Raises:
-        MismatchError: It was made for another protocol, grid or version.
+        MismatchError: It was made for another protocol or version, or its ids are not those of its skin.
         SkinError: It is no file of a run.
     """
     try:
@@ -148,10 +180,11 @@ def read(path: Path) -> dict[str, Any]:
         ) from error
     except Exception as error:
         raise SkinError(f"{path} is no file of a training run: {type(error).__name__}; train again") from error
-    for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    for name, expected in (("format", FORMAT), ("protocol_id", PROTOCOL_ID)):
         found = content.get(name) if isinstance(content, dict) else None
         if found != expected:
             raise MismatchError(
                 f"{path}: {name}", found=stated(found), expected=expected, hint="train again with 'eitskin train'"
             )
+    skin_of(content, path)
     return dict(content)

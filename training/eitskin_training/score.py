@@ -9,11 +9,11 @@ import torch
 from torch import Tensor
 from torch.nn import functional
 
-from eitskin_proto.sensor.grid import map_from_units
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.grid import Grid
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.model import VD2T
-from eitskin_training.samples.batches import PIXELS_PER_UNIT, TrainingData, assemble, noisy_change
+from eitskin_training.samples.batches import TrainingData, assemble, noisy_change, pixels_per_unit
 
 SMALL: Final = 1e-4
 """Pixels^4: keeps the correlation of a map without any contrast, and its gradient, finite."""
@@ -36,24 +36,25 @@ class Score:
     untouched_peak: float
 
 
-def loss_of(logits: Tensor, labels: Tensor) -> Tensor:
-    """Return the binary cross-entropy a pixel, also where the outputs are units of 9, 12 or 16 pixels."""
-    if logits.shape[1] == len(PIXELS_PER_UNIT):
-        weight = torch.from_numpy(PIXELS_PER_UNIT / PIXELS_PER_UNIT.mean()).to(logits)
-        return functional.binary_cross_entropy_with_logits(logits, _as_outputs(labels, logits), weight=weight)
-    return functional.binary_cross_entropy_with_logits(logits, _as_outputs(labels, logits))
+def loss_of(logits: Tensor, labels: Tensor, grid: Grid) -> Tensor:
+    """Return the binary cross-entropy a pixel, also where the outputs are units of several pixels."""
+    truth, weight = _as_outputs(labels, logits, grid), None
+    if logits.shape[1] != grid.n_pixels:
+        pixels = pixels_per_unit(grid)
+        weight = torch.from_numpy(pixels / pixels.mean()).to(logits)
+    return functional.binary_cross_entropy_with_logits(logits, truth, weight=weight)
 
 
-def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float) -> Tensor:
+def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float, grid: Grid) -> Tensor:
     """Return :func:`loss_of` plus so much of the mean of 1 - Pearson's r over the touched samples.
 
     Cross-entropy alone spends a network on how surely untouched pixels are untouched; what a map is judged by, and what
     places a touch, is its correlation with the truth (paper section V.B).
     """
-    loss = loss_of(logits, labels)
+    loss = loss_of(logits, labels, grid)
     if not correlation_weight:
         return loss
-    truth = _as_outputs(labels, logits)
+    truth = _as_outputs(labels, logits, grid)
     a, b = torch.sigmoid(logits), truth
     a, b = a - a.mean(dim=1, keepdim=True), b - b.mean(dim=1, keepdim=True)
     size = torch.sqrt((a * a).sum(dim=1) * (b * b).sum(dim=1) + SMALL)
@@ -61,15 +62,22 @@ def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float) -> 
     return loss + correlation_weight * missing.mean()
 
 
-def _as_outputs(labels: Tensor, logits: Tensor) -> Tensor:
+def _as_outputs(labels: Tensor, logits: Tensor, grid: Grid) -> Tensor:
     if labels.shape[1] == logits.shape[1]:
         return labels
-    spread = torch.from_numpy(map_from_units(np.arange(labels.shape[1])).reshape(-1).copy()).to(labels.device)
+    spread = torch.from_numpy(grid.unit_of_pixel.reshape(-1).copy()).to(labels.device)
     return labels[:, spread]
 
 
+def truth_of(labels: npt.NDArray[np.floating], data: TrainingData) -> npt.NDArray[np.floating]:
+    """Return (n, n_pixels) maps of labels of either kind."""
+    if data.labels_kind == "units":
+        return np.asarray(data.skin.grid.map_from_units(labels)).reshape(len(labels), -1)
+    return labels
+
+
 def correlation(maps: npt.NDArray[np.floating], truth: npt.NDArray[np.floating]) -> npt.NDArray[np.float64]:
-    """Return (n,) Pearson's r of each (n, 1350) map with its truth; 0 where either is constant."""
+    """Return (n,) Pearson's r of each (n, n_pixels) map with its truth; 0 where either is constant."""
     a = maps - maps.mean(axis=1, keepdims=True, dtype=np.float64)
     b = truth - truth.mean(axis=1, keepdims=True, dtype=np.float64)
     size = np.sqrt(np.square(a).sum(axis=1) * np.square(b).sum(axis=1))
@@ -116,10 +124,10 @@ def score(
             dv = noisy_change(data, part, kinds, snr_db, rng)
             batch = assemble(data, part, dv, data.log_predicted[data.deformation[part]]).to(device)
             logits = model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
-            loss_sum += float(loss_of(logits, batch.labels)) * len(part)
+            loss_sum += float(loss_of(logits, batch.labels, data.skin.grid)) * len(part)
             maps = model.maps(logits).cpu().numpy()
             labels = batch.labels.cpu().numpy()
-            truth = map_from_units(labels).reshape(len(part), -1) if data.labels_kind == "units" else labels
+            truth = truth_of(labels, data)
             touched = truth.max(axis=1) > 0
             cc.append(correlation(maps[touched], truth[touched]))
             bend.append(data.deformation[part][touched])

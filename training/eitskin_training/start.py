@@ -6,10 +6,13 @@ from typing import Any
 
 from torch import Tensor, nn
 
+from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.run_files import read
+from eitskin_training.run_files import read, skin_of
 
 
 @dataclass(frozen=True, slots=True)
@@ -19,11 +22,13 @@ class Start:
     Args:
         weights: A network's, by name.
         architecture: Its shape.
+        skin: What it is for.
         facts: Where they come from, for the manifest; ``still`` is true where normalisations must stay as they are.
     """
 
     weights: dict[str, Tensor]
     architecture: Architecture
+    skin: Skin
     facts: dict[str, Any]
 
     @classmethod
@@ -38,7 +43,20 @@ class Start:
         facts = {name: content.get(name) for name in names} | {"epochs": len(content["history"])}
         if (content.get("started_from") or {}).get("still"):
             facts["still"] = True
-        return cls(content["weights"], Recipe.from_dict(content["recipe"]).architecture, facts)
+        skin = skin_of(content, folder / "best.pt")
+        return cls(content["weights"], Recipe.from_dict(content["recipe"]).architecture, skin, facts)
+
+    def require(self, architecture: Architecture, skin: Skin) -> None:
+        """Check that a network of this shape, for this skin, can begin here.
+
+        Raises:
+            MismatchError: It was of another shape, or for another skin.
+        """
+        what, hint = "network to start from", "start from one of this"
+        if (found := self.architecture) != architecture:
+            raise MismatchError(what, found=found, expected=architecture, hint=f"{hint} recipe")
+        own = self.skin
+        check_made_for(what, skin, grid_id=own.grid_id, skin_digest=own.digest, hint=f"{hint} skin")
 
 
 def keep_statistics(model: VD2T) -> None:

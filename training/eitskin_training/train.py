@@ -26,10 +26,11 @@ from torch import Tensor
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
-from eitskin_training.run_files import FORMAT, network, read, write_file
+from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
 from eitskin_training.score import score, training_loss
 from eitskin_training.start import Start, keep_statistics
@@ -87,6 +88,7 @@ class Run:
     optimiser: torch.optim.Optimizer
     schedule: torch.optim.lr_scheduler.LRScheduler | None
     data_digest: str
+    skin: Skin
     sources: tuple[str, ...] = ()
     started_from: dict[str, Any] | None = None
     history: list[Epoch] = field(default_factory=list)
@@ -174,7 +176,7 @@ def train(
 
 def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) -> Run:
     torch.manual_seed(seed)
-    model = VD2T(recipe.architecture).to(device())
+    model = VD2T(recipe.architecture, data.skin).to(device())
     model.standardise.fit(inputs(data, recipe).to(device()))
     matrices = [parameter for parameter in model.parameters() if parameter.ndim > 1]
     others = [
@@ -188,15 +190,11 @@ def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) 
             optimiser, partial(one_cycle, steps=steps_per_epoch * recipe.epochs)
         )
     averaged = {name: value.clone() for name, value in model.state_dict().items()}
-    return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest)
+    return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest, data.skin)
 
 
 def _start_from(run: Run, start: Start) -> None:
-    found, expected = start.architecture, run.recipe.architecture
-    if found != expected:
-        raise MismatchError(
-            "network to start from", found=found, expected=expected, hint="start from one of this recipe"
-        )
+    start.require(run.recipe.architecture, run.skin)
     run.model.load_state_dict(start.weights)
     run.averaged = {name: value.clone() for name, value in run.model.state_dict().items()}
     run.started_from = start.facts
@@ -212,7 +210,7 @@ def one_cycle(step: int, *, steps: int) -> float:
 
 def _step(run: Run, batch: Any) -> float:
     logits = run.model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
-    loss = training_loss(logits, batch.labels, run.recipe.correlation_weight)
+    loss = training_loss(logits, batch.labels, run.recipe.correlation_weight, run.skin.grid)
     value = float(loss.detach())
     if value != value:  # noqa: PLR0124 - NaN is the one number that differs from itself
         raise SkinError("the loss is not a number; lower the learning rate, or look for NaN in the data set")
@@ -237,7 +235,7 @@ def _average(run: Run) -> None:
 
 
 def _validate(run: Run, data: TrainingData, number: int, training_loss: float, seconds: float) -> Epoch:
-    model = network(run.recipe, run.averaged)
+    model = network(run.recipe, run.averaged, run.skin)
     rows = data.validation if len(data.validation) else data.train
     found = score(model, data, rows, run.recipe.noises, snr_db=run.recipe.snr_db)
     return Epoch(number, training_loss, found.loss, found.cc, seconds)
@@ -247,7 +245,7 @@ def _save(run: Run, out: Path) -> None:
     common = {
         "format": FORMAT,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        **skin_entries(run.skin),
         "recipe": run.recipe.as_dict(),
         "seed": run.seed,
         "data_digest": run.data_digest,
@@ -278,9 +276,10 @@ def _restore(run: Run, path: Path) -> None:
 
 def _take(run: Run, content: dict[str, Any], path: Path) -> None:
     for name, found, expected in (
-        ("recipe", content["recipe"], run.recipe.as_dict()),
+        ("recipe", Recipe.from_dict(content["recipe"]), run.recipe),
         ("seed", content["seed"], run.seed),
         ("data digest", content["data_digest"], run.data_digest),
+        ("skin_digest", skin_of(content, path).digest, run.skin.digest),
         ("run it started from", content.get("started_from"), run.started_from),
     ):
         if found != expected:

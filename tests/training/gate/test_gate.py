@@ -10,11 +10,12 @@ import pytest
 from eitskin.model.gate import Gate
 from eitskin.pipeline.idle import PREFIX
 from eitskin_proto.errors import SkinError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
 from eitskin_sim.scene.parts import Bend
 from eitskin_training.gate import fit, idle, material, rates, untouched
 from eitskin_training.gate.untouched import Bends, bends_of
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = pytest.mark.heavy
@@ -107,8 +108,8 @@ def test_a_threshold_lets_its_share_of_untouched_frames_through(data: TrainingDa
         return np.asarray(np.abs(dv).mean(axis=1))
 
     rng = np.random.default_rng(3)
-    threshold = rates.threshold_at(0.2, size, bends.choose, data.reference, rng)
-    found = rates.untouched_logits(size, bends.choose, data.reference, rng)
+    threshold = rates.threshold_at(0.2, size, bends.choose, data.reference, rng, data.skin)
+    found = rates.untouched_logits(size, bends.choose, data.reference, rng, data.skin)
     tripped = np.mean([(logits > threshold).mean() for logits in found.values()])
     assert tripped == pytest.approx(0.2, abs=0.03)  # the same bends, other noise
 
@@ -137,7 +138,7 @@ def test_more_idle_drives_tell_more_about_a_touch(data: TrainingData, bends: Ben
 
 
 def test_solved_bends_are_small_changes_and_the_flat_one_is_none() -> None:
-    flat, bent = untouched.untouched_logs([Bend(), untouched.wide_bends(1, 5)[0]])
+    flat, bent = untouched.untouched_logs([Bend(), untouched.wide_bends(1, 5, PAPER)[0]], PAPER)
     np.testing.assert_allclose(flat, 0.0, atol=1e-12)
     # Stretches of up to 22 % change voltages by tens of per cent, never by a factor of a thousand.
     assert 0.01 < np.abs(bent).max() < 7.0
@@ -146,14 +147,14 @@ def test_solved_bends_are_small_changes_and_the_flat_one_is_none() -> None:
 def test_the_mirror_image_of_a_bend_has_the_mirror_image_of_its_voltages() -> None:
     bend = Bend(30.0, 20.0, 0.3, 25.0, 1.1, 0.95, 0.1, ((40.0, 30.0, 5.0, 15.0),))
     image = Bend(30.0, -20.0, -0.3, -25.0, 1.1, 0.95, 0.1, ((110.0, 30.0, 5.0, 15.0),))
-    one, other = untouched.untouched_logs([bend, image])
+    one, other = untouched.untouched_logs([bend, image], PAPER)
     # Both are solved on the same mirror-symmetric mesh.
-    np.testing.assert_allclose(one[MIRRORS[1].rows], other, atol=1e-9)
+    np.testing.assert_allclose(one[mirrors(PAPER)[1].rows], other, atol=1e-9)
 
 
 def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
     pieces = untouched.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
-    flat, bent = (untouched.touch_logs(bend, pieces) for bend in (Bend(), untouched.wide_bends(1, 5)[0]))
+    flat, bent = (untouched.touch_logs(bend, pieces, PAPER) for bend in (Bend(), untouched.wide_bends(1, 5, PAPER)[0]))
     for one, other in zip(flat, bent, strict=True):
         # A tenth of its direction may change: that is what drawing it at any bend costs.
         assert one @ other / (np.linalg.norm(one) * np.linalg.norm(other)) > 0.9
@@ -161,7 +162,7 @@ def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
 
 
 def test_touches_for_learning_are_small_and_differ() -> None:
-    logs = untouched.small_touches(1, each=12)
+    logs = untouched.small_touches(1, PAPER, each=12)
     strength = np.abs(logs).mean(axis=1)
     assert logs.shape == (12, 104)
     assert len(np.unique(strength)) == 12

@@ -1,20 +1,22 @@
 """A symmetric network: what it makes of a mirror image is the image of what it makes."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 import torch
+from tests.training.network.skins import ALL, SKINS
 from torch import nn
 
-from eitskin_proto.sensor.grid import QUARTER_SHAPE
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_training.ablations import VARIANTS, variant_recipe
 from eitskin_training.network import images
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import IMAGES, ImageLinear, ImageNorm, Quarters
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.images import ImageLinear, ImageNorm, Parts
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.model import VD2T
-from eitskin_training.recipes import recipe
+from eitskin_training.recipes import fitted, recipe
 
 SMALL = Architecture(
     widths=(24, 24), cloud_channels=(4, 4), hidden=20, log_predicted=True, activation="silu", symmetric=True
@@ -23,61 +25,74 @@ SMALL = Architecture(
 
 def shuffled(x: torch.Tensor, mirror: int) -> torch.Tensor:
     """The images of a mirrored sheet: image g of the one is image g-then-mirror of the other."""
-    return x[[image ^ mirror for image in range(IMAGES)]]
+    return x[[image ^ mirror for image in range(len(x))]]
 
 
-@pytest.mark.parametrize("mirror", range(IMAGES))
-def test_a_layer_commutes_with_mirrors_and_is_no_multiple_of_one(mirror: int) -> None:
+@pytest.mark.parametrize(("count", "mirror"), [(n, mirror) for n in (1, 2, 4) for mirror in range(n)])
+def test_a_layer_commutes_with_mirrors_and_is_no_multiple_of_one(count: int, mirror: int) -> None:
     torch.manual_seed(1)
-    layer, x = ImageLinear(6, 5, bias=True).double(), torch.randn(IMAGES, 3, 6, dtype=torch.float64)
-    layer.signs = layer.signs.double()
+    layer, x = ImageLinear(count, 6, 5, bias=True).double(), torch.randn(count, 3, 6, dtype=torch.float64)
+    layer.signs = count**-0.5 * torch.from_numpy(images.signs(count)).double()
     torch.testing.assert_close(layer(shuffled(x, mirror)), shuffled(layer(x), mirror))
-    alone = layer(x * (torch.arange(IMAGES) == 0)[:, None, None])
-    assert all(alone[image].std() > 0 for image in range(IMAGES))  # every image reads every other
+    alone = layer(x * (torch.arange(count) == 0)[:, None, None])
+    assert all(alone[image].std() > 0 for image in range(count))  # every image reads every other
 
 
-def test_a_layer_keeps_sums_and_differences_apart() -> None:
+@pytest.mark.parametrize("count", [1, 2, 4])
+def test_a_layer_keeps_sums_and_differences_apart(count: int) -> None:
     torch.manual_seed(2)
-    layer = ImageLinear(4, 4)
-    for k, signs in enumerate(images.SIGNS):
-        x = torch.tensor(signs)[:, None, None] * torch.randn(1, 2, 4)
+    layer = ImageLinear(count, 4, 4)
+    for k, signs in enumerate(torch.from_numpy(images.signs(count))[..., None, None]):
+        x = signs * torch.randn(1, 2, 4)
         y = layer(x)
-        torch.testing.assert_close(y, torch.tensor(signs)[:, None, None] * y[:1])
+        torch.testing.assert_close(y, signs * y[:1])
         torch.testing.assert_close(y[0], x[0] @ layer.weight[k])
 
 
 def test_a_norm_has_one_mean_for_all_images() -> None:
-    norm, x = ImageNorm(3).train(), torch.randn(IMAGES, 50, 3) + torch.arange(4.0)[:, None, None]
+    norm, x = ImageNorm(3).train(), torch.randn(4, 50, 3) + torch.arange(4.0)[:, None, None]
     y = norm(x)
     torch.testing.assert_close(y.mean(dim=(0, 1)), torch.zeros(3), atol=1e-5, rtol=0)
     assert y[3].mean() > y[0].mean() + 1.0
 
 
-def test_a_quarter_and_its_images_fill_the_map() -> None:
-    one, other = images.places()
-    size = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
-    assert set(one) | set(other) == set(range(IMAGES * size))
-    middle = np.flatnonzero(one != other)
-    assert set(middle % 45) == {22}
-    for mirror, permutation in enumerate(MIRRORS):
-        quarters = torch.randn(IMAGES, 2, size)
-        whole, mirrored = Quarters()(quarters), Quarters()(shuffled(quarters, mirror))
+@pytest.mark.parametrize("skin", ALL.values(), ids=ALL)
+def test_a_part_and_its_images_fill_the_map(skin: Skin) -> None:
+    own = mirrors(skin)
+    places, size = images.places(own), len(images.part(own))
+    assert set(places.ravel()) == set(range(len(own) * size))
+    assert size == -(-skin.grid.n_pixels // len(own)) or any(side % 2 for side in skin.grid.shape)
+    for mirror, permutation in enumerate(own):
+        parts = torch.randn(len(own), 2, size)
+        whole, mirrored = Parts(own)(parts), Parts(own)(shuffled(parts, mirror))
         torch.testing.assert_close(mirrored, whole[:, permutation.pixels])
 
 
-@pytest.mark.parametrize("mirror", range(IMAGES))
-def test_the_map_of_a_mirrored_sheet_is_the_mirrored_map(mirror: int) -> None:
+def test_the_papers_quarter_is_the_one_at_the_corner_and_its_middle_column_is_its_own_image() -> None:
+    own = mirrors(PAPER)
+    rows, columns = np.divmod(images.part(own), 45)
+    assert (rows.max(), columns.max(), len(rows)) == (14, 22, 15 * 23)
+    one, other = images.places(own)
+    assert set(np.flatnonzero(one != other) % 45) == {22}
+
+
+@pytest.mark.parametrize(
+    ("skin", "mirror"),
+    [pytest.param(s, m, id=f"{name} {m}") for name, s in ALL.items() for m in range(len(mirrors(s)))],
+)
+def test_the_map_of_a_mirrored_sheet_is_the_mirrored_map(skin: Skin, mirror: int) -> None:
     torch.manual_seed(3)
-    model = VD2T(SMALL).eval()
+    model = VD2T(SMALL, skin).eval()
     for module in model.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             module.running_mean.normal_(0.0, 0.3)
-    dv, predicted, clouds = 0.1 * torch.randn(3, 104), 0.1 * torch.randn(3, 104), torch.randn(3, 3, 30, 45)
-    image = MIRRORS[mirror]
+    dv, predicted, clouds = 0.1 * torch.randn(3, 104), 0.1 * torch.randn(3, 104), torch.randn(3, 3, *skin.grid.shape)
+    image = mirrors(skin)[mirror]
     other_clouds = torch.from_numpy(image.clouds(clouds.numpy()))
     with torch.inference_mode():
         whole = model.logits(dv, model.bias(clouds), predicted)
         mirrored = model.logits(dv[:, image.rows], model.bias(other_clouds), predicted[:, image.rows])
+    assert whole.shape == (3, skin.grid.n_pixels)
     assert whole.std() > 0.1
     torch.testing.assert_close(mirrored, whole[:, image.pixels], atol=1e-5, rtol=0)
 
@@ -85,13 +100,23 @@ def test_the_map_of_a_mirrored_sheet_is_the_mirrored_map(mirror: int) -> None:
 def test_symmetry_buys_width_at_as_many_weights_a_frame() -> None:
     base = recipe("free")
     assert "unmirrored" in VARIANTS
-    plain, symmetric = (VD2T(variant_recipe(base, name).architecture) for name in ("unmirrored", "both"))
+    plain, symmetric = (VD2T(variant_recipe(base, name).architecture, PAPER) for name in ("unmirrored", "both"))
     assert symmetric.streamed_weights() < 1.02 * plain.streamed_weights()
-    assert symmetric.architecture.bias_width > 2 * plain.architecture.bias_width
+    assert symmetric.bias_width > 2 * plain.bias_width
 
 
 def test_what_has_no_symmetric_form_is_refused() -> None:
-    for changes in ({"outputs": 126}, {"voltage_channel": "paper", "convolutions": (4, 4, 4)}):
+    for changes in ({"outputs": "units"}, {"voltage_channel": "paper", "convolutions": (4, 4, 4)}):
         wrong: dict[str, Any] = {"symmetric": True, **changes}
         with pytest.raises(ValueError, match="symmetric"):
             Architecture(**wrong)
+
+
+@pytest.mark.parametrize("name", SKINS)
+def test_a_recipe_fitted_to_fewer_images_reads_as_many_weights_of_the_same_sized_map(name: str) -> None:
+    base, skin = recipe("free"), replace(SKINS[name], map=PAPER.map)
+    made = fitted(base, skin)
+    assert made.architecture.symmetric == (len(mirrors(skin)) > 1)
+    weights = [VD2T(one.architecture, of).streamed_weights() for one, of in ((made, skin), (base, PAPER))]
+    assert 0.93 < weights[0] / weights[1] < 1.07
+    assert fitted(base, PAPER) == base

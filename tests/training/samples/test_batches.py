@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from eitskin_proto.sensor.normalise import relative_change
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import batches, lose_rows, noisy_change
 
@@ -28,7 +28,7 @@ def test_a_batch_holds_each_cloud_once_and_the_right_one_for_each_sample(toy_dat
         assert len(batch.clouds) <= 4
         # The sample's own voltages say which bend and which mirror image it has.
         for sample in range(5):
-            for mirror in MIRRORS:
+            for mirror in mirrors(data.skin):
                 change = batch.dv[sample].numpy()[mirror.rows]
                 known = relative_change(data.voltages, data.reference)
                 distance = np.abs(known - change).max(axis=1)
@@ -36,7 +36,7 @@ def test_a_batch_holds_each_cloud_once_and_the_right_one_for_each_sample(toy_dat
                 if distance[row] < 1e-5:
                     break
             assert distance[row] < 1e-5
-            flips += mirror is not MIRRORS[0]
+            flips += mirror is not mirrors(data.skin)[0]
             image = mirror.clouds(data.clouds[data.deformation[row]][None])[0]
             np.testing.assert_array_equal(batch.clouds[batch.which[sample]].numpy(), image)
             label = data.labels[data.touch_set[row]][mirror.pixels] / 255.0

@@ -33,6 +33,7 @@ from eitskin_proto.files.reading import FileError, read_bytes, read_json
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
@@ -86,6 +87,8 @@ class DataSet:
     """Touches anywhere; empty on the unit grid."""
     unit_contrasts: UnitContrasts | None = None
     """Of touches on the unit grid, where they are not the paper's of 50."""
+    skin: Skin = PAPER
+    """What it was made for."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:

@@ -140,7 +140,7 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
             return logits(arrays, dv[:, rows])
 
-        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng)
+        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, data.skin)
         arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
         found |= {prefix + name: value for name, value in arrays.items()}
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}

@@ -2,7 +2,7 @@
 
 A drawn bend is a solved one, or lies between two of them or between one and flat: the voltages of a partial bend are
 close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
-which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the four mirror
+which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the skin's mirror
 images, since the image of a sheet is a sheet.
 """
 
@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.gate.untouched import Bends
-from eitskin_training.network.mirror import MIRRORS
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
 WEAK: Final = 0.03
@@ -36,8 +37,10 @@ SNR_DB: Final = 50.0
 
 Array = npt.NDArray[np.float64]
 
-IMAGES: Final = np.array([mirror.rows for mirror in MIRRORS])
-"""(4, 104) rows of the four mirror images."""
+
+def images_of(skin: Skin) -> npt.NDArray[np.intp]:
+    """Return the (n, 104) rows of a skin's mirror images."""
+    return np.array([mirror.rows for mirror in mirrors(skin)])
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,12 +52,14 @@ class Material:
         bends: (n, 104) log(V / V0) untouched.
         touches: (t, 104) log(V touched / V untouched).
         upto: (t,) ascending chances that a drawn touch is this one or one before it.
+        images: (i, 104) rows of the skin's mirror images.
     """
 
     reference: Array
     bends: Array
     touches: Array
     upto: Array
+    images: npt.NDArray[np.intp]
 
     @classmethod
     def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
@@ -70,7 +75,7 @@ class Material:
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
             weights[own] *= weights[~own].sum() / weights[own].sum()
-        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum())
+        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), images_of(data.skin))
 
     def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
         """Return (count, 104) noisy dV and (count,) 1 where touched.
@@ -83,7 +88,7 @@ class Material:
         first = round(count * touched)
         logs = self._bends(count, rng)
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
-        logs[:first] += _image(self.touches[chosen], rng)
+        logs[:first] += self._image(self.touches[chosen], rng)
         labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
         return noisy_change(logs, self.reference, rng), labels
 
@@ -91,11 +96,10 @@ class Material:
         one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]
         kind, share = rng.random(count)[:, None], rng.random(count)[:, None]
         mixed = share * one + np.where(kind < (1.0 + PURE) / 2, 0.0, 1.0 - share) * other
-        return _image(np.where(kind < PURE, one, mixed), rng)
+        return self._image(np.where(kind < PURE, one, mixed), rng)
 
-
-def _image(logs: Array, rng: np.random.Generator) -> Array:
-    return np.take_along_axis(logs, IMAGES[rng.integers(len(IMAGES), size=len(logs))], axis=1)
+    def _image(self, logs: Array, rng: np.random.Generator) -> Array:
+        return np.take_along_axis(logs, self.images[rng.integers(len(self.images), size=len(logs))], axis=1)
 
 
 def noisy_change(logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None) -> Array:

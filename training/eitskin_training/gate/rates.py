@@ -11,38 +11,45 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_training.gate.material import IMAGES, NOISES, noisy_change
+from eitskin_proto.skin.skin import Skin
+from eitskin_training.gate.material import NOISES, images_of, noisy_change
 from eitskin_training.gate.untouched import Bends
-from eitskin_training.samples.batches import PIXELS_PER_UNIT, TrainingData
+from eitskin_training.samples.batches import TrainingData, pixels_per_unit
 
 SMALL_TOUCH_PIXELS: Final = 12.0
 """A touch of at most this area, about 11.5 mm square, counts as small."""
 
-DRAWS: Final = 4
-"""Noise draws of a bend in each of its four mirror images, for each noise."""
+DRAWS: Final = 16
+"""Noise draws of a bend over all its mirror images, for each noise."""
 
 Array = npt.NDArray[np.float64]
 Judge = Callable[[Array], Array]
 """(n, 104) dV -> (n,) logits."""
 
 
-def untouched_logits(judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> dict[str, Array]:
-    """Return by noise the (bends, 4 images x draws) logits of untouched sheets.
+def untouched_logits(
+    judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, skin: Skin
+) -> dict[str, Array]:
+    """Return by noise the (bends, draws) logits of untouched sheets, shown in each of their mirror images.
 
     Args:
         judge: A gate.
         logs: (bends, 104) log(V / V0).
         reference: (104,) V0.
         rng: Source of the noise.
+        skin: Whose images.
     """
-    shown = np.repeat(np.concatenate([logs[:, rows][:, None] for rows in IMAGES], axis=1), DRAWS, axis=1)
+    images = images_of(skin)
+    shown = np.concatenate([logs[:, rows][:, None] for rows in images], axis=1).repeat(DRAWS // len(images), axis=1)
     flat = shown.reshape(-1, logs.shape[1])
     return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
 
 
-def threshold_at(rate: float, judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> float:
+def threshold_at(
+    rate: float, judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, skin: Skin
+) -> float:
     """Return the logit above which a share ``rate`` of untouched frames lies, over bends, images and noises."""
-    found = untouched_logits(judge, logs, reference, rng)
+    found = untouched_logits(judge, logs, reference, rng, skin)
     return float(np.quantile(np.concatenate([logits.ravel() for logits in found.values()]), 1.0 - rate))
 
 
@@ -63,7 +70,7 @@ def measured(
     judge: Judge, threshold: float, data: TrainingData, bends: Bends, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return what a gate's manifest entry states."""
-    found = untouched_logits(judge, bends.measure, data.reference, rng)
+    found = untouched_logits(judge, bends.measure, data.reference, rng, data.skin)
     tripped = {kind: (logits > threshold).mean(axis=1) for kind, logits in found.items()}
     rate, interval = rate_and_interval(np.mean(list(tripped.values()), axis=0))
     missed, small = _missed_samples(judge, threshold, data, rng)
@@ -97,7 +104,7 @@ def _missed_samples(
     """Return the share of a data set's touched samples, at bends kept apart, that is missed, and that of small ones."""
     rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
     labels = data.labels[data.touch_set[rows]].astype(np.float64)
-    pixels = labels.sum(axis=1) / 255.0 if data.labels_kind == "area" else labels @ PIXELS_PER_UNIT
+    pixels = labels.sum(axis=1) / 255.0 if data.labels_kind == "area" else labels @ pixels_per_unit(data.skin.grid)
     rows, pixels = rows[pixels > 0], pixels[pixels > 0]
     ratio = np.maximum(data.voltages[rows] / data.reference, 1e-6)
     missed = judge(noisy_change(np.log(ratio), data.reference, rng)) <= threshold

@@ -19,7 +19,8 @@ import numpy.typing as npt
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training.gate import fit, untouched
 from eitskin_training.gate.fit import Arrays, Gate
 from eitskin_training.gate.untouched import Bends
@@ -58,7 +59,8 @@ def made_of(data: TrainingData, seed: int) -> dict[str, Any]:
     return {
         "version": VERSION,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        "grid_id": data.skin.grid_id,
+        "skin_digest": data.skin.digest,
         "data_digest": data.digest,
         "seed": seed,
     }
@@ -125,7 +127,7 @@ def _read(path: Path, expected: dict[str, Any]) -> RunGate | None:
     """Return a stored gate, or None where there is none, it cannot be read, or it is of another run."""
     try:
         file = read_npz(path, LARGEST_FILE)
-        if parse_json(str(file["made_of"])) != expected:
+        if {"skin_digest": PAPER.digest, **parse_json(str(file["made_of"]))} != expected:
             return None
         arrays: Arrays = {name.removeprefix(_GATE): file[name] for name in file if name.startswith(_GATE)}
         train, choose, measure = (file[_SHEETS + name] for name in _KEPT)

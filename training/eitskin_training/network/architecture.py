@@ -1,18 +1,19 @@
-"""Everything that fixes the shape of a network, as plain values that a recipe and a manifest can hold."""
+"""What fixes the shape of a network beside its skin, as plain values that a recipe and a manifest can hold."""
 
 from dataclasses import dataclass
-from typing import Literal
-
-from eitskin_proto.sensor.grid import N_PIXELS, N_UNITS
-from eitskin_training.network.images import IMAGES
+from typing import Final, Literal, get_args
 
 VoltageChannel = Literal["paper", "residual"]
 Activation = Literal["relu", "silu"]
+Outputs = Literal["pixels", "units"]
+
+STORED_OUTPUTS: Final[dict[int, Outputs]] = {1350: "pixels", 126: "units"}
+"""What files from before skins were described say: numbers of the paper's sheet."""
 
 
 @dataclass(frozen=True, slots=True)
 class Architecture:
-    """Everything that fixes the shape of a network.
+    """What fixes the shape of a network for a given skin.
 
     Args:
         voltage_channel: The paper's MLP and 1-D CNN, or residual linear layers.
@@ -23,12 +24,12 @@ class Architecture:
         cloud_channels: Channels of each 2-D convolution of the cloud channel.
         use_cloud: False leaves the cloud out, for the ablation; the bias is then a constant.
         hidden: Width H between the two fusion layers, and so of the bias.
-        outputs: 1350 pixels, or 126 units that the graph spreads over their pixels.
+        outputs: The map's pixels, or the units that the graph spreads over their pixels.
         dropout: Fraction of activations dropped in training.
         activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
         sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
-        symmetric: Whether every layer but the sharpening keeps the sheet's mirror symmetries; widths are then those of
-            one image of four. Residual voltage channels with pixels out only.
+        symmetric: Whether every layer but the sharpening keeps the skin's mirror symmetries; widths are then those of
+            one image. Residual voltage channels with pixels out only.
     """
 
     voltage_channel: VoltageChannel = "residual"
@@ -39,28 +40,23 @@ class Architecture:
     cloud_channels: tuple[int, ...] = (8, 8)
     use_cloud: bool = True
     hidden: int = 512
-    outputs: int = N_PIXELS
+    outputs: Outputs = "pixels"
     dropout: float = 0.0
     activation: Activation = "relu"
     sharpening: tuple[int, ...] = ()
     symmetric: bool = False
 
     def __post_init__(self) -> None:
-        if self.outputs not in (N_PIXELS, N_UNITS):
-            raise ValueError(f"outputs is {self.outputs}; expected {N_PIXELS} pixels or {N_UNITS} units")
+        if self.outputs not in get_args(Outputs):
+            raise ValueError(f"outputs is {self.outputs!r}; expected one of {', '.join(get_args(Outputs))}")
         if self.voltage_channel == "residual" and len(set(self.widths)) != 1:
             raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
-        if self.sharpening and self.outputs != N_PIXELS:
-            raise ValueError(f"sharpening needs {N_PIXELS} outputs, found {self.outputs}: units have no pixels around")
-        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != N_PIXELS):
-            raise ValueError(f"a symmetric network needs a residual voltage channel and {N_PIXELS} outputs")
+        if self.sharpening and self.outputs != "pixels":
+            raise ValueError(f"sharpening needs pixels as outputs, found {self.outputs}: units have no pixels around")
+        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != "pixels"):
+            raise ValueError("a symmetric network needs a residual voltage channel and pixels as outputs")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
-
-    @property
-    def bias_width(self) -> int:
-        """Width of what a cloud adds: H, or that of each of four images."""
-        return IMAGES * self.hidden if self.symmetric else self.hidden
 
     @property
     def feature_blocks(self) -> int:

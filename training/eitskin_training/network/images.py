@@ -1,54 +1,56 @@
-"""Layers that know the sheet's two mirror symmetries: what they make of a mirror image is the image of what they make.
+"""Layers that know a skin's mirror symmetries: what they make of a mirror image is the image of what they make.
 
-A hidden feature exists in the sheet's four mirror images, as (4, B, C). A layer may mix images, but only as a mirror
-allows: image g takes from image h what depends on "g then h" alone. Sums and differences over the images, each even or
-odd in x and in y, do not mix at all ::
+A hidden feature exists in each of the skin's n mirror images, as (n, B, C); n is 4, 2 or 1. A layer may mix images, but
+only as a mirror allows: image g takes from image h what depends on "g then h" alone. Sums and differences over the
+images, each even or odd in every mirror, do not mix at all ::
 
-    even, odd  =  images summed with signs          4 x 4, its own inverse but for the scale
-    y_k        =  x_k W_k                           k: even-even, odd-even, even-odd, odd-odd
+    even, odd  =  images summed with signs          n x n, its own inverse but for the scale
+    y_k        =  x_k W_k                           n = 4: even-even, odd-even, even-odd, odd-odd
 
-so a layer from 4 C to 4 C features has 4 C^2 weights instead of 16 C^2: for as many weights a frame, twice the width,
-and nothing to learn twice. Voltages, clouds and pixels have images of their own:
+so a layer from n C to n C features has n C^2 weights instead of n^2 C^2: for as many weights a frame, sqrt(n) times the
+width, and nothing to learn twice. Voltages, clouds and pixels have images of their own:
 :mod:`eitskin_training.network.mirror`.
 """
 
-from typing import Final
+from collections.abc import Sequence
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, QUARTER_SHAPE
-from eitskin_training.network.mirror import MIRRORS
-
-IMAGES: Final = len(MIRRORS)
-"""The sheet itself, mirrored in x, in y, and in both."""
-
-SIGNS: Final = ((1, 1, 1, 1), (1, -1, 1, -1), (1, 1, -1, -1), (1, -1, -1, 1))
-"""Of image g in sum k, [k][g]; an image's number is its mirrors' as bits: 1 for x, 2 for y."""
+from eitskin_training.network.mirror import Mirror
 
 
-def images_of_rows(values: Tensor, blocks: int) -> Tensor:
-    """Return (4, B, blocks * 104) images of (B, blocks * 104) features of the table's rows."""
-    rows = torch.from_numpy(np.stack([mirror.rows for mirror in MIRRORS]))
+def signs(count: int) -> npt.NDArray[np.int64]:
+    """Return the (n, n) signs of image g in sum k, [k][g].
+
+    An image's number is its mirrors' as bits; "g then h" has the number g ^ h. Of four, 1 is x and 2 is y.
+    """
+    return np.array([[(-1) ** (k & g).bit_count() for g in range(count)] for k in range(count)], dtype=np.int64)
+
+
+def images_of_rows(values: Tensor, blocks: int, mirrors: Sequence[Mirror]) -> Tensor:
+    """Return (n, B, blocks * 104) images of (B, blocks * 104) features of the table's rows."""
+    rows = torch.from_numpy(np.stack([mirror.rows for mirror in mirrors]))
     return values.view(len(values), blocks, -1)[:, :, rows].permute(2, 0, 1, 3).flatten(2)
 
 
-def images_of_clouds(clouds: Tensor) -> Tensor:
-    """Return (4, D, 3, 30, 45) images of (D, 3, 30, 45) clouds that are centred on the sheet's middle."""
+def images_of_clouds(clouds: Tensor, mirrors: Sequence[Mirror]) -> Tensor:
+    """Return (n, D, 3, rows, columns) images of (D, 3, rows, columns) clouds that are centred on the sheet's middle."""
     found = []
-    for mirror in MIRRORS:
+    for mirror in mirrors:
         axes = [axis for axis, mirrored in ((3, mirror.x), (2, mirror.y)) if mirrored]
-        signs = clouds.new_tensor([-1.0 if mirror.x else 1.0, -1.0 if mirror.y else 1.0, 1.0])
-        found.append(torch.flip(clouds, axes) * signs[:, None, None])
+        turned = clouds.new_tensor([-1.0 if mirror.x else 1.0, -1.0 if mirror.y else 1.0, 1.0])
+        found.append(torch.flip(clouds, axes) * turned[:, None, None])
     return torch.stack(found)
 
 
 class ImageLinear(nn.Module):
-    """(4, B, inputs) -> (4, B, outputs); 4 * inputs * outputs weights.
+    """(n, B, inputs) -> (n, B, outputs); n * inputs * outputs weights.
 
     Args:
+        images: n.
         inputs: Features in, of each image.
         outputs: Features out, of each image.
         bias: Whether a number is added, the same in every image.
@@ -56,56 +58,83 @@ class ImageLinear(nn.Module):
 
     signs: Tensor
 
-    def __init__(self, inputs: int, outputs: int, *, bias: bool = False) -> None:
+    def __init__(self, images: int, inputs: int, outputs: int, *, bias: bool = False) -> None:
         super().__init__()
         bound = inputs**-0.5
-        self.weight = nn.Parameter(torch.empty(IMAGES, inputs, outputs).uniform_(-bound, bound))
+        self.weight = nn.Parameter(torch.empty(images, inputs, outputs).uniform_(-bound, bound))
         self.bias = nn.Parameter(torch.zeros(outputs)) if bias else None
-        self.register_buffer("signs", 0.5 * torch.tensor(SIGNS, dtype=torch.float32), persistent=False)
+        scaled = images**-0.5 * torch.from_numpy(signs(images)).float()
+        self.register_buffer("signs", scaled, persistent=False)
 
     def forward(self, x: Tensor) -> Tensor:
-        """Return (4, B, outputs)."""
+        """Return (n, B, outputs)."""
         y = self._sums(torch.bmm(self._sums(x), self.weight))
         return y if self.bias is None else y + self.bias
 
     def _sums(self, x: Tensor) -> Tensor:
-        return torch.mm(self.signs, x.reshape(IMAGES, -1)).view(x.shape)
+        return torch.mm(self.signs, x.reshape(len(x), -1)).view(x.shape)
 
 
 class ImageNorm(nn.BatchNorm1d):
-    """Batch normalisation of (4, B, C) with the same statistics in every image."""
+    """Batch normalisation of (n, B, C) with the same statistics in every image."""
 
     def forward(self, input: Tensor) -> Tensor:
-        """Return (4, B, C)."""
+        """Return (n, B, C)."""
         return super().forward(input.flatten(0, 1)).view(input.shape)
 
 
-def places() -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return two (1350,) places in 4 quarters where a pixel is; they differ in the middle column alone."""
-    row, column = np.indices(GRID_SHAPE)
-    y, x = row >= QUARTER_SHAPE[0], column >= QUARTER_SHAPE[1]
-    quarter = np.where(y, GRID_SHAPE[0] - 1 - row, row) * QUARTER_SHAPE[1] + np.where(
-        x, GRID_SHAPE[1] - 1 - column, column
-    )
-    image = x + 2 * y
-    other = np.where(column == QUARTER_SHAPE[1] - 1, image ^ 1, image)
-    size = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
-    return (image * size + quarter).reshape(-1), (other * size + quarter).reshape(-1)
+def part(mirrors: Sequence[Mirror]) -> npt.NDArray[np.intp]:
+    """Return the (p,) pixels whose images are the map: the first of each set that mirrors exchange.
+
+    With four images it is the quarter at (0, 0), with two a half, with one the whole.
+    """
+    return np.unique(_first(mirrors))
 
 
-class Quarters(nn.Module):
-    """(4, B, 345) values of a quarter's pixels in each image -> (B, 1350) pixels."""
+def places(mirrors: Sequence[Mirror]) -> npt.NDArray[np.int64]:
+    """Return (k, n_pixels) places in n parts where each pixel is; k is 1, 2 or 4.
 
-    one: Tensor
-    other: Tensor
+    They differ for pixels on a mirror's own line alone, which are their own image.
+    """
+    first = _first(mirrors)
+    own = np.unique(first)
+    where = np.searchsorted(own, first)
+    shows = np.stack([mirror.pixels[first] == np.arange(len(first)) for mirror in mirrors])
+    most = int(shows.sum(axis=0).max())
+    found = np.empty((most, len(first)), dtype=np.int64)
+    for pixel in range(len(first)):
+        images = np.flatnonzero(shows[:, pixel])
+        found[:, pixel] = np.tile(images, most // len(images)) * len(own) + where[pixel]
+    return found
 
-    def __init__(self) -> None:
+
+def fixed(mirrors: Sequence[Mirror]) -> npt.NDArray[np.bool_]:
+    """Return (n, p) which pixels of :func:`part` each image leaves where they are."""
+    own = part(mirrors)
+    return np.stack([mirror.pixels[own] == own for mirror in mirrors])
+
+
+def _first(mirrors: Sequence[Mirror]) -> npt.NDArray[np.intp]:
+    return np.asarray(np.min([mirror.pixels for mirror in mirrors], axis=0))
+
+
+class Parts(nn.Module):
+    """(n, B, p) values of a part's pixels in each image -> (B, n_pixels).
+
+    Args:
+        mirrors: The skin's images.
+    """
+
+    places: Tensor
+
+    def __init__(self, mirrors: Sequence[Mirror]) -> None:
         super().__init__()
-        one, other = places()
-        self.register_buffer("one", torch.from_numpy(one), persistent=False)
-        self.register_buffer("other", torch.from_numpy(other), persistent=False)
+        self.register_buffer("places", torch.from_numpy(places(mirrors)), persistent=False)
 
-    def forward(self, quarters: Tensor) -> Tensor:
-        """Return (B, 1350)."""
-        flat = quarters.transpose(0, 1).flatten(1)
-        return 0.5 * (flat[:, self.one] + flat[:, self.other])
+    def forward(self, parts: Tensor) -> Tensor:
+        """Return (B, n_pixels)."""
+        flat = parts.transpose(0, 1).flatten(1)
+        found = flat[:, self.places[0]]
+        for place in self.places[1:]:
+            found = found + flat[:, place]
+        return found / len(self.places)

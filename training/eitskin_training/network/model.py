@@ -19,10 +19,11 @@ from typing import Final
 import torch
 from torch import Tensor, nn
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, QUARTER_SHAPE, UNIT_OF_PIXEL
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import IMAGES, ImageLinear, ImageNorm, Quarters, images_of_clouds, images_of_rows
+from eitskin_training.network.images import ImageLinear, ImageNorm, Parts, images_of_clouds, images_of_rows, part
+from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.sharpen import Sharpen
 
 MEASURED_FLOOR: Final = 1e-2
@@ -68,9 +69,9 @@ class Standardise(nn.Module):
 class Residual(nn.Module):
     """x + activation(BN(linear(x)))."""
 
-    def __init__(self, width: int, architecture: Architecture) -> None:
+    def __init__(self, width: int, architecture: Architecture, images: int) -> None:
         super().__init__()
-        self.path = _dense(width, width, architecture)
+        self.path = _dense(width, width, architecture, images)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, width)."""
@@ -82,43 +83,56 @@ class VD2T(nn.Module):
 
     Args:
         architecture: Its shape.
+        skin: What it is for: the map, and the images that a symmetric network keeps.
+
+    Raises:
+        ValueError: The skin's map cannot be sharpened.
     """
 
-    def __init__(self, architecture: Architecture) -> None:
+    def __init__(self, architecture: Architecture, skin: Skin) -> None:
         super().__init__()
         self.architecture = architecture
+        self.skin = skin
+        self.mirrors = mirrors(skin) if architecture.symmetric else mirrors(skin)[:1]
         self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
-        self.voltage, voltage_width = _voltage_channel(architecture)
-        self.cloud, cloud_width = _cloud_channel(architecture)
-        self.fusion_voltage = _linear(voltage_width, architecture.hidden, architecture)
+        self.voltage, voltage_width = _voltage_channel(architecture, len(self.mirrors))
+        self.cloud, cloud_width = _cloud_channel(architecture, skin.grid.shape)
+        self.fusion_voltage = _linear(voltage_width, architecture.hidden, architecture, len(self.mirrors))
         self.fusion_cloud = nn.Linear(cloud_width, architecture.hidden)
         self.fusion = nn.Sequential(
             _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
         )
         if architecture.symmetric:
-            quarter = QUARTER_SHAPE[0] * QUARTER_SHAPE[1]
-            self.out: nn.Linear | ImageLinear = ImageLinear(architecture.hidden, quarter, bias=True)
-            self.pixels: nn.Module = Quarters()
+            self.out: nn.Linear | ImageLinear = ImageLinear(
+                len(self.mirrors), architecture.hidden, len(part(self.mirrors)), bias=True
+            )
+            self.pixels: nn.Module = Parts(self.mirrors)
         else:
-            self.out = nn.Linear(architecture.hidden, architecture.outputs)
+            self.out = nn.Linear(architecture.hidden, outputs_of(architecture, skin))
             self.pixels = nn.Identity()
-        self.sharpen = Sharpen(architecture.sharpening, _kind(architecture))
+        self.sharpen = Sharpen(architecture.sharpening, _kind(architecture), skin.grid.shape)
         assert self.out.bias is not None
         nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
-        self.register_buffer("unit_of_pixel", torch.from_numpy(UNIT_OF_PIXEL.reshape(-1).copy()), persistent=False)
+        unit_of_pixel = torch.from_numpy(skin.grid.unit_of_pixel.reshape(-1).copy())
+        self.register_buffer("unit_of_pixel", unit_of_pixel, persistent=False)
+
+    @property
+    def bias_width(self) -> int:
+        """Width of what a cloud adds: H, or that of each image."""
+        return len(self.mirrors) * self.architecture.hidden
 
     def bias(self, clouds: Tensor) -> Tensor:
         """Return (D, H), what each cloud adds in the first fusion layer.
 
         Args:
-            clouds: (D, 3, 30, 45) as :func:`eitskin_proto.skin.cloud.network_input` gives them.
+            clouds: (D, 3, rows, columns) as :func:`eitskin_proto.skin.cloud.network_input` gives them.
         """
         if not self.architecture.use_cloud:
             clouds = torch.zeros_like(clouds)
         if not self.architecture.symmetric:
             return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
-        found: Tensor = self.fusion_cloud(self.cloud(images_of_clouds(clouds).flatten(0, 1)))
-        return found.view(IMAGES, len(clouds), -1).transpose(0, 1).flatten(1)
+        found: Tensor = self.fusion_cloud(self.cloud(images_of_clouds(clouds, self.mirrors).flatten(0, 1)))
+        return found.view(len(self.mirrors), len(clouds), -1).transpose(0, 1).flatten(1)
 
     def logits(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None = None) -> Tensor:
         """Return (B, outputs) before the sigmoid.
@@ -130,8 +144,8 @@ class VD2T(nn.Module):
         """
         x = features(dv, self.architecture, log_predicted)
         if self.architecture.symmetric:
-            x = images_of_rows(x, self.architecture.feature_blocks)
-            bias = bias.view(len(bias), IMAGES, -1).transpose(0, 1)
+            x = images_of_rows(x, self.architecture.feature_blocks, self.mirrors)
+            bias = bias.view(len(bias), len(self.mirrors), -1).transpose(0, 1)
         hidden = self.fusion(self.fusion_voltage(self.voltage(self.standardise(x))) + bias)
         return self.sharpen(self.pixels(self.out(hidden)))  # type: ignore[no-any-return]
 
@@ -142,7 +156,7 @@ class VD2T(nn.Module):
 
         Args:
             dv: (B, 104) relative change.
-            clouds: (D, 3, 30, 45), each shape once.
+            clouds: (D, 3, rows, columns), each shape once.
             which: (B,) the cloud of each sample; None when D = B, one each.
             log_predicted: As in :meth:`logits`.
         """
@@ -150,9 +164,9 @@ class VD2T(nn.Module):
         return self.logits(dv, bias if which is None else bias[which], log_predicted)
 
     def maps(self, logits: Tensor) -> Tensor:
-        """Return (B, 1350) touched maps in [0, 1] from logits."""
+        """Return (B, n_pixels) touched maps in [0, 1] from logits."""
         touched = torch.sigmoid(logits)
-        if self.architecture.outputs == N_PIXELS:
+        if self.architecture.outputs == "pixels":
             return touched
         return touched[:, self.unit_of_pixel]  # type: ignore[index]
 
@@ -164,6 +178,11 @@ class VD2T(nn.Module):
         """Return how many weights one frame reads: all but the cloud's half."""
         geometry = [*self.cloud.parameters(), *self.fusion_cloud.parameters()]
         return self.parameter_count() - sum(parameter.numel() for parameter in geometry)
+
+
+def outputs_of(architecture: Architecture, skin: Skin) -> int:
+    """Return how many numbers a network gives for a skin."""
+    return skin.grid.n_pixels if architecture.outputs == "pixels" else skin.grid.n_units
 
 
 def features(dv: Tensor, architecture: Architecture, log_predicted: Tensor | None = None) -> Tensor:
@@ -188,9 +207,9 @@ def _kind(architecture: Architecture) -> type[nn.Module]:
     return nn.SiLU if architecture.activation == "silu" else nn.ReLU
 
 
-def _linear(inputs: int, outputs: int, architecture: Architecture) -> nn.Module:
+def _linear(inputs: int, outputs: int, architecture: Architecture, images: int) -> nn.Module:
     if architecture.symmetric:
-        return ImageLinear(inputs, outputs)
+        return ImageLinear(images, inputs, outputs)
     return nn.Linear(inputs, outputs, bias=False)
 
 
@@ -198,26 +217,26 @@ def _norm(width: int, architecture: Architecture) -> nn.Module:
     return ImageNorm(width) if architecture.symmetric else nn.BatchNorm1d(width)
 
 
-def _dense(inputs: int, outputs: int, architecture: Architecture, *, first: bool = False) -> nn.Sequential:
+def _dense(inputs: int, outputs: int, architecture: Architecture, images: int, *, first: bool = False) -> nn.Sequential:
     """Return a layer; the first one is the same for every image, whose rows are its inputs."""
     return nn.Sequential(
-        nn.Linear(inputs, outputs, bias=False) if first else _linear(inputs, outputs, architecture),
+        nn.Linear(inputs, outputs, bias=False) if first else _linear(inputs, outputs, architecture, images),
         _norm(outputs, architecture),
         activation(architecture),
         nn.Dropout(architecture.dropout),
     )
 
 
-def _voltage_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+def _voltage_channel(architecture: Architecture, images: int) -> tuple[nn.Sequential, int]:
     """Return the channel and the width of what it gives."""
     widths = architecture.widths
     width_in = architecture.feature_blocks * N_ROWS
-    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, first=True)]
+    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, images, first=True)]
     if architecture.voltage_channel == "residual":
-        layers += [Residual(width, architecture) for width in widths[1:]]
+        layers += [Residual(width, architecture, images) for width in widths[1:]]
         return nn.Sequential(*layers), widths[-1]
     for before, after in itertools.pairwise(widths):
-        layers.append(_dense(before, after, architecture))
+        layers.append(_dense(before, after, architecture, images))
     layers.append(nn.Unflatten(1, (1, widths[-1])))
     length, channels = widths[-1], 1
     for index, after in enumerate(architecture.convolutions):
@@ -232,9 +251,9 @@ def _voltage_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
     return nn.Sequential(*layers), length * channels
 
 
-def _cloud_channel(architecture: Architecture) -> tuple[nn.Sequential, int]:
+def _cloud_channel(architecture: Architecture, shape: tuple[int, int]) -> tuple[nn.Sequential, int]:
     """Return two strided 2-D convolutions and the width of what they give."""
-    rows, columns = GRID_SHAPE
+    rows, columns = shape
     channels = 3
     layers: list[nn.Module] = []
     for after in architecture.cloud_channels:

@@ -2,9 +2,12 @@
 
 The last linear layer gives a map that is right to a pixel or so, everywhere by weights of its own. What a touch looks
 like is the same everywhere: a region with a border, apart from its neighbours. So three by three pixels are taken as
-the nine channels of a cell of 10 mm, and each block adds to them what it makes of a cell and the eight around it::
+the nine channels of a cell, 10 mm on the paper's sheet, and each block adds to them what it makes of a cell and the
+eight around it ::
 
     z (B, 1350) -- cells (B, 9, 10, 15) -- [ z + conv1x1(act(conv3x3(z / 4))) ] ... -- pixels (B, 1350)
+
+A map's rows and columns are therefore multiples of three.
 
 Six thousand weights, 0.9 million products a frame. What it gains beside a wider network: docs/results/ablations.md.
 """
@@ -18,21 +21,33 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
-
 CELL: Final = 3
-"""Pixels along a cell's side: 10 mm."""
-
-CELLS: Final = (GRID_SHAPE[0] // CELL, GRID_SHAPE[1] // CELL)
-"""(10, 15) cells."""
+"""Pixels along a cell's side."""
 
 LOGITS: Final = 4.0
 """Typical size of a logit; convolutions see them divided by it."""
 
-PIXEL_OF_CELL: Final[npt.NDArray[np.int64]] = (
-    np.arange(N_PIXELS).reshape(CELLS[0], CELL, CELLS[1], CELL).transpose(0, 2, 1, 3).reshape(-1)
-)
-"""(1350,) the pixels in the order of cells, nine of each after another."""
+
+def cells(shape: tuple[int, int]) -> tuple[int, int]:
+    """Return the rows and columns of cells of a map.
+
+    Raises:
+        ValueError: A side is no multiple of three.
+    """
+    rows, columns = shape
+    if rows % CELL or columns % CELL:
+        raise ValueError(
+            f"a map of {rows} x {columns} pixels cannot be sharpened: expected multiples of {CELL}; give the skin's "
+            f"[map] shape = [{-(-rows // CELL) * CELL}, {-(-columns // CELL) * CELL}]"
+        )
+    return rows // CELL, columns // CELL
+
+
+def pixel_of_cell(shape: tuple[int, int]) -> npt.NDArray[np.int64]:
+    """Return the (n_pixels,) pixels in the order of cells, nine of each after another."""
+    rows, columns = cells(shape)
+    pixels = np.arange(shape[0] * shape[1]).reshape(rows, CELL, columns, CELL)
+    return pixels.transpose(0, 2, 1, 3).reshape(-1)
 
 
 class Sharpen(nn.Module):
@@ -41,10 +56,17 @@ class Sharpen(nn.Module):
     Args:
         channels: Width of each block.
         activation: Makes the nonlinearity.
+        shape: Rows and columns of the map.
+
+    Raises:
+        ValueError: There are blocks and the map has no whole cells.
     """
 
-    def __init__(self, channels: Sequence[int], activation: type[nn.Module]) -> None:
+    def __init__(self, channels: Sequence[int], activation: type[nn.Module], shape: tuple[int, int]) -> None:
         super().__init__()
+        self.shape = shape
+        if channels:
+            cells(shape)
         self.blocks = nn.ModuleList()
         for width in channels:
             last = nn.Conv2d(width, CELL**2, 1)
@@ -57,14 +79,14 @@ class Sharpen(nn.Module):
                 parameter.data = parameter.data.to(memory_format=torch.channels_last)  # trains faster
 
     def cells(self, z: Tensor) -> Tensor:
-        """Return (B, 9, 10, 15) of the same."""
+        """Return (B, 9, rows, columns) of the same."""
         for block in self.blocks:
             z = torch.add(z, block(z / LOGITS))
         return z
 
     def forward(self, logits: Tensor) -> Tensor:
-        """Return (B, 1350)."""
+        """Return (B, n_pixels)."""
         if not len(self.blocks):
             return logits
-        z = functional.pixel_unshuffle(logits.view(-1, 1, *GRID_SHAPE), CELL)
+        z = functional.pixel_unshuffle(logits.view(-1, 1, *self.shape), CELL)
         return functional.pixel_shuffle(self.cells(z), CELL).flatten(1)

@@ -17,17 +17,18 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_training.network.mirror import MIRRORS, Mirror
+from eitskin_training.network.mirror import Mirror, mirrors
 from eitskin_training.network.model import features
 from eitskin_training.recipes import Recipe
 from eitskin_training.samples.missing_rows import lose_electrodes
@@ -35,8 +36,10 @@ from eitskin_training.samples.missing_rows import lose_electrodes
 MOST_LOST_ROWS: Final = 4
 """A sample that loses rows loses one to this many."""
 
-PIXELS_PER_UNIT: Final[npt.NDArray[np.intp]] = np.bincount(UNIT_OF_PIXEL.ravel())
-"""(126,) 9, 12 or 16: the weight that makes a loss over units equal to the loss over the pixels they cover."""
+
+def pixels_per_unit(grid: Grid) -> npt.NDArray[np.intp]:
+    """Return the (n_units,) weights that make a loss over units equal to the loss over the pixels they cover."""
+    return np.bincount(grid.unit_of_pixel.ravel(), minlength=grid.n_units)
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,15 +52,16 @@ class TrainingData:
         touch_set: (N,) which touch set.
         reference: (104,) V of the flat, untouched sheet.
         untouched: (D, 104) V of each bend, untouched.
-        clouds: (D, 3, 30, 45) network inputs.
+        clouds: (D, 3, rows, columns) network inputs.
         log_predicted: (D, 104) log(V_pred / V0), or zeros where nothing was predicted.
         labels_kind: "units" or "area".
-        labels: (T, 126) of 0 and 1, or (T, 1350) touched fraction in 1/255.
+        labels: (T, n_units) of 0 and 1, or (T, n_pixels) touched fraction in 1/255.
         train: Rows to learn from.
         validation: Rows that choose the best epoch: other touch sets at the same bends.
         held_out: Rows of other touch sets at bends never trained on, by family; for the metrics card.
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
+        skin: What it was made for; a network learned from it is for this skin.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -75,21 +79,17 @@ class TrainingData:
     digest: str
     seed: int
     protocol_id: str = PROTOCOL_ID
-    grid_id: str = GRID_ID
+    skin: Skin = PAPER
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
 
         Raises:
-            MismatchError: It was made for another protocol or grid, or has the other kind of labels.
+            MismatchError: It was made for another protocol, or has the other kind of labels.
         """
         hint = "make it again with 'eitskin dataset'"
-        for name, found, expected in (
-            ("protocol_id", self.protocol_id, PROTOCOL_ID),
-            ("grid_id", self.grid_id, GRID_ID),
-        ):
-            if found != expected:
-                raise MismatchError(f"data set: {name}", found=found, expected=expected, hint=hint)
+        if self.protocol_id != PROTOCOL_ID:
+            raise MismatchError("data set: protocol_id", found=self.protocol_id, expected=PROTOCOL_ID, hint=hint)
         if self.labels_kind != recipe.labels:
             raise MismatchError(
                 f"data set for recipe {recipe.name}: labels",
@@ -105,10 +105,10 @@ class Batch:
 
     Args:
         dv: (B, 104) noisy relative change.
-        clouds: (C, 3, 30, 45) the clouds that occur.
+        clouds: (C, 3, rows, columns) the clouds that occur.
         which: (B,) the cloud of each sample.
         log_predicted: (B, 104) log(V_pred / V0).
-        labels: (B, 126) units or (B, 1350) pixels, in [0, 1].
+        labels: (B, n_units) or (B, n_pixels), in [0, 1].
     """
 
     dv: Tensor
@@ -156,11 +156,12 @@ def batches(
     size = min(recipe.batch, len(data.train))
     order = _order(data, recipe.together, size, rng)
     images = {} if mirrored is None else mirrored
+    shown = mirrors(data.skin)
     filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
     for start in range(0, len(order) - size + 1, size):
-        flip = int(rng.integers(len(MIRRORS))) if recipe.flips else 0
+        flip = int(rng.integers(len(shown))) if recipe.flips else 0
         if flip not in images:
-            images[flip] = MIRRORS[flip].clouds(data.clouds)
+            images[flip] = shown[flip].clouds(data.clouds)
         rows = order[start : start + size]
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         lose_rows(dv, recipe, rng)
@@ -169,7 +170,7 @@ def batches(
         predicted = data.log_predicted[data.deformation[rows]]
         if recipe.predicted_dropout:
             predicted[rng.random(len(rows)) < recipe.predicted_dropout] = 0.0
-        yield assemble(data, rows, dv, predicted, MIRRORS[flip], images[flip])
+        yield assemble(data, rows, dv, predicted, shown[flip], images[flip])
 
 
 def _order(data: TrainingData, together: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
@@ -198,7 +199,7 @@ def assemble(
     rows: npt.NDArray[np.intp],
     dv: npt.NDArray[np.float32],
     predicted: npt.NDArray[np.float32],
-    mirror: Mirror = MIRRORS[0],
+    mirror: Mirror | None = None,
     clouds: npt.NDArray[np.float32] | None = None,
 ) -> Batch:
     """Return a batch of given rows, in one mirror image.
@@ -208,9 +209,10 @@ def assemble(
         rows: (B,) samples.
         dv: (B, 104) their relative change, in the table's order.
         predicted: (B, 104) log(V_pred / V0), likewise.
-        mirror: The image to show.
-        clouds: (D, 3, 30, 45) clouds in that image; the data set's own by default.
+        mirror: The image to show; the skin itself by default.
+        clouds: (D, 3, rows, columns) clouds in that image; the data set's own by default.
     """
+    mirror = mirrors(data.skin)[0] if mirror is None else mirror
     occurring, which = np.unique(data.deformation[rows], return_inverse=True)
     columns = mirror.units if data.labels_kind == "units" else mirror.pixels
     labels = data.labels[data.touch_set[rows]][:, columns].astype(np.float32)
@@ -242,7 +244,8 @@ def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
     rng = np.random.default_rng(0)
     rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
     found = []
-    for mirror in MIRRORS if recipe.flips or recipe.architecture.symmetric else MIRRORS[:1]:
+    shown = mirrors(data.skin)
+    for mirror in shown if recipe.flips or recipe.architecture.symmetric else shown[:1]:
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]], mirror)
         found.append(features(batch.dv, recipe.architecture, batch.log_predicted))
@@ -268,7 +271,7 @@ def load(directory: str) -> TrainingData:
         touch_set=found.touch_set.astype(np.intp),
         reference=found.reference_V,
         untouched=found.untouched_V,
-        clouds=np.stack([network_input(cloud) for cloud in found.clouds]),
+        clouds=np.stack([network_input(cloud, found.skin.grid) for cloud in found.clouds]),
         log_predicted=predicted_log_of(directory, found),
         labels_kind=found.labels_kind,
         labels=labels,
@@ -277,4 +280,5 @@ def load(directory: str) -> TrainingData:
         held_out={family: rows for family, rows in held_out.items() if len(rows)},
         digest=found.digest,
         seed=found.seed,
+        skin=found.skin,
     )

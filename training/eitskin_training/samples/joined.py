@@ -17,7 +17,7 @@ def load_all(directories: Sequence[str]) -> TrainingData:
     """Return the data sets of some folders as one.
 
     Raises:
-        MismatchError: One was made for another protocol or grid, or they do not go together.
+        MismatchError: One was made for another protocol, or they do not go together.
         OSError: There is none in a folder.
     """
     return join([load(directory) for directory in directories])
@@ -39,8 +39,12 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
     if twice := {digest for digest in digests if digests.count(digest) > 1}:
         raise MismatchError("data sets: digest", found=f"{', '.join(twice)} twice", expected="each once", hint=hint)
     for one in sets[1:]:
-        for name in ("labels_kind", "protocol_id", "grid_id"):
-            if (found := getattr(one, name)) != (expected := getattr(first, name)):
+        for name, found, expected in (
+            ("labels_kind", one.labels_kind, first.labels_kind),
+            ("protocol_id", one.protocol_id, first.protocol_id),
+            ("skin_digest", one.skin.digest, first.skin.digest),
+        ):
+            if found != expected:
                 raise MismatchError(f"data set {one.digest}: {name}", found=found, expected=expected, hint=hint)
         if not np.array_equal(one.reference, first.reference):
             off = float(np.abs(one.reference / first.reference - 1.0).max())
