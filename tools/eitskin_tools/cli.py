@@ -27,12 +27,13 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
-    "surface": ("live.surface", "order measured points of the bent sheet into a cloud"),
+    "surface": ("live.surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
 
 OFFLINE: Final[dict[str, tuple[str, str]]] = {
+    "skin": ("offline.skin", "show or check the description of a sheet, skin.toml"),
     "simulate": ("offline.simulate", "solve a scene with the forward model"),
     "dataset": ("offline.dataset", "generate a data set"),
     "train": ("offline.train", "train VD2T"),

@@ -44,6 +44,7 @@ RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
 MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md")
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
+SKIN: Final = Kind("a skin's description as TOML", "eitskin_proto.skins", ".toml")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 

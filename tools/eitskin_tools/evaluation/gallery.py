@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.scene.bend import surface
@@ -50,10 +49,10 @@ def collect(phantoms: Sequence[Phantom], conditions: Conditions, bundle: str | P
         maps: list[Array] = []
         runs = []
         for name in SOLVERS:
-            run = named(Request(name, bundle=bundle), phantom.truth).run
+            run = named(Request(name, bundle=bundle), phantom.truth, conditions.skin).run
             runs.append(Run(_keep(run.solver, maps), run.reference))
         evaluate_all([phantom], runs, conditions)
-        rows.append(Row(phantom, truth_map(phantom), tuple(maps[: len(SOLVERS)])))
+        rows.append(Row(phantom, truth_map(phantom, conditions.skin.grid), tuple(maps[: len(SOLVERS)])))
     return rows
 
 
@@ -80,7 +79,7 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
     size = (CELL_INCH[0] * columns, CELL_INCH[1] * len(rows) + 0.3)
     figure = pyplot.figure(figsize=size, dpi=DPI)
     for index, row in enumerate(rows):
-        points = _points(row.phantom)
+        points = _points(row.phantom, row.truth.shape)
         for column, image in enumerate((row.truth, *row.maps)):
             axes: Any = figure.add_subplot(len(rows), columns, index * columns + column + 1, projection="3d")
             faces = colours(np.kron(np.clip(image, 0.0, 1.0), np.ones((FINE, FINE))))
@@ -111,10 +110,10 @@ def _keep(solver: Solver, maps: list[Array]) -> Solver:
     return solve
 
 
-def _points(phantom: Phantom) -> tuple[Array, ...]:
-    """Return x, y, z of the corners of the surface's cells, (30 FINE + 1, 45 FINE + 1) each."""
+def _points(phantom: Phantom, shape: tuple[int, ...]) -> tuple[Array, ...]:
+    """Return x, y, z of the corners of the surface's cells, (rows FINE + 1, columns FINE + 1) each."""
     length, width = phantom.scene.sheet.size_mm
-    rows, columns = GRID_SHAPE
+    rows, columns = shape
     x, y = np.linspace(0.0, length, columns * FINE + 1), np.linspace(0.0, width, rows * FINE + 1)
     flat = np.stack(np.meshgrid(x, y), axis=-1)
     points = surface(phantom.scene.bend, phantom.scene.sheet, flat.reshape(-1, 2)).reshape(*flat.shape[:2], 3)

@@ -6,6 +6,7 @@ from typing import Any, Final
 
 import numpy as np
 
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.harness import Conditions
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.evaluation.paper import DISTANCE_ERROR, PHANTOMS, TABLE_2
@@ -31,15 +32,16 @@ MEANS: Final = (
 """Measures of the table of means."""
 
 
-def requests(phantoms: Sequence[Phantom], bundle: str | Path | None = None) -> list[Request]:
+def requests(phantoms: Sequence[Phantom], bundle: str | Path | None = None, skin: Skin = PAPER) -> list[Request]:
     """Return what the table compares: classical solvers with three references, and the network if its bundle is there.
 
     Args:
         phantoms: Their labels say which bundles are needed.
-        bundle: The network's file; None takes the shipped ones.
+        bundle: The network's file; None takes the shipped ones, which are for the paper's skin.
+        skin: Whose maps are compared.
     """
     found = [Request(name, reference) for name in CLASSICAL for reference in ("post", "pre", "predicted")]
-    if bundle is not None or _has_bundle(phantoms):
+    if bundle is not None or (skin.digest == PAPER.digest and _has_bundle(phantoms)):
         found += [Request("vd2t", bundle=bundle), Request("vd2t-int8", bundle=bundle)]
     return found
 
@@ -58,7 +60,7 @@ def comparison(
         progress: Called with the phantoms done and all phantoms.
         bundle: The network's file; None takes the shipped ones.
     """
-    reports = evaluate_requests(phantoms, requests(phantoms, bundle), conditions, progress)
+    reports = evaluate_requests(phantoms, requests(phantoms, bundle, conditions.skin), conditions, progress)
     own = [one for one in reports if one["reference"] == ("pre" if one["solver"].startswith("vd2t") else "post")]
     own = [one for one in own if one["solver"] != "vd2t-int8"]
     paper = len(phantoms) == PHANTOMS

@@ -14,8 +14,9 @@ from typing import Any, Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.harness import (
     REFERENCES,
     SOLVERS,
@@ -71,15 +72,17 @@ class Named:
     """What the head's second input is fed; None where there is no such input."""
 
 
-def named(request: Request, labels: str) -> Named:
+def named(request: Request, labels: str, skin: Skin = PAPER) -> Named:
     """Return the solver that a request means on phantoms with these labels.
 
     Args:
         request: Name, reference, bundle.
         labels: ``"units"`` or ``"area"``, what the phantoms' truth means.
+        skin: Whose maps and clouds there are.
 
     Raises:
         ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.
+        MismatchError: The bundle is for another skin.
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
@@ -87,10 +90,10 @@ def named(request: Request, labels: str) -> Named:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name not in NETWORKS:
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
-    return _network(request, labels)
+    return _network(request, labels, skin)
 
 
-def _network(request: Request, labels: str) -> Named:
+def _network(request: Request, labels: str, skin: Skin) -> Named:
     from eitskin.model.buffers import Buffers
     from eitskin.model.bundle import default_path, load_bundle
     from eitskin.model.engine import engines
@@ -98,6 +101,9 @@ def _network(request: Request, labels: str) -> Named:
     from eitskin.reference.predicted import log_ratio
 
     loaded = load_bundle(request.bundle or default_path(labels))
+    own = getattr(loaded, "skin", PAPER)
+    hint = "make a bundle for this skin with 'eitskin export', or name its own with --skin"
+    check_made_for(str(loaded.path), skin, grid_id=own.grid_id, skin_digest=own.digest, hint=hint)
     _check_reference(request, str(loaded.path), takes_prediction=loaded.uses_prediction)
     buffers = Buffers(loaded.bias_width)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
@@ -111,14 +117,14 @@ def _network(request: Request, labels: str) -> Named:
         if shown[0] is not case.sheet:
             predicted = None
             if prediction == "scan":
-                predicted = log_ratio(case.sheet.predicted(), flat_voltages())
+                predicted = log_ratio(case.sheet.predicted(), flat_voltages(case.sheet.skin))
             elif prediction == "true":
                 predicted = log_ratio(case.sheet.untouched, case.flat_reference)
             shown[:] = [case.sheet, shown[1] + 1]
             buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, shown[1]))
         buffers.change[0] = relative_change(case.voltages, case.flat_reference)
         engine.infer()
-        return np.asarray(buffers.map, dtype=np.float64).reshape(GRID_SHAPE)
+        return np.asarray(buffers.map, dtype=np.float64).reshape(skin.grid.shape)
 
     solver: Solver = solve
     return Named(Run(solver, "pre"), loaded.id, prediction)
@@ -169,6 +175,7 @@ def evaluate_requests(
             "shift_px": conditions.shift_px,
             "cloud": conditions.cloud,
             "bundles": ids,
+            "skin_digest": conditions.skin.digest,
         }
         found.append({**report(request.name, conditions.noise, results), **extra})
     return found
@@ -182,7 +189,7 @@ def evaluate_named(
 ) -> list[tuple[dict[str, Named], Results]]:
     """Return, for each request, its solvers by labels and its scores in the phantoms' order."""
     every: list[str] = list(dict.fromkeys(one.truth for one in phantoms))
-    solvers = [{labels: named(request, labels) for labels in every} for request in requests]
+    solvers = [{labels: named(request, labels, conditions.skin) for labels in every} for request in requests]
     results: list[Results] = [[] for _ in requests]
     done = 0
 

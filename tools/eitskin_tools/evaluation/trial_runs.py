@@ -22,7 +22,7 @@ def touched_trial(
 ) -> dict[str, Any]:
     """Return the summary of one solver on drawn phantoms, ``each`` of them at a deformation."""
     ((solvers, results),) = evaluate_named(phantoms, [request], conditions, progress)
-    return {**_head(request, conditions, solvers[phantoms[0].truth]), **summary(results, each)}
+    return {**_head(request, conditions, solvers[phantoms[0].truth]), **summary(results, each, conditions.skin.grid)}
 
 
 def untouched_trial(
@@ -34,10 +34,10 @@ def untouched_trial(
     progress: Progress | None,
 ) -> dict[str, Any]:
     """Return how high the maps of bent sheets rise that nothing touches."""
-    solver = named(request, labels)
+    solver = named(request, labels, conditions.skin)
     peaks: list[float] = []
     run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
-    evaluate_all(trials.untouched(deformations, family, labels), [run], conditions, progress)
+    evaluate_all(trials.untouched(deformations, family, labels, conditions.skin), [run], conditions, progress)
     found = np.array(peaks)
     return {
         **_head(request, conditions, solver),
@@ -71,4 +71,5 @@ def _head(request: Request, conditions: Conditions, solver: Any) -> dict[str, An
         "reference": solver.run.reference,
         "prediction": solver.prediction,
         "bundles": [solver.bundle_id] if solver.bundle_id else [],
+        "skin_digest": conditions.skin.digest,
     }

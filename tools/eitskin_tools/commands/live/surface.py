@@ -1,4 +1,4 @@
-"""``eitskin surface``: measured points of the bent sheet in, the ordered 3 x 30 x 45 cloud out, with V_pred if asked.
+"""``eitskin surface``: measured points of the bent sheet in, the ordered cloud out, with V_pred if asked.
 
 The whole way from a 3-D scanner to a running stream is ``eitskin surface POINTS --out CLOUD.npz --predict --send``.
 """
@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, skins
 from eitskin_tools.console.say import say
 
 DEFAULT = "default"
@@ -43,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="ENDPOINT",
         help="give it to a running stream, at the control endpoint of 'eitskin run' (default: the same as its default)",
     )
+    skins.add_skin(parser, "the sheet's size, its pixels and, for V_pred, its electrodes")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -51,11 +52,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
+    skin = skins.chosen(arguments)
     points = read_points(files.find(arguments.file, files.POINTS))
     files.writable(arguments.out)
     start = time.perf_counter()
     try:
-        result = organise(points, tuple(arguments.corner) if arguments.corner else None)
+        result = organise(points, tuple(arguments.corner) if arguments.corner else None, skin.grid)
     except PointCloudError as error:
         raise PointCloudError(f"{arguments.file}: {error}") from error
     elapsed_ms = 1e3 * (time.perf_counter() - start)
@@ -64,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         from eitskin_sim.surface.predict import flat_voltages, predict
 
         start = time.perf_counter()
-        predicted = predict(result.cloud_mm), flat_voltages()
+        predicted = predict(result.cloud_mm, skin), flat_voltages(skin)
         predict_ms = 1e3 * (time.perf_counter() - start)
         if result.prediction_rms > DOUBTFUL_RMS:
             print(
@@ -73,7 +75,7 @@ def run(arguments: argparse.Namespace) -> int:
                 "may be worse with it than without: measure more densely, or leave --predict out",
                 file=sys.stderr,
             )
-    save_cloud(arguments.out, result, predicted)
+    save_cloud(arguments.out, result, predicted, skin)
     sent = None if arguments.send is None else _send(arguments.send, arguments.out)
     if arguments.json:
         print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent)))

@@ -7,7 +7,7 @@ import time
 from dataclasses import asdict, replace
 from typing import Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, skins
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
 
@@ -55,6 +55,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     _add_ablations(parser)
     _add_trials(parser)
+    skins.add_skin(
+        parser, "model, map and clouds of the solvers, and the sheet of trials and of what phantoms leave out"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -109,7 +112,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
     if arguments.all and arguments.phantoms is None:
         raise UsageError("--all needs --phantoms: the table stands beside the paper's")
-    conditions = Conditions(arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud)
+    skin = skins.chosen(arguments)
+    conditions = Conditions(
+        arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud, skin
+    )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
@@ -147,7 +153,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     from eitskin_tools.evaluation.paper_tables import comparison
     from eitskin_tools.evaluation.solvers import evaluate_requests
 
-    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS))
+    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS), conditions.skin)
     if not phantoms:
         raise ValueError(f"{arguments.phantoms} holds no phantom; expected a list of at least one")
     if arguments.all:
@@ -209,14 +215,14 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
         return _print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
     if arguments.single is not None:
         trial = {"kind": "single", "size_mm": arguments.single, **asdict(softness), **trial}
-        phantoms = trials.single(arguments.single, deformations, each, family, softness)
+        phantoms = trials.single(arguments.single, deformations, each, family, softness, conditions.skin)
     elif arguments.pair is not None:
         trial = {"kind": "pair", "gap_mm": arguments.pair, **trial}
-        phantoms = trials.pair(arguments.pair, deformations, each, family)
+        phantoms = trials.pair(arguments.pair, deformations, each, family, conditions.skin)
     else:
         counts = _counts(arguments.random)
         trial = {"kind": "random", "touches": list(counts), **trial}
-        phantoms = trials.random(counts, deformations, each, family, labels)
+        phantoms = trials.random(counts, deformations, each, family, labels, conditions.skin)
     found = touched_trial(phantoms, each, request, conditions, _progress())
     return _print_trial({"trial": trial, **found}, arguments.json)
 

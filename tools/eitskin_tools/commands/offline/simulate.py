@@ -6,6 +6,9 @@ import sys
 from pathlib import Path
 from time import perf_counter
 
+from eitskin_proto.skin.skin import Skin
+from eitskin_tools.command_line import skins
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
@@ -21,6 +24,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how a face contact passes current: by the modes of the layer's depth (default), or by one fitted "
         "constant, which data sets and bundles are made with",
     )
+    parser.add_argument(
+        "--reference",
+        action="store_true",
+        help="the scene's device when its reference was taken: flat, untouched, and without what came late",
+    )
+    skins.add_skin(parser, "what the scene leaves out: sheet, electrodes, units")
     parser.add_argument("--json", action="store_true", help="print one JSON object on what was solved")
 
 
@@ -32,17 +41,20 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.scene.scene import check_scene, load_scene
     from eitskin_tools.command_line import files
 
-    scene = load_scene(files.find(arguments.scene, files.SCENE))
+    skin = skins.chosen(arguments)
+    scene = load_scene(files.find(arguments.scene, files.SCENE), skin)
     files.writable(arguments.out)
+    if arguments.reference:
+        scene = scene.reference()
     if arguments.element_size_mm is not None:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
     if sys.stderr.isatty():
-        print("eitskin simulate: solving, half a minute at most", file=sys.stderr)
+        print("eitskin simulate: solving, a minute at most", file=sys.stderr)
     start = perf_counter()
     solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start
-    _write(arguments.out, scene, solution)
+    _write(arguments.out, scene, solution, skin)
     report = {
         "out": str(arguments.out),
         "rows": len(solution.voltages),
@@ -64,12 +76,12 @@ def run(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _write(out: Path, scene: object, solution: object) -> None:
+def _write(out: Path, scene: object, solution: object, skin: Skin) -> None:
     """Write the voltages, whole or not at all."""
     import numpy as np
 
     from eitskin_proto.files.writing import replacing
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_sim.fem.solve import Solution
     from eitskin_sim.scene.scene import Scene, scene_json
 
@@ -82,5 +94,6 @@ def _write(out: Path, scene: object, solution: object) -> None:
             voltages208=solution.voltages208,
             scene=np.array(scene_json(scene)),
             protocol_id=np.array(PROTOCOL_ID),
-            grid_id=np.array(GRID_ID),
+            grid_id=np.array(skin.grid_id),
+            skin_digest=np.array(skin.digest),
         )
