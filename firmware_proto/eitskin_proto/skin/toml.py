@@ -39,6 +39,9 @@ NAMED: Final = ("paper", "hydrogel")
 
 LONGEST_NAME: Final = 60
 
+A_LINE: Final = 8
+"""Numbers of a list on one line."""
+
 
 def load(path: str | Path) -> Skin:
     """Return the skin of a TOML file, or of one that comes with the package if only its name is given.
@@ -112,7 +115,11 @@ def _shown(value: Any) -> str:
         stated = _shown(value.value)
         return stated if value.law == "exact" else f"{{value = {stated}, {value.law} = {value.spread!r}}}"
     if isinstance(value, tuple):
-        return f"[{', '.join(_shown(one) for one in value)}]"
+        shown = [_shown(one) for one in value]
+        if len(shown) <= A_LINE:
+            return f"[{', '.join(shown)}]"
+        lines = (", ".join(shown[start : start + A_LINE]) for start in range(0, len(shown), A_LINE))
+        return "[\n" + "".join(f"    {line},\n" for line in lines) + "]"
     if isinstance(value, bool):
         return str(value).lower()
     return f'"{value}"' if isinstance(value, str) else repr(value)
