@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from eitskin_proto.errors import MismatchError, ProtocolError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.codes import (
     CODE_TEXT,
     PROTOCOL_MAJOR,
@@ -63,7 +64,7 @@ class Hello(Packed):
     protocol_major: int = PROTOCOL_MAJOR
     protocol_minor: int = PROTOCOL_MINOR
     protocol_id: str = PROTOCOL_ID
-    grid_id: str = GRID_ID
+    grid_id: str = PAPER.grid_id
     tag: int = 0
 
     @classmethod
@@ -90,8 +91,8 @@ class Hello(Packed):
         hint = "install the eitskin release that the firmware was built with, or flash the firmware of this release"
         if self.protocol_id != PROTOCOL_ID:
             raise MismatchError("HELLO.protocol_id", found=self.protocol_id, expected=PROTOCOL_ID, hint=hint)
-        if self.grid_id != GRID_ID:
-            raise MismatchError("HELLO.grid_id", found=self.grid_id, expected=GRID_ID, hint=hint)
+        if self.grid_id != PAPER.grid_id:
+            raise MismatchError("HELLO.grid_id", found=self.grid_id, expected=PAPER.grid_id, hint=hint)
 
     @property
     def full(self) -> bool:

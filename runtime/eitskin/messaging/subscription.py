@@ -19,13 +19,16 @@ from typing import Any, Final, Self
 
 import zmq
 
-from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
+from eitskin.errors import EndpointError, FrameError, MismatchError, NoFrame, StaleFrame
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import FIRST_BYTE, Frame, MapMissing, unpack_frame
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
+from eitskin.messaging.regions import ALWAYS, EVERYWHERE, UNCHANGED, WHOLE, Region
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MODES: Final = ("latest", "all")
 
@@ -34,7 +37,7 @@ _POLLIN: Final = int(zmq.POLLIN)
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
-LARGEST_TAKEN: Final = 65536
+LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
 
 PATIENCE_S: Final = 1.0
@@ -59,6 +62,7 @@ class Subscription:
             ever from the start.
         max_age_s: Oldest frame that is good enough; None takes any.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
+        skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
@@ -75,6 +79,7 @@ class Subscription:
         timeout_s: float | None = None,
         max_age_s: float | None = None,
         region_mm: tuple[float, float, float, float] | None = None,
+        skin: SkinDescription | None = None,
         skip_unchanged: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
@@ -83,7 +88,8 @@ class Subscription:
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        self.region = WHOLE if region_mm is None else Region.from_mm(*region_mm)
+        self._grid = None if region_mm is None else (skin or PAPER).grid
+        self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, (skin or PAPER).grid)
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
         modest = region_mm is not None or skip_unchanged
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
@@ -126,7 +132,11 @@ class Subscription:
             raise EndpointError(
                 f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
             ) from error
-        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
+        declared = (
+            [WHOLE if region_mm is None else self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE]
+            if modest
+            else [b""]
+        )
         for topic in declared:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
 
@@ -136,6 +146,7 @@ class Subscription:
         Raises:
             NoFrame: None came in time; the text says whether anybody is there, and what to do.
             StaleFrame: One came, but it is older than ``max_age_s``.
+            MismatchError: A region is needed, and the maps are another skin's.
         """
         timeout_ms = self._timeout_ms if self.received else self._first_ms
         deadline_ns = time.perf_counter_ns() + timeout_ms * 1_000_000
@@ -176,6 +187,8 @@ class Subscription:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
+                if self._grid is not None and frame.map.shape != self._grid.shape:
+                    raise _other_skin(self.endpoint, frame, self._grid)
             if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
                 if frame is not None:
                     self._count(frame)
@@ -238,6 +251,13 @@ def _milliseconds(timeout_s: float) -> int:
     return -1 if math.isinf(timeout_s) else max(1, round(timeout_s * 1000))
 
 
+def _other_skin(endpoint: str, frame: Frame, grid: Grid) -> MismatchError:
+    """Return what is raised where a region means other pixels than were meant."""
+    hint = "name the runtime's skin beside the region: --skin FILE, or subscribe(..., skin=...)"
+    what = f"{endpoint}: rows and columns of the maps"
+    return MismatchError(what, found=list(frame.map.shape), expected=list(grid.shape), hint=hint)
+
+
 def subscribe(
     endpoint: str | None = None,
     mode: str = "latest",
@@ -245,6 +265,7 @@ def subscribe(
     timeout_s: float | None = None,
     max_age_s: float | None = None,
     region_mm: tuple[float, float, float, float] | None = None,
+    skin: SkinDescription | None = None,
     skip_unchanged: bool = False,
     keys: ClientKeys | None = None,
 ) -> Subscription:
@@ -258,6 +279,7 @@ def subscribe(
             for ever; ``math.inf`` waits for ever from the start, for a runtime that is started later.
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
+        skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
@@ -271,6 +293,7 @@ def subscribe(
         timeout_s=timeout_s,
         max_age_s=max_age_s,
         region_mm=region_mm,
+        skin=skin,
         skip_unchanged=skip_unchanged,
         keys=keys,
     )

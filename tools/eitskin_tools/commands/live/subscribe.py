@@ -49,10 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.subscription import subscribe
     from eitskin_tools.console.stream_view import StreamView
 
-    grid = skins.chosen(arguments).grid
+    skin = skins.chosen(arguments)
     if arguments.region is not None:
         try:
-            Region.from_mm(*arguments.region)
+            Region.from_mm(*arguments.region, skin.grid)
         except ValueError as error:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
@@ -61,11 +61,12 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.mode,
         timeout_s=arguments.timeout_s,
         region_mm=None if arguments.region is None else tuple(arguments.region),
+        skin=skin,
         skip_unchanged=arguments.skip_unchanged,
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
-    view = StreamView(sys.stdout, grid=grid)
+    view = StreamView(sys.stdout, grid=skin.grid)
     show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
