@@ -62,11 +62,12 @@ ROOMS: dict[str, Arrows] = {
         "scene": set(),
         "fem": {"scene"},
         "measurement": {"fem"},
-        "unit_grid": {"fem", "scene"},
-        "freeform": {"fem", "scene", "unit_grid"},
+        "devices": {"fem", "measurement", "scene"},
+        "unit_grid": {"devices", "fem", "scene"},
+        "freeform": {"devices", "fem", "scene", "unit_grid"},
         "surface": {"fem", "scene"},
         "solvers": {"fem", "scene", "surface"},
-        "dataset": {"fem", "freeform", "scene", "surface", "unit_grid"},
+        "dataset": {"devices", "fem", "freeform", "scene", "surface", "unit_grid"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
     },
     "eitskin_training": {
@@ -97,9 +98,7 @@ ROOMS: dict[str, Arrows] = {
         "gate_audit": {"parity"},
         "graphs": {"fold"},
         "quantise": {"graphs"},
-        "package": {
-            "bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise",
-        },
+        "package": {"bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise"},
     },
     "eitskin_tools": {
         "__init__": set(),

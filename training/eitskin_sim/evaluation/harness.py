@@ -2,10 +2,11 @@
 
 Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
 scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
-cloud, as the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so
+cloud, as the paper does, on a mesh 3.75 times coarser than the data's, and of the ideal device: a phantom's scene is
+the true one, which no solver knows. References are averages of many frames, so
 without noise::
 
-    pre        the flat, untouched sheet, once and for all (paper Fig. 10; what the network gets)
+    pre        the flat, untouched sheet, once, before what came late (paper Fig. 10; what the network gets)
     post       the bent, untouched sheet (paper Table II)
     predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
 """
@@ -226,7 +227,7 @@ def evaluate_all(
     results: list[Results] = [[] for _ in runs]
     for index, phantom in enumerate(phantoms):
         bare = phantom.scene.untouched()
-        flat = voltages_of(replace(bare, bend=Bend()))
+        flat = voltages_of(phantom.scene.reference())
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
         for seed in range(conditions.seeds):

@@ -124,7 +124,8 @@ def _window(scene: Scene, metric: Metric, box: Box, pieces: Sequence[Piece]) -> 
     mesh = TensorMesh(*(_lines(scene, box, pieces, axis) for axis in (0, 1)))
     system = assemble_pieces(mesh, sheet, electrodes, metric, pieces)
     touched = touch(system, scene.touches)
-    return Window(system, touched.blocks, touched.sigma[:, None, None] * loss_blocks(mesh, sheet.thickness_mm, metric))
+    sigma = touched.sigma * system.relative
+    return Window(system, touched.blocks, sigma[:, None, None] * loss_blocks(mesh, sheet.thickness_mm, metric))
 
 
 def loss_blocks(mesh: TensorMesh, thickness_mm: float, metric: Metric) -> Array:

@@ -218,10 +218,10 @@ def _eliminated(blocks: Array, floor: Array) -> Array:
 
 
 def _conductance(system: System, cut: Index) -> Array:
-    """Return the (k, 2, 2) S tensor t0 g^-1 at the middles of some elements."""
+    """Return the (k, 2, 2) S tensor t0 g^-1 at the middles of some elements, for a conductivity of 1 S/m."""
     E, F, G = system.metric[cut].T
     inverse = np.stack([np.stack([G, -F], axis=-1), np.stack([-F, E], axis=-1)], axis=-2)
-    return np.asarray(inverse * (system.thickness_mm * MM / (E * G - F**2))[:, None, None])
+    return np.asarray(inverse * (system.thickness_mm * MM / (E * G - F**2) * system.relative[cut])[:, None, None])
 
 
 def _mix_contacts(system: System, cut: Index, phases: _Phases, density: Array) -> None:

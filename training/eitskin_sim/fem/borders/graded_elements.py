@@ -70,7 +70,7 @@ def _added(system: System, elements: Index, points: Array, weight: Array) -> Arr
     """Return the (k, 9, 9) S of elements at conductivities (k, q), with the conductance of their middles."""
     sizes = system.mesh.sizes_mm[elements]
     E, F, G = system.metric[elements].T
-    scale = system.thickness_mm * MM / (E * G - F**2)
+    scale = system.thickness_mm * MM / (E * G - F**2) * system.relative[elements]
     dx, dy = gradients(points)
     xy = np.einsum("qi,qj->qij", dx, dy)
     table = [np.einsum("qi,qj->qij", dx, dx), xy + np.swapaxes(xy, 1, 2), np.einsum("qi,qj->qij", dy, dy)]

@@ -79,8 +79,11 @@ def gauge(sheet: Sheet, metric: Array) -> Array:
     return np.asarray((E * G - F**2) ** (-0.5 * sheet.gauge_factor))
 
 
-def relative_conductivity(sheet: Sheet, xy_mm: Array, metric: Array, late: bool = True) -> Array | None:
-    """Return (...,) conductivity over the nominal at flat points (..., 2) of metric (..., 3); None where it is even."""
-    if not sheet.gauge_factor and sheet.field is None and (sheet.late is None or not late):
-        return None
+def is_uneven(sheet: Sheet) -> bool:
+    """Return whether a layer's conductivity is anywhere, or can become, another than the nominal one."""
+    return bool(sheet.gauge_factor) or sheet.field is not None or sheet.late is not None
+
+
+def relative_conductivity(sheet: Sheet, xy_mm: Array, metric: Array, late: bool = True) -> Array:
+    """Return (...,) conductivity over the nominal one at flat points (..., 2) of metric (..., 3)."""
     return np.asarray(np.exp(log_conductivity(sheet, xy_mm, late)) * gauge(sheet, metric))
