@@ -226,7 +226,7 @@ def _make_run(stays: list[Path], folder: Path) -> None:
     content = {
         "format": 1, "protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "recipe": chosen.as_dict(), "seed": 0,
         "data_digest": "0" * 16, "data": ["data"], "started_from": None, "history": epochs,
-        "weights": VD2T(chosen.architecture).state_dict(),
+        "weights": VD2T(chosen.architecture, PAPER).state_dict(),
     }  # fmt: skip
     torch.save(content, out / "best.pt")
     (out / "history.json").write_text(json.dumps(epochs))

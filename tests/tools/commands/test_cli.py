@@ -43,9 +43,10 @@ def test_an_unknown_command_is_bad_usage() -> None:
 
 
 def test_version_prints_the_ids_that_artefacts_carry() -> None:
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.skin import PAPER
 
-    assert {PROTOCOL_ID, GRID_ID} <= set(eitskin("--version").stdout.split())
+    assert {PROTOCOL_ID, PAPER.grid_id} <= set(eitskin("--version").stdout.split())
 
 
 def test_a_failure_is_one_line_on_stderr_and_exit_1() -> None:

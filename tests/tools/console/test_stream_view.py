@@ -6,6 +6,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.console.stream_view import StreamView, describe, peak_mm
 
 
@@ -35,7 +36,7 @@ def shown(stream, seconds=3.0, rate_hz=200):
 
 
 def test_a_peak_is_the_centre_of_its_pixel_in_mm():
-    height, x_mm, y_mm = peak_mm(frame(0).map)
+    height, x_mm, y_mm = peak_mm(frame(0).map, PAPER.grid)
     assert height == pytest.approx(0.93)
     assert (x_mm, y_mm) == pytest.approx((45.0, 31.667), abs=1e-3)
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.demo.frame_picture import choose, picture
 from eitskin_tools.demo.recorder import STAGES, Record
 from eitskin_tools.demo.score import accuracy, percentiles_us, timing
@@ -18,7 +18,7 @@ from eitskin_tools.scripted_scene.script import demonstration
 def a_record(frames: int = 400, first_us: int = 1_000_000) -> Record:
     """A record of perfect maps of the script, 20 frames a second, every stage 10 us, the wire 100 us."""
     script = demonstration()
-    found = Record.empty(frames)
+    found = Record.empty(frames, PAPER.grid.shape)
     for index in range(frames):
         found.sequence[index] = 7 + index
         time_us = 20_000 + 50_000 * index
@@ -76,10 +76,10 @@ def test_timing_counts_from_the_wire_and_sums_up_over_the_stages() -> None:
     ],
 )
 def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[str, ...], ran: bool) -> None:
-    record = Record.empty(1)
+    record = Record.empty(1, PAPER.grid.shape)
     frame = SimpleNamespace(
         sequence=1, device_us=0, received_ns=300_000, host_ns=dict.fromkeys(STAGES, 200_000), touched=True,
-        solver="vd2t", skipped=skipped, cloud=0, map=np.zeros(GRID_SHAPE), counts={"corrupt": 0, "withheld": 0},
+        solver="vd2t", skipped=skipped, cloud=0, map=np.zeros(PAPER.grid.shape), counts={"corrupt": 0, "withheld": 0},
     )  # fmt: skip
     record.note(0, frame)
     assert record.inferred[0] == ran
@@ -92,7 +92,7 @@ def test_a_frame_counts_as_inferred_only_if_a_solver_ran_for_it(skipped: tuple[s
 
 def test_an_empty_record_is_an_error_and_not_a_summary() -> None:
     with pytest.raises(ValueError, match="not one frame"):
-        timing(Record.empty(0), np.zeros(4, dtype=np.int64))
+        timing(Record.empty(0, PAPER.grid.shape), np.zeros(4, dtype=np.int64))
 
 
 def test_percentiles_are_of_microseconds() -> None:
@@ -101,10 +101,10 @@ def test_percentiles_are_of_microseconds() -> None:
 
 
 def test_long_runs_keep_a_bounded_number_of_maps() -> None:
-    assert Record.empty(2000).stride == 1
-    long = Record.empty(100_000)
+    assert Record.empty(2000, PAPER.grid.shape).stride == 1
+    long = Record.empty(100_000, PAPER.grid.shape)
     assert len(long.maps) <= 6000
-    assert long.maps.shape[1] == N_PIXELS
+    assert long.maps.shape[1] == PAPER.grid.n_pixels
 
 
 def test_a_record_survives_its_file(tmp_path: Path) -> None:
@@ -116,7 +116,7 @@ def test_a_record_survives_its_file(tmp_path: Path) -> None:
 
 
 def test_a_map_is_drawn_with_y_upwards() -> None:
-    image = np.zeros(GRID_SHAPE)
+    image = np.zeros(PAPER.grid.shape)
     image[0, 0] = 1.0  # the corner (0, 0)
     lines = plain_lines(image)
     assert (len(lines), len(lines[0])) == (15, 45)
@@ -127,7 +127,7 @@ def test_a_map_is_drawn_with_y_upwards() -> None:
 def test_the_screen_is_given_back_even_after_an_error() -> None:
     screen = io.StringIO()
     with pytest.raises(RuntimeError, match="boom"), Painter(screen) as painter:  # noqa: PT012
-        painter.show("title", np.zeros(GRID_SHAPE), np.ones(GRID_SHAPE), ["footer"])
+        painter.show("title", np.zeros(PAPER.grid.shape), np.ones(PAPER.grid.shape), ["footer"])
         raise RuntimeError("boom")
     text = screen.getvalue()
     assert text.index("\x1b[?1049h") < text.index("title") < text.index("\x1b[?25h") < text.index("\x1b[?1049l")

@@ -6,7 +6,7 @@ import re
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.pictures.draw import LEFT_OUT, Painter
 from eitskin_tools.pictures.layout import arrange, fitted
 
@@ -18,7 +18,7 @@ FOOTER = [
 
 
 def a_map() -> np.ndarray:
-    image = np.zeros(GRID_SHAPE)
+    image = np.zeros(PAPER.grid.shape)
     image[3:7, 10:15] = 1.0
     return image
 
@@ -56,13 +56,13 @@ def test_a_truth_that_cannot_be_shown_is_named_and_the_map_keeps_the_room(size: 
 
 
 def test_a_map_of_its_own_size_is_drawn_as_it_is_and_enlarged_by_whole_pixels() -> None:
-    image = np.random.default_rng(0).random(GRID_SHAPE)
+    image = np.random.default_rng(0).random(PAPER.grid.shape)
     assert np.allclose(fitted(image, 45, 15), image, atol=1e-12)
     assert np.allclose(fitted(image, 90, 30), np.kron(image, np.ones((2, 2))), atol=1e-12)
 
 
 def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels() -> None:
-    image = np.zeros(GRID_SHAPE)
+    image = np.zeros(PAPER.grid.shape)
     image[17, 31] = 1.0
     small = fitted(image, 38, 13)
     assert small.shape == (26, 38)
@@ -71,6 +71,6 @@ def test_a_smaller_map_keeps_the_mean_so_that_no_touch_falls_between_pixels() ->
 
 def test_colours_are_written_where_they_change_only(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("NO_COLOR", raising=False)
-    (first, *_) = Painter(io.StringIO()).lines(np.zeros(GRID_SHAPE))
+    (first, *_) = Painter(io.StringIO()).lines(np.zeros(PAPER.grid.shape))
     assert first.count("▀") == 45
     assert first.count("\x1b") == 3  # above, below, and back to normal

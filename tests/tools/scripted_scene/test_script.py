@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import PITCH_MM
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.cloud import check_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.scene import check_scene
 from eitskin_sim.scene.shapes import Rect
@@ -61,7 +61,7 @@ def test_the_truth_holds_the_area_of_the_touches() -> None:
     for time_s in np.arange(0.0, SCRIPT.period_s, 0.37):
         area = sum(shape.area_mm2 for touch in SCRIPT.scene_at(time_s).touches for shape in touch.shapes)
         # float32 pixels: 1e-7 of the map's 15,000 mm2
-        assert SCRIPT.truth_at(time_s).sum() * PITCH_MM**2 == pytest.approx(area, abs=1e-2)
+        assert SCRIPT.truth_at(time_s).sum() * PAPER.grid.pitch_mm**2 == pytest.approx(area, abs=1e-2)
 
 
 def test_clouds_are_clouds_and_a_flat_sheet_gives_the_flat_one() -> None:

@@ -12,12 +12,14 @@ import numpy as np
 
 from eitskin.health.drift import HOLD, Drift
 from eitskin.health.imputation import Consistency
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import Family, draw
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_scene, nominal_sheet
+from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import predicted_log
@@ -50,15 +52,15 @@ def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
         consistency: Of a bundle.
         bends: Deformations of each family.
     """
-    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
-    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    mesh, sheet = scene_mesh(nominal_scene(PAPER, element_size_mm=ELEMENT_MM)), nominal_sheet(PAPER)
+    flat = assemble(mesh, sheet, nominal_electrodes(PAPER), flat_metric).factorise().voltages()
     rng = np.random.default_rng(0)
     errors: dict[tuple[str, bool], list[float]] = {}
     unknown: dict[tuple[str, bool], int] = {}
     families: tuple[Family, ...] = ("A", "B")
     for family in families:
         for bend in draw(family, bends, 9900):
-            volts = assemble(mesh, sheet, Electrodes(), bend_metric(bend, sheet)).factorise().voltages()
+            volts = assemble(mesh, sheet, nominal_electrodes(PAPER), bend_metric(bend, sheet)).factorise().voltages()
             logs = np.log(volts / flat)
             expected = predicted_log([measured_cloud(bend, rng)])[0]
             for with_scan in (False, True):
@@ -87,16 +89,17 @@ def told(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
         consistency: Of a bundle.
         bends: Deformations of each family, each once untouched and once with a touch that the gate sees.
     """
-    mesh, sheet = scene_mesh(Scene(element_size_mm=ELEMENT_MM)), Sheet()
-    flat = assemble(mesh, sheet, Electrodes(), flat_metric).factorise().voltages()
+    mesh, sheet = scene_mesh(nominal_scene(PAPER, element_size_mm=ELEMENT_MM)), nominal_sheet(PAPER)
+    flat = assemble(mesh, sheet, nominal_electrodes(PAPER), flat_metric).factorise().voltages()
     rng = np.random.default_rng(1)
     counts: dict[tuple[Family, bool, bool], list[int]] = {}
+    length, width = PAPER.outline.size_mm
     families: tuple[Family, ...] = ("A", "B")
     for family in families:
         for bend in draw(family, bends, 9901):
             expected = predicted_log([measured_cloud(bend, rng)])[0]
             for touched in (False, True):
-                x, y, radius = rng.uniform((15.0, 15.0, 5.0), (135.0, 85.0, 12.0))
+                x, y, radius = rng.uniform((15.0, 15.0, 5.0), (length - 15.0, width - 15.0, 12.0))
                 touches = (Touch((Disc(float(x), float(y), float(radius)),)),) if touched else ()
                 scene = Scene(bend=bend, touches=touches, element_size_mm=ELEMENT_MM)
                 logs = np.log(factorise_scene(scene).voltages() / flat)
@@ -150,7 +153,7 @@ def still(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Ge
 
 def uneven(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Return what is said of a flat sheet, measured and untouched, that dried more at one end than at the other."""
-    length, width = Sheet().size_mm
+    length, width = PAPER.outline.size_mm
     edges = np.linspace(0.0, length, STRIPS + 1)
     rows = []
     for lost in GRADIENTS:

@@ -21,6 +21,7 @@ from eitskin.health.imputation import Consistency, Imputation
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.row_gaussian import rows_of
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import PAPER as PAPER_SKIN
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_tools.bench.electrodes.accuracy import Lost, lost_sets
 
@@ -97,13 +98,16 @@ def _logs(bends: int, probed: int) -> dict[str, Array]:
     from eitskin_training.gate.untouched import probes, squares, touch_logs, untouched_logs
 
     found = {UNTOUCHED: np.concatenate([still("A", bends), still("B", bends)])}
-    solved = probes(probed, SEED)
+    solved = probes(probed, SEED, PAPER_SKIN)
     found |= {name: np.concatenate([one.logs for one in solved if one.name == name]) for name in TOUCHES[:-1]}
     rng = np.random.default_rng(SEED)
-    places = [(float(x), float(y)) for x, y in rng.uniform((5.0, 5.0), (145.0, 95.0), (PLACES, 2))]
+    length, width = PAPER_SKIN.outline.size_mm
+    places = [(float(x), float(y)) for x, y in rng.uniform((5.0, 5.0), (length - 5.0, width - 5.0), (PLACES, 2))]
     touches = squares(places, 10.0, PAPER_CONTRAST)
     members = (Bend(), *draw("A", probed, SEED), *draw("B", probed, SEED))
-    found[PAPER] = np.concatenate([touch_logs(bend, touches) + untouched_logs([bend]) for bend in members])
+    found[PAPER] = np.concatenate(
+        [touch_logs(bend, touches, PAPER_SKIN) + untouched_logs([bend], PAPER_SKIN) for bend in members]
+    )
     return found
 
 

@@ -11,11 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.family import Family, draw
-from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
 
 Array = npt.NDArray[np.float64]
@@ -91,8 +93,8 @@ def _between(first: Bend, second: Bend, share: float) -> Bend:
 
 def _on_electrode(electrode: int) -> Rect:
     """Return a touch of 10 to 14 mm that covers an electrode's contact."""
-    sheet = Sheet()
-    piece = next(one for one in place(sheet, Electrodes()) if one.electrode == electrode % N_ELECTRODES)
+    sheet = nominal_sheet(PAPER)
+    piece = next(one for one in place(sheet, nominal_electrodes(PAPER)) if one.electrode == electrode % N_ELECTRODES)
     x0, y0, x1, y1 = piece.patch_mm(sheet, 4.0)
     length, width = sheet.size_mm
     return Rect(max(x0 - 5.0, 0.0), max(y0 - 5.0, 0.0), min(x1 + 5.0, length), min(y1 + 5.0, width))

@@ -57,10 +57,11 @@ from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin.model.bundle import load_bundle
 bundle = load_bundle({path!r})
-model = VD2T(Recipe.from_dict(bundle.manifest["recipe"]).architecture).eval()
+model = VD2T(Recipe.from_dict(bundle.manifest["recipe"]).architecture, bundle.skin).eval()
 torch.set_num_threads(1)
 with torch.inference_mode():
-    model(torch.zeros(1, 104), torch.zeros(1, 3, 30, 45), None, torch.zeros(1, 104) if bundle.uses_prediction else None)
+    cloud = torch.zeros(1, 3, *bundle.skin.grid.shape)
+    model(torch.zeros(1, 104), cloud, None, torch.zeros(1, 104) if bundle.uses_prediction else None)
 """
 
 ROWS: Final = {

@@ -23,7 +23,7 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.engine import HEADS, engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.cloud import network_input
 
 Infer = Callable[[], object]
 
@@ -80,10 +80,16 @@ def _unsplit(bundle: Bundle, buffers: Buffers, threads: int) -> Infer:
         options.intra_op_num_threads = options.inter_op_num_threads = threads
         options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     session = onnxruntime.InferenceSession(joined.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    feed = {"geometry_cloud": network_input(flat_cloud())[np.newaxis], "head_dv": buffers.change}
+    feed = {"geometry_cloud": _flat(bundle), "head_dv": buffers.change}
     if bundle.uses_prediction:
         feed["head_log_predicted"] = buffers.log_predicted
     return lambda: session.run(None, feed)
+
+
+def _flat(bundle: Bundle) -> npt.NDArray[np.float32]:
+    """Return the (1, 3, rows, columns) input of the flat sheet."""
+    grid = bundle.skin.grid
+    return network_input(grid.flat_cloud_mm(), grid)[np.newaxis]
 
 
 def _torch(bundle: Bundle, buffers: Buffers) -> Infer:
@@ -92,10 +98,11 @@ def _torch(bundle: Bundle, buffers: Buffers) -> Infer:
     from eitskin_training.network.model import VD2T
     from eitskin_training.recipes import Recipe
 
-    model = VD2T(Recipe.from_dict(bundle.manifest["recipe"]).architecture).eval()  # its weights' values cost no time
+    architecture = Recipe.from_dict(bundle.manifest["recipe"]).architecture
+    model = VD2T(architecture, bundle.skin).eval()  # its weights' values cost no time
     torch.set_num_threads(1)
     dv = torch.from_numpy(buffers.change)
-    cloud = torch.from_numpy(network_input(flat_cloud())[np.newaxis])
+    cloud = torch.from_numpy(_flat(bundle))
     predicted = torch.from_numpy(buffers.log_predicted) if bundle.uses_prediction else None
 
     def infer() -> Any:

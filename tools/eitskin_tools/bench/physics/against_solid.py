@@ -14,8 +14,8 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.contacts import FRINGE
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
@@ -32,9 +32,9 @@ Row = dict[str, Any]
 FLAT: Final = Bend()
 BENT: Final = Bend(angle_deg=120, axis_deg=20, stretch_along=1.1)
 PLACES: Final[Mapping[str, tuple[float, float, float, float]]] = {
-    "interior": unit_rect_mm(6, 4),
-    "edge": unit_rect_mm(6, 0),
-    "corner": unit_rect_mm(0, 0),
+    "interior": PAPER.grid.unit_rect_mm(6, 4),
+    "edge": PAPER.grid.unit_rect_mm(6, 0),
+    "corner": PAPER.grid.unit_rect_mm(0, 0),
     "under a contact": (8.0, 0.0, 18.0, 10.0),
 }
 """The edge unit's border halves a contact, the corner unit's cuts 0.2 mm off one; the last covers one."""

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.borders.cut_rule import half_plane_share
 from eitskin_sim.fem.forward import Factor, System, assemble
@@ -21,7 +22,8 @@ from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
 from eitskin_sim.fem.solve import solve_scene
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Rect
 
 Array = npt.NDArray[np.float64]
@@ -81,7 +83,7 @@ def _square(x: float, y: float, grow: float, conductivity: float) -> Touch:
 
 
 def _blind_system(largest_mm: float) -> System:
-    sheet, electrodes = Sheet(), Electrodes()
+    sheet, electrodes = nominal_sheet(PAPER), nominal_electrodes(PAPER)
     lines = [
         graded_lines(on_sheet(fixed, extent), largest_mm, max(REFERENCE_MM * 2 / largest_mm, 1.0))
         for fixed, extent in zip(electrode_lines(sheet, electrodes), sheet.size_mm, strict=True)

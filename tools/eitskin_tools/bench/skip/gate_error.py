@@ -14,6 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.bench.skip.scenes import contrasts_of_growth, first_above, growing, moving, still
 
 GROWTH_FRAMES: Final = (200, 2000)
@@ -52,7 +53,7 @@ def _false_alarms(
 
     found: dict[str, Any] = {}
     for family in ("flat", "A", "B"):
-        logits = untouched_logits(judge, still(family, bends), reference, rng)
+        logits = untouched_logits(judge, still(family, bends), reference, rng, PAPER)
         for noise, values in logits.items():
             rate, interval = rate_and_interval((values > threshold).mean(axis=1))
             found.setdefault(family, {})[noise] = {"rate": rate, "interval_95": interval, "bends": len(values)}
@@ -71,7 +72,7 @@ def _missed(judge: Judge, threshold: float, reference: Array, few: int, rng: np.
     from eitskin_training.gate.rates import missed_probes
     from eitskin_training.gate.untouched import Bends, probes
 
-    solved = probes(few, SEED)
+    solved = probes(few, SEED, PAPER)
     empty = np.empty((0, len(reference)))
     found: dict[str, Any] = missed_probes(judge, threshold, Bends(empty, empty, empty, probes=solved), reference, rng)
     spread = bend_covariance(few)
@@ -91,10 +92,10 @@ def _missed(judge: Judge, threshold: float, reference: Array, few: int, rng: np.
 
 def bend_covariance(bends: int) -> Array:
     """Return the (104, 104) covariance of log(V / V0) over bends of A and B, in all their mirror images."""
-    from eitskin_training.gate.material import IMAGES
+    from eitskin_training.gate.material import images_of
 
     logs = np.concatenate([still(family, max(bends, 30)) for family in ("A", "B")])
-    return np.asarray(np.cov(np.concatenate([logs[:, image] for image in IMAGES]).T))
+    return np.asarray(np.cov(np.concatenate([logs[:, image] for image in images_of(PAPER)]).T))
 
 
 def bound(touched: Array, untouched: Array, reference: Array, spread: Array | None = None) -> dict[str, float]:

@@ -14,6 +14,7 @@ import numpy.typing as npt
 from eitskin.model.bundle import Bundle
 from eitskin.model.gate import EXTRAS, FIELDS, Gate
 from eitskin.pipeline.idle import PREFIX
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import config_toml
 from eitskin_proto.wire.scan_rows import drive_count, drives_to_list, table_rows
 from eitskin_tools.bench.skip.frames import Material, noisy
@@ -69,12 +70,14 @@ def _table(reference: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
     """Return the best subsets with their share of the information, on bends and touches that nothing was fitted on."""
     from eitskin_tools.bench.skip.scenes import SEED, still
     from eitskin_training.gate.idle import covariance_of, idle_table
-    from eitskin_training.gate.material import IMAGES, noisy_change
+    from eitskin_training.gate.material import images_of, noisy_change
     from eitskin_training.gate.untouched import probes
 
     logs = np.concatenate([still(family, BENDS) for family in ("A", "B")])
-    logs = np.repeat(np.concatenate([logs[:, image] for image in IMAGES]), 6, axis=0)
-    touches = np.concatenate([probe.logs - probe.before for probe in probes(2, SEED) if "anywhere" in probe.name])
+    logs = np.repeat(np.concatenate([logs[:, image] for image in images_of(PAPER)]), 6, axis=0)
+    touches = np.concatenate(
+        [probe.logs - probe.before for probe in probes(2, SEED, PAPER) if "anywhere" in probe.name]
+    )
     found = idle_table(covariance_of(noisy_change(logs, reference, rng)), touches)
     return [{"drives": drives_to_list(mask), "share_of_information": round(share, 4)} for mask, share in found]
 

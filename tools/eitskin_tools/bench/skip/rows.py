@@ -9,8 +9,6 @@ import numpy.typing as npt
 from eitskin.messaging.regions import Region
 from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import GeometryGraph
-from eitskin_proto.sensor.grid import GRID_SHAPE
-from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_tools.bench.skip.cost import interleaved, saving
 from eitskin_tools.bench.skip.frames import Frames, Material, Way
 
@@ -58,7 +56,7 @@ class Redone(Way):
 
     def __init__(self, frames: Frames, bundle: Bundle, voltages: Array) -> None:
         super().__init__(frames, frames.pipeline(bundle), voltages)
-        self._graph, self._cloud = GeometryGraph(bundle), flat_cloud()
+        self._graph, self._cloud = GeometryGraph(bundle), bundle.skin.grid.flat_cloud_mm()
 
     def __call__(self) -> bool:
         """Take the prepared frame."""
@@ -69,7 +67,7 @@ class Redone(Way):
 def cloud_unchanged(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
     """Return the row of "cloud unchanged": the map is the same to the last bit."""
     kept = Way(frames, frames.pipeline(bundle), touched_V)
-    kept.pipeline.start_with(GeometryGraph(bundle).geometry(flat_cloud(), None, 1))
+    kept.pipeline.start_with(GeometryGraph(bundle).geometry(bundle.skin.grid.flat_cloud_mm(), None, 1))
     redone = Redone(frames, bundle, touched_V)
     row = saving(interleaved({"with": kept, "without": redone}, count))
     return {**row, "largest_map_error": _largest(kept, redone, slice(None))}
@@ -85,11 +83,11 @@ def no_subscriber(bundle: Bundle, frames: Frames, touched_V: Array, count: int) 
 
 def regions(bundle: Bundle, frames: Frames, touched_V: Array, count: int) -> dict[str, Any]:
     """Return the row of "regions": the map inside the region against that of the whole sheet."""
-    region = Region.from_mm(*REGION_MM)
+    region = Region.from_mm(*REGION_MM, bundle.skin.grid)
     part, whole = (Way(frames, frames.pipeline(bundle), touched_V) for _ in range(2))
     part.pipeline.use_regions((region,))
     row = saving(interleaved({"with": part, "without": whole}, count))
-    inside = np.zeros(GRID_SHAPE, dtype=np.bool_)
+    inside = np.zeros(bundle.skin.grid.shape, dtype=np.bool_)
     inside[region.first_row : region.last_row, region.first_column : region.last_column] = True
     row["largest_map_error"] = _largest(part, whole, inside.ravel())
     return {**row, "region_mm": list(REGION_MM), "pixels": int(inside.sum())}

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.parts import Bend
 
 SEED: Final = 9105
@@ -59,7 +60,7 @@ def still(family: str, count: int) -> Array:
     """Return (count, 104) log(V / V0) of untouched sheets at rest."""
     from eitskin_training.gate.untouched import untouched_logs
 
-    return untouched_logs(bends_of(family, count))
+    return untouched_logs(bends_of(family, count), PAPER)
 
 
 @cache
@@ -70,7 +71,7 @@ def moving(family: str, count: int) -> tuple[Motion, ...]:
 
     amplitudes = np.linspace(0.0, 1.0, STEPS)
     return tuple(
-        Motion(family, untouched_logs([scaled(bend, float(share)) for share in amplitudes]))
+        Motion(family, untouched_logs([scaled(bend, float(share)) for share in amplitudes], PAPER))
         for bend in bends_of(family, count)
     )
 

@@ -55,17 +55,19 @@ def _cloud_rows(count: int, repeats: int) -> list[dict[str, Any]]:
     import numpy as np
     from scipy.spatial import cKDTree
 
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.scene.bend import surface
-    from eitskin_sim.scene.scene import Bend, Sheet
+    from eitskin_sim.scene.nominal import nominal_sheet
+    from eitskin_sim.scene.parts import Bend
     from eitskin_sim.surface.ordered_cloud import organise
 
-    rows = []
+    rows, sheet = [], nominal_sheet(PAPER)
     for name, bend in (
         ("cylinder 90 degrees", Bend(angle_deg=90)),
         ("180 degrees, slanted, skewed, stretched", Bend(angle_deg=180, axis_deg=25, skew=0.4, stretch_along=1.1)),
     ):
         rng = np.random.default_rng(0)
-        points = surface(bend, Sheet(), rng.uniform((0.0, 0.0), (150.0, 100.0), (count, 2)))
+        points = surface(bend, sheet, rng.uniform((0.0, 0.0), sheet.size_mm, (count, 2)))
         points += 0.1 * rng.standard_normal(points.shape)
         stray = rng.choice(count, count // 100, replace=False)
         points[stray] = rng.uniform(points.min(axis=0) - 20, points.max(axis=0) + 20, (len(stray), 3))
@@ -73,8 +75,8 @@ def _cloud_rows(count: int, repeats: int) -> list[dict[str, Any]]:
         turn *= np.sign(np.linalg.det(turn))
         seen = points @ turn.T + 100.0
         found = organise(seen)
-        x, y = np.meshgrid(np.arange(0.0, 150.05, 0.1), np.arange(0.0, 100.05, 0.1))
-        dense = surface(bend, Sheet(), np.stack([x.ravel(), y.ravel()], -1)) @ turn.T + 100.0
+        x, y = np.meshgrid(*(np.arange(0.0, extent + 0.05, 0.1) for extent in sheet.size_mm))
+        dense = surface(bend, sheet, np.stack([x.ravel(), y.ravel()], -1)) @ turn.T + 100.0
         there = (found.cloud_mm.reshape(3, -1).T - found.translation_mm) @ found.rotation
         # The nearest of points 0.1 mm apart lies up to 0.05 mm beside the foot: 0.04 rms, taken out in squares.
         gap = cKDTree(dense).query(there)[0]

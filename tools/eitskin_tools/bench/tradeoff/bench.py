@@ -91,7 +91,7 @@ class Variant:
 
     Args:
         name: What the table calls it.
-        solve: Gives the (30, 45) map of a case.
+        solve: Gives the (rows, columns) map of a case.
         error: Gives the error of a case, where it is not 1 - CC of the whole map.
     """
 
@@ -159,14 +159,14 @@ def _cases(phantoms: Sequence[Any], noise: Any, seeds: int) -> list[tuple[Any, A
     """Return what a solver may see, with V_pred as its reference, and the truth, of every phantom and draw."""
     import numpy as np
 
-    from eitskin_proto.sensor.grid import GRID_SHAPE
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all, truth_map
 
     seen: list[Any] = []
 
     def keep(case: Any) -> Any:
         seen.append(case)
-        return np.zeros(GRID_SHAPE)
+        return np.zeros(PAPER.grid.shape)
 
     evaluate_all(phantoms, [Run(keep, "predicted")], Conditions(noise=noise, seeds=seeds))
     truths = [truth_map(phantom) for phantom in phantoms for _ in range(seeds)]
@@ -213,7 +213,6 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
     from eitskin.model.gate import Gate
     from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
-    from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
     from eitskin_proto.sensor.normalise import relative_change
     from eitskin_sim.evaluation.metrics import correlation
     from eitskin_sim.surface.predict import flat_voltages
@@ -225,7 +224,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
     shown: list[Any] = [None]
 
     def geometry(case: Any) -> None:
-        predicted = log_ratio(case.sheet.predicted(), flat_voltages()) if bundle.uses_prediction else None
+        predicted = log_ratio(case.sheet.predicted(), flat_voltages(bundle.skin)) if bundle.uses_prediction else None
         buffers.take(graph.geometry(case.sheet.cloud_mm, predicted, buffers.revision + 1))
         shown[0] = case.sheet
 
@@ -235,7 +234,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
                 geometry(case)
             buffers.change[0] = relative_change(case.voltages, case.flat_reference)
             engine.infer()
-            return np.asarray(buffers.map, dtype=np.float64).reshape(GRID_SHAPE)
+            return np.asarray(buffers.map, dtype=np.float64).reshape(bundle.skin.grid.shape)
 
         return solve
 
@@ -244,9 +243,9 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
         Variant(("tikhonov, one matrix" if one.name == "tikhonov" else one.name) + suffix, solver(one), _whole_error)
         for one in whole
     ]
-    quarter = np.zeros(GRID_SHAPE, dtype=bool)
-    quarter[: GRID_SHAPE[0] // 2, : GRID_SHAPE[1] // 2] = True
-    part = engines(bundle, buffers, np.flatnonzero(quarter.reshape(N_PIXELS)), best=whole[0].name, alone=True)[0]
+    quarter = np.zeros(bundle.skin.grid.shape, dtype=bool)
+    quarter[: len(quarter) // 2, : quarter.shape[1] // 2] = True
+    part = engines(bundle, buffers, np.flatnonzero(quarter), best=whole[0].name, alone=True)[0]
 
     def part_error(case: Any, truth: Any, image: Any) -> float:
         inside = truth[quarter]

@@ -13,8 +13,8 @@ from typing import Final, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import UNIT_SHAPE, map_from_units, unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import touched_units
 from eitskin_sim.fem.borders.cut_elements import factorise
@@ -59,9 +59,13 @@ class Sample:
 
     @cached_property
     def truth(self) -> Array:
-        """(30, 45) map."""
-        area = area_map(self.scene.touches)
-        return np.asarray(map_from_units(touched_units(area).astype(np.float64))) if self.labels == "units" else area
+        """(rows, columns) map."""
+        area = area_map(self.scene.touches, PAPER.grid)
+        return (
+            np.asarray(PAPER.grid.map_from_units(touched_units(area, PAPER.grid).astype(np.float64)))
+            if self.labels == "units"
+            else area
+        )
 
     @property
     def read(self) -> Array:
@@ -143,14 +147,16 @@ def sample_of(scene: Scene, labels: Labels) -> Sample:
 
 
 def _unit_touches(units: npt.NDArray[np.bool_]) -> tuple[Touch, ...]:
-    boxes = [unit_rect_mm(int(n % UNIT_SHAPE[1]), int(n // UNIT_SHAPE[1])) for n in np.flatnonzero(units)]
+    grid = PAPER.grid
+    boxes = [grid.unit_rect_mm(int(n % grid.units[1]), int(n // grid.units[1])) for n in np.flatnonzero(units)]
     return tuple(Touch((Rect(*box),)) for box in boxes)
 
 
 def _free_touches(generator: np.random.Generator) -> tuple[Touch, ...]:
     touches = []
+    length, width = PAPER.outline.size_mm
     for _ in range(int(generator.integers(1, 4))):
-        x, y = generator.uniform((20.0, 20.0), (130.0, 80.0))
+        x, y = generator.uniform((20.0, 20.0), (length - 20.0, width - 20.0))
         a, b = generator.uniform(5.0, 11.0, 2)
         disc = generator.random() < 0.5
         touches.append(Touch((Disc(x, y, a) if disc else Rect(x - a, y - b, x + a, y + b),)))

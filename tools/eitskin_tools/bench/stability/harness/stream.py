@@ -18,7 +18,6 @@ from eitskin.model.geometry import Geometry, GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import log_ratio
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.messages import Hello
 from eitskin_sim.evaluation.harness import Sheet
@@ -75,7 +74,7 @@ class Stream:
         return tuple(self._engines)
 
     def show(self, sample: Sample, engine: str = "vd2t") -> Array | None:
-        """Return the (30, 45) map that is published of a sample, None if the frame is withheld.
+        """Return the (rows, columns) map that is published of a sample, None if the frame is withheld.
 
         Args:
             sample: Its voltages beyond full scale are cut off and marked.
@@ -94,7 +93,7 @@ class Stream:
             self._reference = np.zeros(0)  # the next sample is of a stream that has seen nothing yet
         if not self._passes(counts, saturation):
             return None
-        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(GRID_SHAPE)
+        image = np.frombuffer(pipeline.record.map, dtype=np.float32).reshape(self.bundle.skin.grid.shape)
         self.tally.take(image)
         self.tally.unmarked += bool(saturation) and "saturated" not in pipeline.record.events
         return image.astype(np.float64)
@@ -139,6 +138,8 @@ class Stream:
         """Return what the network knows of a cloud, computed once: every sweep bends the same sheets."""
         key = id(sheet.cloud_mm)
         if key not in self._geometries:
-            predicted = log_ratio(sheet.predicted(), flat_voltages()) if self.bundle.uses_prediction else None
+            predicted = (
+                log_ratio(sheet.predicted(), flat_voltages(self.bundle.skin)) if self.bundle.uses_prediction else None
+            )
             self._geometries[key] = sheet.cloud_mm, self._graph.geometry(sheet.cloud_mm, predicted, 0)
         return self._geometries[key][1]

@@ -20,7 +20,7 @@ from eitskin.model.engine import Engine, engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import open_session
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.cloud import network_input
 from eitskin_tools.bench.stability.harness.rows import Row, rounded
 
 Single = npt.NDArray[np.float32]
@@ -58,15 +58,16 @@ def denormal_rows(bundle: Bundle) -> list[Row]:
     def bend(points: Single) -> None:
         session.run(["bias"], {"cloud": points[None]})
 
-    clouds = [_bent(size, rng) for size in SMALL]
-    rows.append(_row("geometry", bend, _bent(1.0, rng), [flushed(cloud) for cloud in clouds], clouds))
+    clouds = [_bent(bundle, size, rng) for size in SMALL]
+    rows.append(_row("geometry", bend, _bent(bundle, 1.0, rng), [flushed(cloud) for cloud in clouds], clouds))
     return rows
 
 
-def _bent(size_mm: float, rng: np.random.Generator) -> Single:
-    cloud = flat_cloud()
+def _bent(bundle: Bundle, size_mm: float, rng: np.random.Generator) -> Single:
+    grid = bundle.skin.grid
+    cloud = grid.flat_cloud_mm()
     cloud[2] = 50.0 * size_mm * rng.standard_normal(cloud[2].shape)
-    return network_input(cloud)
+    return network_input(cloud, grid)
 
 
 def _row(name: str, work: Callable[[Single], None], usual: Single, admitted: list[Single], small: list[Single]) -> Row:

@@ -19,7 +19,7 @@ from eitskin import Skin
 from eitskin.errors import PortLost, SkinError
 from eitskin.model.bundle import Bundle
 from eitskin.reference.captured import Reference
-from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import Frame
 from eitskin_proto.wire.framing import CRC_BYTES, crc32c, encode
@@ -134,7 +134,7 @@ def _geometries(sample: Sample, frames: Sequence[bytes]) -> Iterator[Attack]:
         clouds[f"one point at {value:g} mm"] = one
         clouds[f"all points at {value:g} mm"] = np.full_like(sound, value)
     clouds |= {
-        "one line": flat_cloud() * np.array([1.0, 0.0, 0.0])[:, None, None],
+        "one line": PAPER.grid.flat_cloud_mm() * np.array([1.0, 0.0, 0.0])[:, None, None],
         "shrunk to denormals": sound * 1e-310,
         "scrambled": np.random.default_rng(SEED).uniform(-999.0, 999.0, sound.shape),
         "wrong shape": sound[:, :5],

@@ -11,7 +11,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE, unit_rect_mm
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.family import bounds
 from eitskin_sim.scene.parts import Bend, Touch
 from eitskin_sim.scene.shapes import Rect
@@ -83,7 +83,7 @@ def _explain_stretch(samples: Sequence[Sample], stretch: float) -> str:
 
 
 def _units(sample: Sample, boxes: Sequence[tuple[int, int]]) -> Sample:
-    touches = tuple(Touch((Rect(*unit_rect_mm(column, row)),)) for column, row in boxes)
+    touches = tuple(Touch((Rect(*PAPER.grid.unit_rect_mm(column, row)),)) for column, row in boxes)
     scene = replace(sample.scene, touches=touches)
     return replace(sample, scene=scene, voltages=voltages_of(scene))
 
@@ -100,7 +100,7 @@ def _on_the_border(sample: Sample, electrodes: float, rng: np.random.Generator) 
 
 
 def _in_the_middle(sample: Sample, electrodes: float, rng: np.random.Generator) -> Sample:
-    return _units(sample, _bar(electrodes, UNIT_SHAPE[0] // 2)) if sample.scene.touches else sample
+    return _units(sample, _bar(electrodes, PAPER.grid.units[0] // 2)) if sample.scene.touches else sample
 
 
 def _explain_cover(samples: Sequence[Sample], electrodes: float) -> str:
@@ -125,18 +125,20 @@ def block(units: int) -> list[tuple[int, int]]:
     Raises:
         ValueError: The number is no square up to 81 and no multiple of 9 above.
     """
-    rows, columns = UNIT_SHAPE
+    rows, columns = PAPER.grid.units
     side = round(units**0.5)
     high, wide = (side, side) if side**2 == units and side <= rows else (rows, units // rows)
-    if high * wide != units or not 1 <= units <= N_UNITS:
-        raise ValueError(f"{units} units make no block; expected a square up to 81, or a multiple of 9 up to {N_UNITS}")
+    if high * wide != units or not 1 <= units <= PAPER.grid.n_units:
+        raise ValueError(
+            f"{units} units make no block; expected a square up to 81, or a multiple of 9 up to {PAPER.grid.n_units}"
+        )
     top, left = (rows - high) // 2, (columns - wide) // 2
     return [(column, row) for row in range(top, top + high) for column in range(left, left + wide)]
 
 
 def whole(sample: Sample) -> Sample:
     """Return the sample touched everywhere."""
-    return _units(sample, block(N_UNITS))
+    return _units(sample, block(PAPER.grid.n_units))
 
 
 def _explain_area(samples: Sequence[Sample], units: float) -> str:
@@ -150,7 +152,7 @@ def _explain_area(samples: Sequence[Sample], units: float) -> str:
 
 def _hole(sample: Sample, units: int) -> float:
     """Return the change of V by a hole in the middle of a block, over the change by a touch there alone."""
-    middle = (UNIT_SHAPE[1] // 2, UNIT_SHAPE[0] // 2)
+    middle = (PAPER.grid.units[1] // 2, PAPER.grid.units[0] // 2)
     whole = block(units)
     assert middle in whole
     full, holed = _units(sample, whole), _units(sample, [unit for unit in whole if unit != middle])
