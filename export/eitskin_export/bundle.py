@@ -23,23 +23,21 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.bundle import load_bundle
+from eitskin.model.bundle_skin import SKIN_FILE
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
-from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.skin.toml import parse, to_toml
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import to_toml
 
 VERSION: Final = 1
 """Version of the manifest."""
 
 MANIFEST: Final = "manifest.json"
 """The member that lists the others."""
-
-SKIN: Final = "skin.toml"
-"""The member that describes the skin."""
 
 _DATE: Final = (1980, 1, 1, 0, 0, 0)
 
@@ -88,7 +86,7 @@ def write(path: Path, files: dict[str, bytes], facts: dict[str, Any], skin: Skin
         facts: See :func:`manifest`.
         skin: What it is for.
     """
-    files = {SKIN: to_toml(skin).encode(), **files}
+    files = {SKIN_FILE: to_toml(skin).encode(), **files}
     head = manifest(files, facts, skin)
     path.parent.mkdir(parents=True, exist_ok=True)
     with replacing(path) as stream, zipfile.ZipFile(stream, "w", zipfile.ZIP_STORED) as archive:
@@ -112,8 +110,8 @@ def read(path: Path) -> tuple[dict[str, bytes], dict[str, Any], Skin]:
     del facts["files"]
     for name in ("format", "version", "protocol_id", "grid_id", "skin_digest"):
         facts.pop(name, None)
-    skin = parse(files.pop(SKIN).decode()) if SKIN in files else PAPER
-    return files, facts, skin
+    files.pop(SKIN_FILE, None)
+    return files, facts, found.skin
 
 
 def amend(path: Path, metrics: dict[str, Any]) -> str:

@@ -12,8 +12,8 @@ from eitskin.model.onnx.crop import cut
 from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
@@ -21,12 +21,12 @@ from eitskin_training.recipes import recipe
 pytestmark = pytest.mark.heavy
 
 
-def trained_looking(architecture: Architecture) -> VD2T:
+def trained_looking(architecture: Architecture, skin: Skin = PAPER) -> VD2T:
     """Return a network whose batch norms have statistics and scales unlike their first ones."""
     torch.manual_seed(0)
-    model = VD2T(architecture).train()
+    model = VD2T(architecture, skin).train()
     for _ in range(5):
-        model(0.1 * torch.randn(64, 104), torch.randn(64, 3, 30, 45))
+        model(0.1 * torch.randn(64, 104), torch.randn(64, 3, *skin.grid.shape))
     for module in model.modules():
         if isinstance(module, nn.BatchNorm1d | nn.BatchNorm2d):
             nn.init.uniform_(module.weight, 0.5, 1.5)
@@ -48,7 +48,7 @@ ARCHITECTURES = {
         dropout=0.1,
     ),
     "residual": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, dropout=0.1),
-    "units": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs=126),
+    "units": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs="units"),
     "predicted": Architecture(widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True),
     "sharpened": Architecture(
         widths=(64, 64), cloud_channels=(4, 4), hidden=48, log_predicted=True, activation="silu", sharpening=(8, 8)
@@ -73,7 +73,7 @@ def test_folding_batch_norm_changes_nothing(name: str) -> None:
     geometry, head = split(model)
     for half in (geometry, head):
         assert not any(isinstance(m, nn.BatchNorm1d | nn.BatchNorm2d | nn.Dropout) for m in half.modules())
-    dv, clouds, predicted = (torch.from_numpy(array) for array in parity.stored_inputs(16))
+    dv, clouds, predicted = (torch.from_numpy(array) for array in parity.stored_inputs(PAPER, 16))
     with torch.inference_mode():
         bias = geometry(clouds)
         found = head(dv, predicted, bias) if model.architecture.log_predicted else head(dv, bias)
@@ -112,13 +112,13 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
         loaded = onnx.load_from_string(content)
         assert {item.key: item.value for item in loaded.metadata_props} == {
             "protocol_id": PROTOCOL_ID,
-            "grid_id": GRID_ID,
+            "grid_id": PAPER.grid_id,
         }
     shapes = {
         item.name: [d.dim_value for d in item.type.tensor_type.shape.dim]
         for item in onnx.load_from_string(graph["head"]).graph.input
     }
-    bias = [1, model.architecture.bias_width]
+    bias = [1, model.bias_width]
     expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
     assert shapes == (expected | {"log_predicted": [1, 104]} if model.architecture.log_predicted else expected)
 
@@ -177,7 +177,7 @@ def test_the_int8_head_is_close_smaller_and_keeps_its_first_layer_exact() -> Non
     geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
     int8 = quantise.int8_head(head_bytes)
     assert len(int8) < 0.4 * len(head_bytes)
-    error = parity.int8_error(geometry_bytes, head_bytes, int8, *parity.stored_inputs(16))
+    error = parity.int8_error(geometry_bytes, head_bytes, int8, *parity.stored_inputs(PAPER, 16))
     assert 0.0 < error["rms"] < 5e-3
     kinds = [node.op_type for node in onnx.load_from_string(int8).graph.node]
     first = next(index for index, kind in enumerate(kinds) if kind in {"Gemm", "MatMul", "MatMulInteger"})

@@ -11,6 +11,7 @@ import torch
 from eitskin.model.bundle import load_bundle
 from eitskin_export import bundle, package, parity, projection
 from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training import run_files, train
 from eitskin_training.gate.untouched import bends_of
 from eitskin_training.recipes import recipe
@@ -39,7 +40,7 @@ def run(data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> Path:
 def exported(run: Path, data: TrainingData, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, dict[str, Any]]:
     out: Path = tmp_path_factory.mktemp("bundle") / "toy.eitskin"
     return out, package.export(
-        run_files.trained(run), data, out, jacobian=lambda: JACOBIAN, bends=bends_of, gate_steps=100
+        run_files.trained(run), data, out, jacobian=lambda skin: JACOBIAN, bends=bends_of, gate_steps=100
     )
 
 
@@ -56,6 +57,7 @@ def test_the_bundle_is_what_the_runtime_reads(exported: tuple[Path, dict[str, An
         "tikhonov.npy",
         "gate.npz",
         "consistency.npz",
+        "skin.toml",
     }
     assert result["parity"]["map through the runtime"] < parity.TOLERANCE
 
@@ -73,7 +75,7 @@ def test_the_manifest_says_how_the_bundle_was_made(exported: tuple[Path, dict[st
 
 def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
     files, facts = {"a.bin": b"1234", "b.bin": b""}, {"labels": "area"}
-    identities = [bundle.write(tmp_path / name, files, facts) for name in ("one", "two")]
+    identities = [bundle.write(tmp_path / name, files, facts, PAPER) for name in ("one", "two")]
     assert identities[0] == identities[1]
     assert (tmp_path / "one").read_bytes() == (tmp_path / "two").read_bytes()
     with zipfile.ZipFile(tmp_path / "one") as archive:
@@ -110,9 +112,9 @@ def test_tikhonov_solves_its_normal_equations() -> None:
 
 def test_a_projection_of_another_shape_or_with_holes_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected \(1350, 104\)"):
-        bundle.projection_bytes(PROJECTION.T)
+        bundle.projection_bytes(PROJECTION.T, PAPER.grid)
     with pytest.raises(ValueError, match="finite"):
-        bundle.projection_bytes(np.full((1350, 104), np.nan))
+        bundle.projection_bytes(np.full((1350, 104), np.nan), PAPER.grid)
 
 
 def test_a_card_grows_without_touching_the_graphs(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
@@ -143,9 +145,9 @@ def test_a_gate_is_fitted_again_and_all_else_stays(
 
 
 def test_a_changed_bundle_is_not_amended(exported: tuple[Path, dict[str, Any]], tmp_path: Path) -> None:
-    files, facts = bundle.read(exported[0])
+    files, facts, skin = bundle.read(exported[0])
     broken = tmp_path / "broken.eitskin"
-    bundle.write(broken, files, facts)
+    bundle.write(broken, files, facts, skin)
     content = bytearray(broken.read_bytes())
     at = content.index(files["tikhonov.npy"])
     content[at + 200] ^= 1

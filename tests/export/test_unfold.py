@@ -8,6 +8,7 @@ from eitskin_export import graphs
 from eitskin_export.fold import split
 from eitskin_export.unfold import unfolded
 from eitskin_proto.errors import SkinError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 
@@ -20,7 +21,7 @@ NAMES = ("units", "predicted", "sharpened", "symmetric")
 
 def _recipe(name):
     architecture = ARCHITECTURES[name]
-    return Recipe(name=name, labels="units" if architecture.outputs == 126 else "area", architecture=architecture)
+    return Recipe(name=name, labels="units" if architecture.outputs == "units" else "area", architecture=architecture)
 
 
 def _graphs(model):
@@ -43,19 +44,23 @@ def exported(request):
     """A network's name, the network, its graphs, and those of the network that was made of them."""
     model = trained_looking(ARCHITECTURES[request.param])
     first = _graphs(model)
-    return request.param, model, first, _graphs(unfolded(*first, _recipe(request.param)))
+    return request.param, model, first, _graphs(unfolded(*first, _recipe(request.param), PAPER))
 
 
 def test_the_same_network_comes_back(exported):
     name, model, first, second = exported
     expected = _maps(model)
     # folding rounds once, and float32 sums of 1,000 products differ by 1e-5 of their size
-    np.testing.assert_allclose(_maps(unfolded(*first, _recipe(name))), expected, atol=1e-4 * np.abs(expected).max())
-    np.testing.assert_allclose(_maps(unfolded(*second, _recipe(name))), expected, atol=1e-4 * np.abs(expected).max())
+    np.testing.assert_allclose(
+        _maps(unfolded(*first, _recipe(name), PAPER)), expected, atol=1e-4 * np.abs(expected).max()
+    )
+    np.testing.assert_allclose(
+        _maps(unfolded(*second, _recipe(name), PAPER)), expected, atol=1e-4 * np.abs(expected).max()
+    )
 
 
 def test_another_network_s_graphs_are_refused(exported):
     name, _, first, _ = exported
     other = "symmetric" if name != "symmetric" else "sharpened"
     with pytest.raises(SkinError, match="not those of its recipe's network"):
-        unfolded(*first, _recipe(other))
+        unfolded(*first, _recipe(other), PAPER)

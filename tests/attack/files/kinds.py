@@ -211,7 +211,8 @@ def _run(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Pa
 def _make_run(stays: list[Path], folder: Path) -> None:
     import torch
 
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_training.network.model import VD2T
     from eitskin_training.recipes import recipe
 
@@ -224,7 +225,7 @@ def _make_run(stays: list[Path], folder: Path) -> None:
         {"number": 2, "training_loss": 0.4, "validation_loss": 0.3, "validation_cc": 0.95, "seconds": 1.0},
     ]
     content = {
-        "format": 1, "protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "recipe": chosen.as_dict(), "seed": 0,
+        "format": 1, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id, "recipe": chosen.as_dict(), "seed": 0,
         "data_digest": "0" * 16, "data": ["data"], "started_from": None, "history": epochs,
         "weights": VD2T(chosen.architecture, PAPER).state_dict(),
     }  # fmt: skip

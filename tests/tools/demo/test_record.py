@@ -23,7 +23,7 @@ def a_record(frames: int = 400, first_us: int = 1_000_000) -> Record:
         found.sequence[index] = 7 + index
         time_us = 20_000 + 50_000 * index
         found.device_us[index] = first_us + time_us
-        found.maps[index] = script.truth_at(time_us * 1e-6).reshape(-1)
+        found.maps[index] = script.truth_at(time_us * 1e-6)
         found.touched[index] = bool(script.scene_at(time_us * 1e-6).touches)
     found.host_ns[:] = found.device_us[:, None] * 1000 + 100_000 + 10_000 * np.arange(7)
     found.received_ns[:] = found.host_ns[:, -1] + 50_000
@@ -104,7 +104,7 @@ def test_long_runs_keep_a_bounded_number_of_maps() -> None:
     assert Record.empty(2000, PAPER.grid.shape).stride == 1
     long = Record.empty(100_000, PAPER.grid.shape)
     assert len(long.maps) <= 6000
-    assert long.maps.shape[1] == PAPER.grid.n_pixels
+    assert long.maps.shape[1:] == PAPER.grid.shape
 
 
 def test_a_record_survives_its_file(tmp_path: Path) -> None:

@@ -40,10 +40,10 @@ def test_both_maps_and_every_word_are_shown(size: tuple[int, int], monkeypatch: 
 
 
 def test_a_usual_terminal_has_smaller_maps_side_by_side_and_a_large_one_larger_ones() -> None:
-    usual, large = arrange(80, 20, truth=True), arrange(200, 46, truth=True)
+    usual, large = arrange(80, 20, (30, 45), truth=True), arrange(200, 46, (30, 45), truth=True)
     assert (usual.columns, usual.lines, usual.arrangement) == (38, 13, "beside")
     assert (large.columns, large.lines, large.arrangement) == (90, 30, "beside")
-    assert arrange(50, 60, truth=True).arrangement == "below"
+    assert arrange(50, 60, (30, 45), truth=True).arrangement == "below"
 
 
 @pytest.mark.parametrize("size", [(40, 12), (79, 8), (20, 24), (30, 10)])
