@@ -4,6 +4,8 @@ import numpy as np
 import onnx
 import pytest
 import torch
+from tests.second_skin import SECOND
+from tests.training.network.skins import SKINS
 from torch import nn
 
 from eitskin.messaging.regions import Region, pixels
@@ -121,6 +123,34 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
     bias = [1, model.bias_width]
     expected: dict[str, list[int]] = {"dv": [1, 104], "bias": bias}
     assert shapes == (expected | {"log_predicted": [1, 104]} if model.architecture.log_predicted else expected)
+
+
+@pytest.mark.parametrize("skin", SKINS.values(), ids=SKINS)
+@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "units"])
+def test_networks_of_other_skins_fold_to_what_they_say(name: str, skin: Skin) -> None:
+    model = trained_looking(ARCHITECTURES[name], skin)
+    geometry, head = split(model)
+    generator = torch.Generator().manual_seed(4)
+    dv, predicted = (0.1 * torch.randn(6, 104, generator=generator) for _ in range(2))
+    clouds = 0.5 * torch.randn(6, 3, *skin.grid.shape, generator=generator)
+    with torch.inference_mode():
+        bias = geometry(clouds)
+        found = head(dv, predicted, bias) if model.architecture.log_predicted else head(dv, bias)
+        exact = model.double()
+        expected = exact.maps(exact(dv.double(), clouds.double(), None, predicted.double()))
+    assert found.shape == (6, skin.grid.n_pixels)
+    np.testing.assert_allclose(found.numpy(), expected.numpy(), rtol=0, atol=1e-6)
+
+
+def test_the_graphs_of_another_skin_carry_its_id_and_have_its_shapes() -> None:
+    model = trained_looking(ARCHITECTURES["symmetric"], SECOND)
+    geometry, head = split(model)
+    geometry_bytes, head_bytes = graphs.geometry_graph(geometry), graphs.head_graph(head)
+    assert max(parity.parity(model, geometry_bytes, head_bytes).values()) < parity.TOLERANCE
+    for content in (geometry_bytes, quantise.int8_head(head_bytes)):
+        check_graph(content)
+        props = {item.key: item.value for item in onnx.load_from_string(content).metadata_props}
+        assert props["grid_id"] == SECOND.grid_id
 
 
 def test_parity_fails_for_another_network() -> None:

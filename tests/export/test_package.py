@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from tests.second_skin import SECOND
 
 from eitskin.model.bundle import load_bundle
 from eitskin_export import bundle, package, parity, projection
@@ -71,6 +72,24 @@ def test_the_manifest_says_how_the_bundle_was_made(exported: tuple[Path, dict[st
     assert set(manifest["metrics"]["held_out"]["A"]) == {"N1", "N2", "N3"}
     assert {"rms", "max", "flipped"} == set(manifest["metrics"]["int8"])
     assert manifest["gate"]["held_out_bends"] == 1
+
+
+@pytest.mark.slow
+def test_a_bundle_of_another_skin_carries_it_and_runs(toy_data: Any, tmp_path: Path) -> None:
+    data = toy_data("area", bends=12, samples=1200, skin=SECOND)
+    train.train(data, replace(recipe("tiny"), epochs=1), tmp_path / "run")
+    out = tmp_path / "second.eitskin"
+    found = run_files.trained(tmp_path / "run")
+    result = package.export(found, data, out, bends=bends_of, gate_steps=50)
+    loaded = load_bundle(out)
+    assert loaded.skin == SECOND
+    assert (loaded.manifest["grid_id"], loaded.manifest["skin_digest"]) == (SECOND.grid_id, SECOND.digest)
+    assert loaded.tikhonov().shape == (SECOND.grid.n_pixels, 104)
+    assert result["parity"]["map through the runtime"] < parity.TOLERANCE
+    files, facts, skin = bundle.read(out)
+    assert skin == SECOND
+    assert not {"skin.toml", "skin_digest"} & ({*files} | {*facts})
+    assert bundle.write(tmp_path / "again.eitskin", files, facts, skin) == loaded.id
 
 
 def test_the_same_contents_give_the_same_file(tmp_path: Path) -> None:
