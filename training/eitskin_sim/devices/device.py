@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Electrodes, Late, Sheet
 
 
@@ -20,5 +22,10 @@ class Device:
         return replace(self, sheet=replace(self.sheet, late=late))
 
 
-IDEAL: Final = Device()
-"""What data sets, bundles and networks know."""
+def ideal(skin: Skin) -> Device:
+    """Return the device that a skin states: what data sets, bundles and networks know of it."""
+    return Device(nominal_sheet(skin), nominal_electrodes(skin))
+
+
+IDEAL: Final = ideal(PAPER)
+"""The paper's."""
