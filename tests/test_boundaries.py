@@ -68,6 +68,8 @@ ROOMS: dict[str, Arrows] = {
         "surface": {"fem", "scene"},
         "solvers": {"fem", "scene", "surface"},
         "dataset": {"devices", "fem", "freeform", "scene", "surface", "unit_grid"},
+        "outline": {"fem", "scene"},
+        "tank": {"fem", "outline", "scene", "solvers"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
     },
     "eitskin_training": {

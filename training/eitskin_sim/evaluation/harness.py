@@ -125,6 +125,8 @@ class Case:
     sheet: Sheet
     labels: Literal["units", "area"]
     """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
+    lowering: bool = False
+    """Whether touches of this skin lower its conductance: classical solvers then look for that."""
 
 
 Solver = Callable[[Case], Array]
@@ -146,24 +148,29 @@ def _cells(case: Case, cells: Cells | None) -> Cells:
     return cells or ("units" if case.labels == "units" else "pixels")
 
 
+def _sign(case: Case) -> float:
+    """To first order a touch that lowers conductance is one that raises it, with the data's sign turned."""
+    return -1.0 if case.lowering else 1.0
+
+
 def solve_tikhonov(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of one matrix times the logarithmic data."""
     on = _cells(case, cells)
-    image = case.sheet.tikhonov(on) @ log_data(case.voltages, case.reference)
+    image = case.sheet.tikhonov(on) @ (_sign(case) * log_data(case.voltages, case.reference))
     return scaled(case.sheet.operators(on).to_map(image))
 
 
 def solve_l1(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of FISTA with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(l1_image(operators.relative_jacobian, data, upper=SATURATED)))
 
 
 def solve_sbl(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of structure-aware SBL with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED)))
 
 
