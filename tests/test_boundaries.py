@@ -103,8 +103,7 @@ ROOMS: dict[str, Arrows] = {
         "package": {"bundle", "consistency", "fold", "gate_audit", "graphs", "parity", "projection", "quantise"},
     },
     "eitskin_tools": {
-        "__init__": set(),
-        "choices": set(),
+        "__init__": set(), "choices": set(),
         "command_line": set(),
         "console": {"processes"},
         "errors": set(),

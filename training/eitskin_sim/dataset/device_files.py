@@ -24,7 +24,8 @@ from eitskin_sim.devices.readings import corrected, drive_differences, fine_diff
 from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
-from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.nominal import nominal_sheet
+from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.strict_json import SceneError
 from eitskin_sim.surface.measured_cloud import measured_cloud
 
@@ -39,8 +40,8 @@ ATTEMPTS: Final = 100
 
 
 def device_job(plan: Plan, first: int) -> dict[str, Any]:
-    """Return what a worker needs to draw the device of the deformations that are made together."""
-    return {} if plan.skin is None else {"device": first, "skin": plan.skin}
+    """Return what a worker needs to draw the device of the deformations that are made together; ideal ones: nothing."""
+    return {"device": first} if plan.devices == "random" else {}
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,17 +122,17 @@ def device_file(
     return {
         "voltages": (readings(device, touched) * scale).astype(np.float32),
         "untouched": readings(device, fine) * scale,
-        "cloud": scan(bend, moment, np.random.default_rng([job["seed"], SCAN, number])),
+        "cloud": scan(job["skin"], bend, moment, np.random.default_rng([job["seed"], SCAN, number])),
         "reference": own,
         "drift": drift.astype(np.float32),
     }
 
 
-def scan(bend: Bend, moment: Moment, rng: np.random.Generator) -> npt.NDArray[np.float32]:
-    """Return the (3, 30, 45) mm cloud that a scanner gives of a bend at a moment."""
+def scan(skin: Skin, bend: Bend, moment: Moment, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+    """Return the (3, rows, columns) mm cloud that a scanner gives of a bend at a moment."""
     shown = scaled(bend, moment.scan_amplitude)
     try:
-        check_bend(shown, Sheet())
+        check_bend(shown, nominal_sheet(skin))
     except SceneError:  # ahead of a sheet that all but folds
         shown = scaled(bend, min(moment.scan_amplitude, 1.0))
-    return measured_cloud(shown, rng, moment.scan_noise_mm) * np.float32(moment.scan_factor)
+    return measured_cloud(shown, rng, moment.scan_noise_mm, skin) * np.float32(moment.scan_factor)

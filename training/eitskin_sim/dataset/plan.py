@@ -20,12 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.digest import id_of_values
-from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.draws import check_outline
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends
+from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.patterns import N_PAPER_SETS
 
@@ -75,7 +76,9 @@ class Plan:
         splits: "train", "kept" or "other" for each.
         near: Share of the free sets that are drawn with touches near to each other; others have none.
         touches: Which touches; a plan of hard ones says nothing of it, as before there were others.
-        skin: Whose uncertainties random devices are drawn from; None is the ideal device, of which a plan says nothing.
+        skin: The sheet, its map and what bends it, and the uncertainties that random devices are drawn from; a plan of
+            the paper's ideal device says nothing of it.
+        devices: Which devices.
     """
 
     set_name: SetName
@@ -86,19 +89,17 @@ class Plan:
     splits: tuple[str, ...]
     near: float | None = None
     touches: TouchKind = "hard"
-    skin: Skin | None = None
-
-    @property
-    def devices(self) -> DeviceKind:
-        """Which devices."""
-        return "ideal" if self.skin is None else "random"
+    skin: Skin = PAPER
+    devices: DeviceKind = "ideal"
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
         found = {**asdict(self), "recipe": RECIPES[self.set_name]}
         if self.touches == "hard":
             del found["touches"]
-        if self.skin is None:
+        if self.devices == "random" or self.skin.digest == PAPER.digest:
+            del found["devices"]
+        if self.devices == "ideal" and self.skin.digest == PAPER.digest:
             del found["skin"]
         return found
 
@@ -185,7 +186,7 @@ def make_plan(
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "press", that lower conductance; "both"; "paper" has hard ones alone.
         devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
-        skin: Whose uncertainties random devices are drawn from; None is the shipped skin "lab".
+        skin: What is bent and touched; None is the paper's, or for random devices the shipped skin "lab".
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -209,12 +210,13 @@ def make_plan(
         raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
     if set_name == "paper" and devices != "ideal":
         raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
-    if skin is not None and devices != "random":
-        raise ValueError(f"skin {skin.name}: devices are {devices!r}; a skin's uncertainties are drawn for 'random'")
+    if skin is None:
+        skin = named("lab") if devices == "random" else PAPER
     if devices == "random":
-        skin = named("lab") if skin is None else skin
         check_outline(skin)
+    nominal_sheet(skin)
     kind: TouchKind = touches
+    device_kind: DeviceKind = devices
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -231,11 +233,11 @@ def make_plan(
     _check("touch sets shown at a deformation", n_shown, 1, n_sets)
     _check("deformations kept apart", apart, 0, 10_000)
     if set_name == "paper":
-        bends, splits = paper_bends(n_bends), ("train",) * n_bends
-        return Plan("paper", seed, n_sets, n_sets, bends, splits)
-    bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
+        bends, splits = paper_bends(n_bends, skin), ("train",) * n_bends
+        return Plan("paper", seed, n_sets, n_sets, bends, splits, skin=skin)
+    bends = draw("A", n_bends + apart, seed, skin) + draw("B", apart, seed, skin)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, skin)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, skin, device_kind)
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -23,8 +23,17 @@ class Device:
 
 
 def ideal(skin: Skin) -> Device:
-    """Return the device that a skin states: what data sets, bundles and networks know of it."""
-    return Device(nominal_sheet(skin), nominal_electrodes(skin))
+    """Return the device that a skin states, scaled to a layer of 1 S/m: what data sets know of it.
+
+    A touch's conductivity is then its contrast. Contacts are scaled in proportion, so voltages are the skin's own times
+    its conductivity, and what is divided by the reference does not change.
+    """
+    sheet, electrodes = nominal_sheet(skin), nominal_electrodes(skin)
+    sigma = sheet.conductivity_S_per_m
+    if sigma == 1.0:
+        return Device(sheet, electrodes)
+    scaled = tuple((sigma * electrodes.impedances_ohm_m2()).tolist())
+    return Device(replace(sheet, conductivity_S_per_m=1.0), replace(electrodes, contact_impedance_ohm_m2=scaled))
 
 
 IDEAL: Final = ideal(PAPER)

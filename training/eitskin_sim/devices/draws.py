@@ -22,7 +22,7 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.devices.device import Device
+from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.parts import Bend, Electrodes, Late, Sheet, SmoothField
 
@@ -88,11 +88,12 @@ def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
     """Return a random device of a skin.
 
     Raises:
-        ValueError: The skin is no sheet of the paper's size with patches as contacts.
+        ValueError: The skin is no rectangle with patches as contacts.
     """
     check_outline(skin)
     doubts, layer = skin.may_be_off, skin.layer
     sheet = Sheet(
+        size_mm=skin.outline.size_mm,
         thickness_mm=max(_one(layer.thickness_mm, rng), 0.1),
         gauge_factor=_one(layer.gauge_factor, rng),
         field=_field(float(rng.uniform(*doubts.layer_rms)), doubts.layer_correlation_mm, rng),
@@ -105,13 +106,7 @@ def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
 
 def check_outline(skin: Skin) -> None:
     """Raise ValueError if devices of a skin cannot be computed on the generators' meshes."""
-    nominal, outline = Sheet().size_mm, skin.outline
-    if outline.kind != "rectangle" or outline.size_mm != nominal:
-        length, width = outline.size_mm
-        raise ValueError(
-            f"skin {skin.name}: outline is a {outline.kind} of {length:g} x {width:g} mm; data sets of random devices "
-            f"are made of rectangles of {nominal[0]:g} x {nominal[1]:g} mm"
-        )
+    ideal(skin)
     if skin.electrodes.contact != "patch":
         raise ValueError(f"skin {skin.name}: contact is {skin.electrodes.contact!r}; random devices have 'patch'")
 
@@ -167,6 +162,7 @@ def _electrodes(skin: Skin, rng: np.random.Generator) -> Electrodes:
     moved = np.clip(ring.arc_length_mm.draw(rng, count), stated - MOST_MM, stated + MOST_MM)
     own = np.clip(ring.size_mm.draw(rng, count), SMALLEST * sizes, sizes / SMALLEST)
     impedance = np.maximum(ring.contact_impedance_ohm_m2.draw(rng, count), 1e-9)
+    impedance = impedance * float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # the layer is scaled to 1 S/m
     return Electrodes(
         size_mm=tuple(own.tolist()),
         contact_impedance_ohm_m2=tuple(impedance.tolist()),

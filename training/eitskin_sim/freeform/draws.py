@@ -178,7 +178,7 @@ class Bar:
     Touches of a set overlap no other, so the square of a set's map is at least the sum of its touches' squares.
     """
 
-    def __init__(self, pool: TouchTable, grid: Grid) -> None:
+    def __init__(self, pool: TouchTable, grid: Grid = PAPER.grid) -> None:
         maps, phantoms = pool.area_table(grid), phantom_maps(grid)
         self._pixels = grid.n_pixels
         self._product: Array = np.append(maps @ phantoms.T, np.zeros((1, len(phantoms))), axis=0)

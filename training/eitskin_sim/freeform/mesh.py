@@ -28,7 +28,6 @@ from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.freeform.inverse import Lines, make_lines
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes
 
 ELEMENT_MM: Final = 3.5
@@ -73,7 +72,7 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
             whatever it is.
         skin: The sheet and its electrodes as they are stated.
     """
-    sheet, nominal = nominal_sheet(skin), nominal_electrodes(skin)
+    sheet, nominal = ideal(skin).sheet, ideal(skin).electrodes
     x, y = electrode_lines(sheet, nominal)
     mesh = TensorMesh(
         even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
@@ -111,7 +110,7 @@ def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
 def shared_system(bend: Bend, size_mm: float = ELEMENT_MM, device: Device | None = None, skin: Skin = PAPER) -> System:
     """Return the system of a skin's device at one bend; None is the device that the skin states."""
     true = device or ideal(skin)
-    mesh, nominal = shared_mesh(size_mm, true.electrodes, skin).mesh, nominal_electrodes(skin)
+    mesh, nominal = shared_mesh(size_mm, true.electrodes, skin).mesh, ideal(skin).electrodes
     return system_on(mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 

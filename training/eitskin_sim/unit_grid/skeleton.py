@@ -31,7 +31,6 @@ from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
 
 UNIT_STEPS: Final = (0.06, 0.2, 0.48, 0.2, 0.06)
@@ -128,14 +127,14 @@ def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refi
 
 @lru_cache(maxsize=4)
 def _nominal_mesh(skin: Skin, refine: int) -> UnitMesh:
-    return unit_mesh(nominal_sheet(skin), nominal_electrodes(skin), skin.grid.units, refine)
+    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine)
 
 
 def unit_system(
     bend: Bend, refine: int = 1, device: Device | None = None, skin: Skin = PAPER
 ) -> tuple[UnitMesh, System]:
     """Return a skin's mesh, whatever the device, and a device's system at one bend; None is what the skin states."""
-    parts, true, nominal = _nominal_mesh(skin, refine), device or ideal(skin), nominal_electrodes(skin)
+    parts, true, nominal = _nominal_mesh(skin, refine), device or ideal(skin), ideal(skin).electrodes
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 

@@ -8,11 +8,10 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, skins
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
-    from eitskin_proto.skin.skin import Skin
     from eitskin_sim.dataset.cluster import Certificates
 
 
@@ -57,8 +56,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--skin",
         metavar="FILE",
-        help="the skin.toml whose uncertainties random devices are drawn from, or the name of a shipped one: lab, "
-        "hydrogel (default lab)",
+        help="skin.toml of the sheet, and of the uncertainties that random devices are drawn from: a file, or one of "
+        f"{', '.join(files.SKIN.names())} (default: the paper's, for random devices lab)",
     )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
@@ -89,7 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         near=arguments.near,
         touches=arguments.touches,
         devices=arguments.devices,
-        skin=None if arguments.skin is None else _skin(arguments.skin),
+        skin=None if arguments.skin is None else skins.read(arguments.skin),
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
@@ -107,7 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         "set": plan.set_name,
         "touches": plan.touches,
         "devices": plan.devices,
-        "skin_digest": None if plan.skin is None else plan.skin.digest,
+        "skin_digest": plan.skin.digest,
         "samples": index["samples"],
         "made": progress.made,
         "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},
@@ -120,17 +119,6 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(report) if arguments.json else _text(report))
     return 0
-
-
-def _skin(path: str) -> "Skin":
-    from eitskin_proto.skin.toml import load
-
-    try:
-        return load(path)
-    except OSError as error:
-        raise UsageError(
-            f"--skin: {path} cannot be read: {error.strerror}; give a file, or one of lab, hydrogel"
-        ) from error
 
 
 def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> None:
