@@ -5,7 +5,6 @@ monitor waits for the I/O thread: a flood of connections and a process that does
 """
 
 import fcntl
-import os
 import select
 import socket
 import struct
@@ -147,20 +146,24 @@ def _unread(descriptor: int) -> int:
 
 
 def _own_name(connection: Connection) -> Name | None:
-    """Return what a connected socket's own end is called; None for a listener, or one that is gone."""
+    """Return what a connected socket's own end is called; None for a listener, or one that is gone.
+
+    Needs no descriptor: where none is left, a connection whose name could not be had would never be served.
+    """
     try:
-        copy = socket.socket(fileno=os.dup(connection[0]))
+        looked_through = socket.socket(fileno=connection[0])
     except OSError:
         return None
-    with copy:
-        try:
-            if os.fstat(copy.fileno()).st_ino != connection[1]:
-                return None
-            if copy.type != socket.SOCK_STREAM or copy.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                return None
-            name = copy.getsockname()
-        except OSError:
-            return None
-    if copy.family == socket.AF_UNIX:
+    try:
+        family, kind = looked_through.family, looked_through.type
+        listens = looked_through.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+        name = looked_through.getsockname()
+    except OSError:
+        return None
+    finally:
+        looked_through.detach()
+    if connection_at(connection[0]) != connection or kind != socket.SOCK_STREAM or listens:
+        return None  # inodes do not come back: what lies there now lay there all the while
+    if family == socket.AF_UNIX:
         return name if isinstance(name, str) and name else None
-    return int(name[1]) if copy.family in (socket.AF_INET, socket.AF_INET6) else None
+    return int(name[1]) if family in (socket.AF_INET, socket.AF_INET6) else None
