@@ -56,20 +56,20 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     began_s = time.monotonic()
     members: list[Member] = []
-    while len(members) < number and not stopping:
-        members.append(Member(endpoint))
-    joined_s = time.monotonic() - began_s
+    joined_s = 0.0
     with selectors.DefaultSelector() as waiting:
-        for member in members:
-            waiting.register(member.peer, selectors.EVENT_READ, member)
         while not stopping:
-            for key, _ in waiting.select(0.1):
+            if len(members) < number:  # those who are there go on reading meanwhile, as processes of their own would
+                members.append(Member(endpoint))
+                waiting.register(members[-1].peer, selectors.EVENT_READ, members[-1])
+                joined_s = time.monotonic() - began_s
+            for key, _ in waiting.select(0.0 if len(members) < number else 0.1):
                 try:
                     key.data.take()
                 except OSError:
                     ended += 1
                     waiting.unregister(key.fileobj)
-            if not told and all(member.frames for member in members):
+            if not told and len(members) == number and all(member.frames for member in members):
                 told, began_s = True, time.monotonic()
                 for member in members:
                     member.before = member.frames
