@@ -10,7 +10,7 @@ without a prediction gets one here, which needs the extra ``sim``, for the forwa
 import sys
 
 import eitskin
-from eitskin_proto.sensor.cloud_file import Surface, load_surface
+from eitskin_proto.skin.cloud_file import Surface, load_surface
 
 found = load_surface(sys.argv[1])
 if found.predicted_V is None:

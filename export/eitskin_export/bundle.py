@@ -23,9 +23,10 @@ import numpy.typing as npt
 from eitskin.errors import BundleError
 from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 
 VERSION: Final = 1

@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from eitskin.pipeline.gate_audit import STRONG_VALUE
 from eitskin_export import parity
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_proto.skin.cloud import flat_cloud, network_input
 from eitskin_training.gate.material import noisy_change
 
 FEWEST_PIXELS: Final = 9

@@ -17,9 +17,9 @@ import torch
 
 from eitskin_export.fold import GeometryHalf, Head
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import PAPER
 
 OPSET: Final = 20
 """Version of the ONNX operators: the newest that torch 2.13 exports (18 to 20 work)."""
@@ -30,7 +30,7 @@ TRAINING_ONLY: Final = frozenset({"Dropout", "BatchNormalization"})
 
 def geometry_graph(geometry: GeometryHalf) -> bytes:
     """Return the graph from "cloud" (1, 3, 30, 45) to "bias" (1, H)."""
-    return _export(geometry, (torch.zeros(1, *CLOUD_SHAPE),), ["cloud"], ["bias"])
+    return _export(geometry, (torch.zeros(1, *PAPER.grid.cloud_shape),), ["cloud"], ["bias"])
 
 
 def head_graph(head: Head) -> bytes:

@@ -25,9 +25,9 @@ from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.cloud import flat_cloud, network_input
 from eitskin_sim.evaluation import trials
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import add_noise

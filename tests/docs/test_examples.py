@@ -9,8 +9,8 @@ import pytest
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import TransportError
-from eitskin_proto.sensor.cloud import align_cloud
 from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.scene import load_scene
 

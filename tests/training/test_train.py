@@ -13,6 +13,7 @@ from eitskin_training.card import card
 from eitskin_training.recipes import Recipe, recipe
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
+from eitskin_training.start import Start
 
 pytestmark = pytest.mark.heavy
 
@@ -74,7 +75,7 @@ def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: P
     data, other = toy_data("area", samples=1500), replace(toy_data("area"), digest="other")
     first = train.train(data, tiny(epochs=6, learning_rate=5e-3), tmp_path / "first", seed=3)
     chosen = tiny(epochs=2, learning_rate=0.0, schedule="constant", weight_decay=0.0)
-    later = train.train(other, chosen, tmp_path / "later", seed=4, start=tmp_path / "first", stop_after=1)
+    later = train.train(other, chosen, tmp_path / "later", seed=4, start=Start.of_run(tmp_path / "first"), stop_after=1)
     kept = run_files.read(tmp_path / "first" / "best.pt")
     for name, value in later.averaged.items():  # nothing was learned, so these are the first run's, inputs' scale too
         if "running_" not in name and "num_batches" not in name:
@@ -85,9 +86,24 @@ def test_a_run_begins_where_another_ended_and_says_so(toy_data: Any, tmp_path: P
     with pytest.raises(MismatchError, match="run it started from"):
         train.train(other, chosen, tmp_path / "later", seed=4, resume=True)
     with pytest.raises(MismatchError, match="network"):
-        train.train(other, recipe("free"), tmp_path / "else", start=tmp_path / "first")
+        train.train(other, recipe("free"), tmp_path / "else", start=Start.of_run(tmp_path / "first"))
     with pytest.raises(SkinError, match="no finished epoch"):
-        train.train(other, chosen, tmp_path / "none", start=tmp_path / "nothing")
+        train.train(other, chosen, tmp_path / "none", start=Start.of_run(tmp_path / "nothing"))
+
+
+def test_statistics_stay_where_they_are_part_of_the_weights(toy_data: Any, tmp_path: Path) -> None:
+    data, chosen = toy_data("area", samples=1500), tiny(epochs=2, learning_rate=1e-3)
+    train.train(data, chosen, tmp_path / "first", seed=3)
+    start = Start.of_run(tmp_path / "first")
+    still = replace(start, facts={**start.facts, "still": True})
+    kept = train.train(data, chosen, tmp_path / "still", seed=4, start=still, stop_after=1)
+    kept = train.train(data, chosen, tmp_path / "still", seed=4, start=still, resume=True)  # and after a stop
+    moved = train.train(data, chosen, tmp_path / "moved", seed=4, start=start)
+    for run, same in ((kept, True), (moved, False)):
+        for name, value in run.model.state_dict().items():
+            if "running_" in name:
+                assert torch.equal(value, start.weights[name]) == same, name
+    assert Start.of_run(tmp_path / "still").facts["still"]
 
 
 @pytest.mark.parametrize("field", ["protocol_id", "grid_id"])

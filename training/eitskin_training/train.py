@@ -32,6 +32,7 @@ from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import FORMAT, network, read, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
 from eitskin_training.score import score, training_loss
+from eitskin_training.start import Start, keep_statistics
 
 RISING_SHARE: Final = 0.05
 """Share of the steps in which a cycle rises to its peak."""
@@ -92,6 +93,11 @@ class Run:
     step: int = 0
 
     @property
+    def still(self) -> bool:
+        """Whether normalisations keep their statistics: those of a network out of a bundle are in its weights."""
+        return bool((self.started_from or {}).get("still"))
+
+    @property
     def best(self) -> Epoch | None:
         """The epoch of the lowest validation loss."""
         return min(self.history, key=lambda epoch: epoch.validation_loss, default=None)
@@ -111,7 +117,7 @@ def train(
     resume: bool = False,
     stop_after: int | None = None,
     sources: tuple[str, ...] = (),
-    start: Path | None = None,
+    start: Start | None = None,
     progress: Callable[[Progress], None] = lambda _: None,
 ) -> Run:
     """Train a network and leave the run in a folder.
@@ -124,7 +130,7 @@ def train(
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
         sources: Where the data sets lie, for the export to find them again.
-        start: A run whose best weights to start from; None draws them. Its network must be of the same shape.
+        start: Weights to start from; None draws them. Their network must be of the same shape.
         progress: Called after every batch.
 
     Returns:
@@ -153,6 +159,8 @@ def train(
         began = time.monotonic()
         torch.manual_seed(seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
         run.model.train()
+        if run.still:
+            keep_statistics(run.model)
         total = 0.0
         for batch in batches(data, recipe, seed=seed, epoch=number, mirrored=mirrored):
             total += _step(run, batch.to(where))
@@ -183,22 +191,15 @@ def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) 
     return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest)
 
 
-def _start_from(run: Run, folder: Path) -> None:
-    """Begin with the best weights of another run, with its scale of the inputs."""
-    content = read(folder / "best.pt")
-    found, expected = Recipe.from_dict(content["recipe"]).architecture, run.recipe.architecture
+def _start_from(run: Run, start: Start) -> None:
+    found, expected = start.architecture, run.recipe.architecture
     if found != expected:
         raise MismatchError(
-            f"run {folder} to start from: network", found=found, expected=expected, hint="start from one of this recipe"
+            "network to start from", found=found, expected=expected, hint="start from one of this recipe"
         )
-    run.model.load_state_dict(content["weights"])
+    run.model.load_state_dict(start.weights)
     run.averaged = {name: value.clone() for name, value in run.model.state_dict().items()}
-    run.started_from = {
-        "seed": content["seed"],
-        "data_digest": content["data_digest"],
-        "epochs": len(content["history"]),
-        "started_from": content.get("started_from"),
-    }
+    run.started_from = start.facts
 
 
 def one_cycle(step: int, *, steps: int) -> float:

@@ -1,39 +1,13 @@
 """Digests that every artefact carries: ``PROTOCOL_ID`` for what is measured, ``GRID_ID`` for where results are drawn.
 
 A bundle, data set, reference or device that was made for another table, sign or grid would give plausible nonsense.
-The digests make it refuse instead. They change only when the meaning of the numbers changes. Everything that is named
-or vouched for by its contents takes its digest from here: SHA-256, and its first 16 hex digits as an id.
+The digests make it refuse instead. They change only when the meaning of the numbers changes.
 """
 
-import hashlib
-import json
 from typing import Final
 
+from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.sensor import grid, table
-
-ID_DIGITS: Final = 16
-"""Hex digits of an id, 64 bits."""
-
-
-def sha256_of(data: bytes) -> str:
-    """Return the 64 hex digits of bytes' SHA-256."""
-    return hashlib.sha256(data).hexdigest()
-
-
-def sha256_of_values(content: object) -> str:
-    """Return the 64 hex digits of plain values: of their JSON with sorted keys."""
-    return sha256_of(json.dumps(content, sort_keys=True).encode())
-
-
-def id_of(data: bytes) -> str:
-    """Return the id of bytes, 16 hex digits."""
-    return sha256_of(data)[:ID_DIGITS]
-
-
-def id_of_values(content: object) -> str:
-    """Return the id of plain values, 16 hex digits."""
-    return sha256_of_values(content)[:ID_DIGITS]
-
 
 PROTOCOL_ID: Final = id_of_values(
     {

@@ -4,7 +4,7 @@ Nothing above this line knows pyserial or pyusb: an implementation translates it
 of :class:`eitskin.errors.TransportError`.
 """
 
-from typing import Final, Protocol
+from typing import Any, Final, Protocol
 
 USB_PREFIX: Final = "usb:"
 """What the name of a port starts with if it is a USB device."""
@@ -49,3 +49,54 @@ class Transport(Protocol):
 
     def close(self) -> None:
         """Give the line back; closing twice is fine."""
+
+
+class WrappedTransport:
+    """A transport that does what another does; a class below it does some of that in its own way.
+
+    What only some transports have passes through as well: ``patience_s``, ``gone``, ``reopen``.
+
+    Args:
+        line: The other.
+    """
+
+    __slots__ = ("_line",)
+
+    def __init__(self, line: Transport) -> None:
+        self._line = line
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what the other has and this class does not name, but nothing private."""
+        if name.startswith("_"):  # such as _line itself, before there is one
+            raise AttributeError(f"{type(self).__name__} has no {name}")
+        return getattr(self._line, name)
+
+    @property
+    def name(self) -> str:
+        """What people call the line."""
+        return self._line.name
+
+    @property
+    def line_bytes_per_s(self) -> int:
+        """What the line carries; 0 where no baud rate limits it."""
+        return self._line.line_bytes_per_s
+
+    def read(self, timeout_s: float | None = None) -> bytes:
+        """Return whatever has arrived, waiting for the first byte."""
+        return self._line.read(timeout_s)
+
+    def write(self, data: bytes) -> None:
+        """Send all of ``data``."""
+        self._line.write(data)
+
+    def cancel(self) -> None:
+        """Make the ``read`` that waits now, or else the next one, return at once."""
+        self._line.cancel()
+
+    def report(self) -> list[str]:
+        """Return what was got of what was asked for."""
+        return self._line.report()
+
+    def close(self) -> None:
+        """Give the line back."""
+        self._line.close()

@@ -19,8 +19,8 @@ from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_control
 from eitskin.reference.predicted import check_voltages
-from eitskin_proto.sensor.cloud_file import Surface, load_surface
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.cloud_file import Surface, load_surface
+from eitskin_proto.skin.sheet_cloud import check_sheet
 
 SCHEMES = ("ipc://", "tcp://")
 
@@ -90,7 +90,7 @@ def send_cloud(
         endpoint: Of the runtime's *control* (``eitskin run --control``), not the one that frames come from; left out,
             it is the default one.
         cloud: (3, 30, 45) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
-            :func:`eitskin_proto.sensor.cloud_file.load_surface` returns it, which brings its prediction along.
+            :func:`eitskin_proto.skin.cloud_file.load_surface` returns it, which brings its prediction along.
         predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
         predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
             is right only if model and device agree on current and gain.

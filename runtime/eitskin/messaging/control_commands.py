@@ -9,9 +9,9 @@ import numpy.typing as npt
 
 from eitskin.errors import ControlError, SkinError
 from eitskin.messaging.control_fields import array_field, unpack_fields
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE
-from eitskin_proto.sensor.sheet_cloud import check_sheet
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.sheet_cloud import check_sheet
+from eitskin_proto.skin.skin import PAPER
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
@@ -86,7 +86,7 @@ class Commands:
         return lambda: self._table[command](request), command in SLOW
 
     def _cloud(self, request: Request) -> Answer:
-        cloud = array_field(request, "cloud", np.dtype("<f4"), CLOUD_SHAPE)
+        cloud = array_field(request, "cloud", np.dtype("<f4"), PAPER.grid.cloud_shape)
         if cloud is None:
             raise ControlError("a cloud request needs the field 'cloud'")
         predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))

@@ -28,10 +28,11 @@ import numpy.typing as npt
 from eitskin.errors import BundleError, MismatchError
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
+from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, opened, parse_json
 from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 
 FORMAT: Final = "eitskin-bundle"

@@ -13,8 +13,8 @@ from eitskin.errors import BundleError
 from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, open_session
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import flat_cloud, network_input
 
 
 @dataclass(frozen=True, slots=True, eq=False)

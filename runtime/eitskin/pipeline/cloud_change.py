@@ -11,8 +11,8 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.plausible import check_prediction
 from eitskin.reference.predicted import log_ratio
-from eitskin_proto.sensor.cloud import flat_cloud
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.sheet_cloud import check_sheet
 
 
 class CloudChange:

@@ -23,10 +23,11 @@ import numpy.typing as npt
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
+from eitskin_proto.files.digest import sha256_of_values
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, is_whole, parse_json, read_bytes, text_of
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of_values
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.wire.answers import Hello
 

@@ -2,7 +2,7 @@
 
 A prediction in other units, of another table of rows, or of nothing, has 104 finite numbers like any other. What
 deformations do was measured on 810 of them (the paper's ten, 400 draws each of the families A and B; see
-:mod:`eitskin_proto.sensor.sheet_cloud`)::
+:mod:`eitskin_proto.skin.sheet_cloud`)::
 
     V_pred / V_flat                                              drawn            refused outside
     in any row                                                   0.22 to 2.8      0.08 to 6

@@ -148,7 +148,7 @@ def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
 
 
 def _data_set(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Path, str]:
-    from eitskin_proto.sensor.ids import sha256_of
+    from eitskin_proto.files.digest import sha256_of
 
     out = folder / "data"
     shutil.copytree(stays[0], out)

@@ -23,8 +23,12 @@ Read = Callable[[Path], object]
 def scene() -> dict[str, Any]:
     """Return a scene with every key."""
     return {
-        "sheet": {"size_mm": [150, 100], "thickness_mm": 2.0, "conductivity_S_per_m": 1.0},
-        "electrodes": {"contact": "patch", "size_mm": 4.0, "contact_impedance_ohm_m2": 1e-4},
+        "sheet": {
+            "size_mm": [150, 100], "thickness_mm": 2.0, "conductivity_S_per_m": 1.0, "gauge_factor": 1.0,
+            "field": {"rms": 0.05, "correlation_mm": 40, "seed": 3},
+            "late": {"factor": 1.1, "gradient_rms": 0.02, "seed": 1},
+        },
+        "electrodes": {"contact": "patch", "size_mm": 4.0, "contact_impedance_ohm_m2": [1e-4] * 16},
         "bend": {"angle_deg": 60, "axis_deg": 5, "skew": 0.1, "stretch_along": 1.02, "bumps_mm": [[70, 50, 1, 20]]},
         "touches": [
             {"rect_mm": [20, 20, 40, 40], "conductivity_S_per_m": 50},
@@ -34,7 +38,7 @@ def scene() -> dict[str, Any]:
         ],
         "current_A": 1.0,
         "element_size_mm": 10.0,
-    }
+    }  # fmt: skip
 
 
 def reference() -> dict[str, Any]:
@@ -53,7 +57,7 @@ def reference() -> dict[str, Any]:
 
 def sealed(fields: Any) -> bytes:
     """Return a reference's file; one that was tampered with by somebody who can make checksums."""
-    from eitskin_proto.sensor.ids import sha256_of_values
+    from eitskin_proto.files.digest import sha256_of_values
 
     content = dict(fields) if isinstance(fields, dict) else fields
     if isinstance(content, dict):
@@ -106,9 +110,9 @@ def ply_binary() -> bytes:
 
 def cloud() -> dict[str, Any]:
     """Return the arrays of a cloud's file."""
-    from eitskin_proto.sensor.cloud import flat_cloud
-    from eitskin_proto.sensor.cloud_file import MAGIC, VERSION
     from eitskin_proto.sensor.ids import GRID_ID
+    from eitskin_proto.skin.cloud import flat_cloud
+    from eitskin_proto.skin.cloud_file import MAGIC, VERSION
 
     rows = np.linspace(0.1, 1.0, 104)
     return {
@@ -131,7 +135,7 @@ def members_of(data: bytes) -> dict[str, bytes]:
 
 def bundle(parts: dict[str, bytes], manifest: Any) -> bytes:
     """Return a bundle's bytes, with the digests of its members."""
-    from eitskin_proto.sensor.ids import sha256_of
+    from eitskin_proto.files.digest import sha256_of
 
     if isinstance(manifest, dict) and isinstance(manifest.get("files"), dict):
         for name, data in parts.items():
@@ -146,8 +150,9 @@ def bundle(parts: dict[str, bytes], manifest: Any) -> bytes:
 
 def data_set(folder: Path) -> None:
     """Write a data set of two bends on the unit grid and nothing computed: its numbers are made up."""
-    from eitskin_proto.sensor.cloud import flat_cloud
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
+    from eitskin_proto.files.digest import sha256_of
+    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.skin.cloud import flat_cloud
     from eitskin_sim.dataset.reader import FORMAT, VERSION
 
     folder.mkdir(exist_ok=True)
@@ -262,8 +267,8 @@ def read_scan(path: Path) -> None:
 
 def read_cloud(path: Path) -> None:
     """Load a cloud's file as the control client does."""
-    from eitskin_proto.sensor.cloud import align_cloud
-    from eitskin_proto.sensor.cloud_file import load_surface
+    from eitskin_proto.skin.cloud import align_cloud
+    from eitskin_proto.skin.cloud_file import load_surface
 
     align_cloud(load_surface(path).cloud_mm)
 

@@ -12,7 +12,6 @@ from eitskin.errors import BadReference
 from eitskin.reference.builder import ReferenceBuilder
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.wire.frames import full_scale
-from eitskin_proto.wire.messages import Hello
 
 from ..outcome import Effort, Outcome
 from .sheets import Counts, Judge, Sheet
@@ -168,11 +167,7 @@ def references(effort: Effort) -> Outcome:
 
 def _refused(sheet: Sheet, what: str) -> str:
     builder = ReferenceBuilder(50)
-    hello = Hello(
-        firmware_version=(1, 0, 0), hardware_id=1, serial_number="LIAR-1", configuration_digest=1, generation=0,
-        configuration_name="attack", rate_mHz=200_000, rows=104, sample_bytes=sheet.sample_bytes,
-        volts_per_count=sheet.volts_per_count,
-    )  # fmt: skip
+    hello = sheet.hello("LIAR-1")
     frozen = sheet.sample(0.0)[0]
     rng = np.random.default_rng(sheet.seed)
     try:

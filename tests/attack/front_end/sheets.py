@@ -73,6 +73,14 @@ class Sheet:
         """Of the script."""
         return float(self._script.period_s)
 
+    def hello(self, serial_number: str) -> Hello:
+        """Return what the front end says of itself."""
+        return Hello(
+            firmware_version=(1, 0, 0), hardware_id=1, serial_number=serial_number, configuration_digest=1,
+            generation=0, configuration_name="attack", rate_mHz=200_000, rows=104, sample_bytes=self.sample_bytes,
+            volts_per_count=self.volts_per_count,
+        )  # fmt: skip
+
     def sample(self, time_s: float) -> tuple[Counts, int]:
         """Return (104,) counts at a time of the script, 0 being flat and untouched, and which rows are cut off."""
         volts = self._noise.on(self._script.voltages_at(time_s, self._solved))
@@ -86,11 +94,7 @@ class Judge:
     """A pipeline that has captured its reference of a sheet; says of each frame whether it is withheld, and why."""
 
     def __init__(self, sheet: Sheet, frames: int = 100) -> None:
-        hello = Hello(
-            firmware_version=(1, 0, 0), hardware_id=1, serial_number="HONEST-1", configuration_digest=1, generation=0,
-            configuration_name="attack", rate_mHz=200_000, rows=104, sample_bytes=sheet.sample_bytes,
-            volts_per_count=sheet.volts_per_count,
-        )  # fmt: skip
+        hello = sheet.hello("HONEST-1")
         bundle = load_bundle(TINY)
         self.sheet = sheet
         self.pipeline = Pipeline(bundle, hello)

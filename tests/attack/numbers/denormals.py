@@ -21,8 +21,8 @@ from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.pipeline.cloud_change import CloudChange
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.wire.frames import Frame
 from eitskin_proto.wire.messages import Hello
 

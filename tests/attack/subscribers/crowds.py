@@ -4,18 +4,16 @@ import contextlib
 import json
 import subprocess
 import sys
-import tempfile
 import time
 from collections.abc import Iterator
 from typing import Any
 
 import eitskin
-from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, attacked
 from ..zmtp.peer import GREETING, attempt, connected, packed, ready
-from .ground import TOUCHED, defended, status
+from .ground import TOUCHED, defended, everywhere, status
 
 PROMISED = 128
 """Subscribers that get every frame."""
@@ -101,15 +99,8 @@ def _told(endpoint: str) -> tuple[bool, str]:
 def silent_crowds(effort: Effort) -> Outcome:
     """Hold connections and say nothing, or half a greeting, on TCP with and without keys, and on ipc."""
     outcome = Outcome("subscribers.silent")
-    with tempfile.TemporaryDirectory(prefix="k") as folder:
-        make_keys(folder)
-        mine = (f"{folder}/server.key", f"{folder}/client.key_secret")
-        tcp = ("--publish", "tcp://127.0.0.1:*")
-        for what, arguments, keys in (
-            ("TCP", tcp, ()),
-            ("TCP with keys", (*tcp, "--curve-keys", folder), mine),
-            ("ipc", (), ()),
-        ):
+    with everywhere() as places:
+        for what, arguments, keys in places:
             with defended(outcome, what, keys, arguments) as stream:
                 held = []
                 for turn in range(effort.count(1, 5)):
@@ -118,9 +109,8 @@ def silent_crowds(effort: Effort) -> Outcome:
                             held.append(connected(stream.frames, 0.05))
                             held[-1].send((b"", GREETING[: 1 + 9 * turn], GREETING)[index % 3])
                     first = status(stream)["frames"]
-                    while status(stream)["frames"] < first + effort.count(
-                        600, 1000
-                    ):  # longer than a handshake may take
+                    enough = first + effort.count(600, 1000)  # longer than a handshake may take
+                    while status(stream)["frames"] < enough:
                         time.sleep(0.05)
                 for one in held:
                     one.close()

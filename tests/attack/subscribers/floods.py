@@ -10,13 +10,11 @@ from contextlib import closing, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from eitskin.messaging.curve_keys import make_keys
-
 from ..outcome import Effort, Outcome
 from ..stream import Stream, attacked
 from ..zmtp import flood
 from ..zmtp.peer import Peer
-from .ground import TOUCHED, defended, ends, stoppable_skin
+from .ground import TOUCHED, defended, ends, everywhere, stoppable_skin
 
 MANY_TOPICS = [b"t%d" % index for index in range(600)]
 
@@ -29,16 +27,8 @@ def connect_floods(effort: Effort) -> Outcome:
     outcome = Outcome("subscribers.connections")
     rng = random.Random(effort.seed)
     within_s = 1.0 if effort.long else 10.0
-    with tempfile.TemporaryDirectory(prefix="k") as folder:
-        make_keys(folder)
-        mine = (f"{folder}/server.key", f"{folder}/client.key_secret")
-        tcp = ("--publish", "tcp://127.0.0.1:*")
-        grounds: tuple[tuple[str, tuple[str, ...], tuple[str, ...]], ...] = (
-            ("ipc", (), ()),
-            ("TCP", tcp, ()),
-            ("TCP with keys", (*tcp, "--curve-keys", folder), mine),
-        )
-        for what, arguments, keys in grounds:
+    with everywhere() as places:
+        for what, arguments, keys in places:
             for _ in range(effort.count(1, 7)):
                 with (
                     defended(outcome, f"{what}, seed {effort.seed}", keys, arguments) as stream,

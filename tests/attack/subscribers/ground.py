@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -12,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import eitskin
+from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Outcome
 from ..stream import PATIENCE_S, SKIN, Stream, attacked
@@ -21,6 +23,20 @@ TOUCHED = {"rate_hz": 200.0, "touches": [[1.0, 1e9, 0.3]]}
 
 ENOUGH = 100
 """Frames after an attack, by which it shows who still gets them."""
+
+
+Place = tuple[str, tuple[str, ...], tuple[str, ...]]
+"""Where a stream is: for people, options of ``eitskin run``, and files of a subscriber's keys."""
+
+
+@contextmanager
+def everywhere() -> Iterator[tuple[Place, ...]]:
+    """Give each kind of place that a stream can be at."""
+    with tempfile.TemporaryDirectory(prefix="k") as folder:
+        make_keys(folder)
+        tcp = ("--publish", "tcp://127.0.0.1:*")
+        keys = (f"{folder}/server.key", f"{folder}/client.key_secret")
+        yield ("ipc", (), ()), ("TCP", tcp, ()), ("TCP with keys", (*tcp, "--curve-keys", folder), keys)
 
 
 def status(stream: Stream) -> dict[str, Any]:

@@ -2,19 +2,8 @@
 
 import pytest
 
-from ..catalogue import ATTACKS, load
-from ..outcome import Effort, Outcome
+from ..short import short_form
 
 pytestmark = [pytest.mark.process, pytest.mark.heavy]
 
-
-@pytest.fixture(scope="module", params=[name for name, where in ATTACKS.items() if where.startswith("subscribers.")])
-def outcome(request: pytest.FixtureRequest) -> Outcome:
-    """Of an attack, named; what it costs is the attacker's time: floods take all that they get."""
-    found = load(request.param)(Effort())
-    assert found.attack == request.param
-    return found
-
-
-def test_it_is_withstood(outcome: Outcome) -> None:
-    assert outcome.held, outcome.as_dict()
+outcome, test_it_is_withstood = short_form("subscribers")

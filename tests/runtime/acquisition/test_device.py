@@ -58,22 +58,6 @@ def test_a_device_introduces_itself_and_streams(virtual_skin):
         line.close()
 
 
-def test_who_leaves_waits_for_no_answer(virtual_skin, monkeypatch):
-    with virtual_skin(rate_hz=100.0) as port:
-        line = SerialPort(port)
-        device = Device(line)
-        device.stopping = True
-        for wait in (device.start, device.stop, device.recover):
-            with pytest.raises(HandshakeError):
-                wait()
-        written = []
-        monkeypatch.setattr(line, "write", written.append)  # from now on the device hears nothing
-        with pytest.raises(HandshakeError, match=r"did not acknowledge STOP within 0\.2 s"):
-            device.leave()
-        assert len(written) == 1
-        line.close()
-
-
 def test_a_device_of_another_protocol_is_refused_with_found_expected_and_fix(virtual_skin):
     with virtual_skin(faults=["foreign"]) as port:
         line = SerialPort(port)
@@ -192,12 +176,18 @@ def test_a_device_that_is_the_same_streams_on(hello):
     assert any(payload[0] == MessageType.START for data in line.written for payload in Deframer().feed(data))
 
 
-def test_who_stops_waits_for_no_answer(hello):
+def test_who_leaves_waits_for_no_answer(hello):
     line = Changing(hello)
     device = Device(line)
-    line.answer = lambda _: []
+    line.answer = lambda _: []  # from now on the device hears nothing
     device.stopping = True
-    with pytest.raises(NotReady):
-        device.recover()
+    for wait in (device.start, device.stop, device.recover):
+        with pytest.raises(NotReady):
+            wait()
+    line.written.clear()
+    with pytest.raises(NotReady, match=r"did not acknowledge STOP within 0\.2 s"):
+        device.leave()
+    assert len(line.written) == 1
     line.gone = True
     device.leave()  # nobody waits for a port that is gone
+    assert len(line.written) == 1

@@ -15,7 +15,7 @@ from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.control_fields import LARGEST_REQUEST
 from eitskin.messaging.curve_keys import load_client_keys, load_server_keys, make_keys
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin.cloud import flat_cloud
 
 
 def test_only_the_owner_may_reach_the_control_socket(server):

@@ -8,8 +8,8 @@ import eitskin
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.control_client import request
 from eitskin.messaging.endpoints import default_control
-from eitskin_proto.sensor import cloud_file
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin import cloud_file
+from eitskin_proto.skin.cloud import flat_cloud
 
 
 def test_a_cloud_with_predictions_arrives_as_it_was_sent(server, recorder):

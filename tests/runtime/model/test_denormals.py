@@ -15,7 +15,7 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.onnx.protobuf import GRAPH, INITIALISER, content, fields_of
 from eitskin.model.onnx.small_weights import without_small_weights
 from eitskin.model.session import onnxruntime
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin.cloud import flat_cloud
 
 DENORMAL = np.float32(1e-40)
 

@@ -12,7 +12,7 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import onnxruntime
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.predicted import log_ratio
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin.cloud import flat_cloud
 
 
 @pytest.fixture

@@ -6,7 +6,7 @@ import pytest
 from eitskin.model.bundle import load_bundle
 from eitskin.reference.captured import Reference
 from eitskin.reference.plausible import check_prediction
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin.cloud import flat_cloud
 
 RNG = np.random.default_rng(11)
 

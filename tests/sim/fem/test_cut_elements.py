@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.cut_elements import factorise, touch
-from eitskin_sim.fem.cut_rule import half_plane_share
+from eitskin_sim.fem.borders.cut_elements import factorise, touch
+from eitskin_sim.fem.borders.cut_rule import half_plane_share
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import electrode_lines

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.cut_blocks import cut_blocks
-from eitskin_sim.fem.cut_elements import factorise
-from eitskin_sim.fem.cut_touches import find_cuts
+from eitskin_sim.fem.borders.cut_blocks import cut_blocks
+from eitskin_sim.fem.borders.cut_elements import factorise
+from eitskin_sim.fem.borders.cut_touches import find_cuts
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.freeform.mesh import shared_mesh, shared_system
 from eitskin_sim.freeform.patterns import touch_pool

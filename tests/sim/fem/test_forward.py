@@ -148,7 +148,7 @@ def test_touch_under_a_face_contact_lowers_its_effective_impedance() -> None:
     scene = Scene(touches=touch, element_size_mm=COARSE)
     factor = factorise_scene(scene)
     under = factor.system.contacts.electrode == 0
-    plain = 1.0 / scene.electrodes.contact_impedance_ohm_m2
+    plain = 1.0 / scene.electrodes.impedances_ohm_m2()[0]
     assert np.all(factor.density[under] > 0.9 * plain)
     assert np.all(factor.density[~under] < 0.3 * plain)
 

@@ -5,9 +5,9 @@ from functools import cache
 import numpy as np
 import pytest
 
-from eitskin_sim.fem.cut_elements import factorise, touch
+from eitskin_sim.fem.borders.cut_elements import factorise, touch
+from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.forward import assemble, reciprocity_error
-from eitskin_sim.fem.graded import kink, plateau
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.bend import bend_metric

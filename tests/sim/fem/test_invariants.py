@@ -72,7 +72,7 @@ def scaled(scene: Scene, factor: float) -> Scene:
     return replace(
         scene,
         sheet=replace(scene.sheet, conductivity_S_per_m=factor * scene.sheet.conductivity_S_per_m),
-        electrodes=replace(electrodes, contact_impedance_ohm_m2=electrodes.contact_impedance_ohm_m2 / factor),
+        electrodes=replace(electrodes, contact_impedance_ohm_m2=tuple(electrodes.impedances_ohm_m2() / factor)),
         touches=tuple(replace(t, conductivity_S_per_m=factor * t.conductivity_S_per_m) for t in scene.touches),
     )
 

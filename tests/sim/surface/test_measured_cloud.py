@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import align_cloud, flat_cloud
+from eitskin_proto.skin.cloud import align_cloud, flat_cloud
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.surface.measured_cloud import NOISE_MM, measured_cloud
 

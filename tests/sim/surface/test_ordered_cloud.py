@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 from tests.sim.surface.raw_points import BENDS, Raw
 
-from eitskin_proto.sensor.cloud import align_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.scene.scene import Bend
 from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
 

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.sensor.log_prediction import RATIO_FLOOR
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_sim.dataset import prediction_cache
 from eitskin_sim.dataset.reader import DataSet
 from eitskin_sim.fem.solve import solve_scene

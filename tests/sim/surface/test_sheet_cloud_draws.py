@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.surface.measured_cloud import measured_cloud
 

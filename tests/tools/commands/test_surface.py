@@ -7,9 +7,9 @@ import pytest
 from tests.sim.surface.raw_points import BENDS, Raw
 
 from eitskin.reference.plausible import check_prediction
-from eitskin_proto.sensor.cloud_file import load_surface
 from eitskin_proto.sensor.grid import GRID_SHAPE
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.cloud_file import load_surface
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 

@@ -3,7 +3,7 @@
 import numpy as np
 
 from eitskin.reference.plausible import check_prediction
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools.scripted_scene.script import demonstration
 

@@ -34,6 +34,13 @@ def test_a_timeout_still_ends_a_read() -> None:
     assert UntilStopped(Slow(10**9), lambda: False).read(0.05) == b""
 
 
+def test_what_only_some_lines_have_is_there_through_it() -> None:
+    line = Slow(1)
+    assert not hasattr(UntilStopped(line, lambda: False), "gone")
+    line.gone = True
+    assert UntilStopped(line, lambda: False).gone
+
+
 class Starved(Slow):
     """A device that hears the first nine requests too late to answer in time."""
 

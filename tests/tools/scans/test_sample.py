@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import align_cloud
-from eitskin_proto.sensor.cloud_file import load_surface
+from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.cloud_file import load_surface
 from eitskin_sim.scene.scene import load_scene
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_tools import cli

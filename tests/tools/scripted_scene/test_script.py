@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import check_cloud
 from eitskin_proto.sensor.grid import PITCH_MM
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.cloud import check_cloud
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.scene import check_scene
 from eitskin_sim.scene.shapes import Rect

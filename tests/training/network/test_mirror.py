@@ -1,8 +1,8 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import network_input
 from eitskin_proto.sensor.grid import UNIT_OF_PIXEL, pixel_centres_mm, unit_rect_mm
+from eitskin_proto.skin.cloud import network_input
 from eitskin_sim.fem import forward, meshing
 from eitskin_sim.scene import bend
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet

@@ -41,6 +41,8 @@ PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".js
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
 POINTS: Final = Kind("measured points of the surface in mm, as .ply, .xyz or .npy", "eitskin_tools.scans", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
+MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md")
+TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 

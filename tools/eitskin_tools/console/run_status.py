@@ -5,14 +5,13 @@ loop. On a terminal a line is rewritten every second. Elsewhere one is written w
 one, and once a minute to say that nothing did.
 """
 
-import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
 from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.processes.lookout import Lookout
 
 PERIOD_S: Final = 1.0
 """Between two looks, and so between two lines at least."""
@@ -72,7 +71,7 @@ class Status:
         return ", ".join(parts)
 
 
-class RunStatus:
+class RunStatus(Lookout):
     """Reports from when it is entered to when it is left.
 
     Args:
@@ -89,12 +88,11 @@ class RunStatus:
         now_s: Callable[[], float] = time.monotonic,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
+        super().__init__("run-status", PERIOD_S, END_S)
         self._read = read
         self._log = log
         self._tell = tell
         self._now_s = now_s
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="run-status", daemon=True)
         self._before: Mapping[str, Any] = {}
         self._before_s = 0.0
         self._said: Mapping[str, Any] = {}
@@ -119,16 +117,8 @@ class RunStatus:
 
     def _run(self) -> None:
         self.look()
-        while not self._stop.wait(PERIOD_S):
-            self.look()
+        super()._run()
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._stop.set()
-        self._thread.join(END_S)
+    def __exit__(self, *_: object) -> None:
+        super().__exit__()
         self._log.end()

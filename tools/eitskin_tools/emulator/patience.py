@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 from typing import Final
 
-from eitskin.acquisition.transport import Transport
+from eitskin.acquisition.transport import Transport, WrappedTransport
 from eitskin.errors import PortLost
 from eitskin_tools.flash.exchange import Exchange
 
@@ -27,7 +27,7 @@ def patient(line: Transport) -> Exchange:
     return Exchange(line, timeout_s=ANSWER_S, attempts=TRIES)
 
 
-class UntilStopped:
+class UntilStopped(WrappedTransport):
     """A line that fails as soon as its board has stopped, so that nobody waits for an answer that cannot come.
 
     Args:
@@ -35,19 +35,11 @@ class UntilStopped:
         stopped: Whether the board has stopped.
     """
 
+    __slots__ = ("_stopped",)
+
     def __init__(self, line: Transport, stopped: Callable[[], bool]) -> None:
-        self._line = line
+        super().__init__(line)
         self._stopped = stopped
-
-    @property
-    def name(self) -> str:
-        """What people call this line."""
-        return self._line.name
-
-    @property
-    def line_bytes_per_s(self) -> int:
-        """What the line carries."""
-        return self._line.line_bytes_per_s
 
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what came, empty after the timeout.
@@ -63,19 +55,3 @@ class UntilStopped:
             data = self._line.read(max(0.0, min(LOOK_S, left_s)))
             if data or left_s <= 0.0:
                 return data
-
-    def write(self, data: bytes) -> None:
-        """Send bytes."""
-        self._line.write(data)
-
-    def cancel(self) -> None:
-        """End a read that waits."""
-        self._line.cancel()
-
-    def report(self) -> list[str]:
-        """Return what options the line got."""
-        return self._line.report()
-
-    def close(self) -> None:
-        """Give the line back."""
-        self._line.close()

@@ -98,7 +98,7 @@ def still(scene: Scene, name: str = "still", flat_s: float = choreography.UNTOUC
         flat_s: How long the sheet stays flat and untouched.
     """
     held = replace(scene, current_A=CURRENT_A)
-    flat = Scene(held.sheet, held.electrodes, current_A=CURRENT_A, element_size_mm=held.element_size_mm)
+    flat = held.reference()
 
     def at(time_s: float, before: bool) -> Scene:
         return flat if time_s < flat_s or (before and time_s == flat_s) else held

@@ -15,10 +15,10 @@ from collections.abc import Callable
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Any, Final
 
-from eitskin.acquisition.transport import Transport
+from eitskin.acquisition.transport import Transport, WrappedTransport
+from eitskin_tools.processes.lookout import Lookout
 from eitskin_tools.service.supervisor import Supervisor
 
 LOOK_S: Final = 0.25
@@ -39,34 +39,20 @@ STOOD_STILL: Final = 70
 """Exit status, which systemd calls SOFTWARE."""
 
 
-class WatchedLine:
-    """A transport whose every use is a beat; see :class:`eitskin.acquisition.transport.Transport`.
+class WatchedLine(WrappedTransport):
+    """A transport whose every use is a beat.
 
     Args:
         line: Open; it stays its owner's to close.
     """
 
-    __slots__ = ("_line", "beats", "waits")
+    __slots__ = ("beats", "waits")
 
     def __init__(self, line: Transport) -> None:
-        self._line = line
+        super().__init__(line)
         self.beats = 0
         self.waits = False
         """A read or write goes on."""
-
-    @property
-    def name(self) -> str:
-        """The line's."""
-        return self._line.name
-
-    @property
-    def line_bytes_per_s(self) -> int:
-        """The line's."""
-        return self._line.line_bytes_per_s
-
-    def __getattr__(self, name: str) -> Any:
-        """Return what only some lines have: whether one is gone, how long it is waited for."""
-        return getattr(self._line, name)
 
     @property
     def reopen(self) -> Callable[[], None]:
@@ -90,20 +76,8 @@ class WatchedLine:
             self.beats += 1
             self.waits = False
 
-    def cancel(self) -> None:
-        """Make the ``read`` that waits now, or else the next one, return at once."""
-        self._line.cancel()
 
-    def report(self) -> list[str]:
-        """Return what was got of what was asked for."""
-        return self._line.report()
-
-    def close(self) -> None:
-        """Give the line back."""
-        self._line.close()
-
-
-class Watchdog:
+class Watchdog(Lookout):
     """Looks from when it is entered to when it is left, once it was told at what.
 
     Args:
@@ -121,6 +95,7 @@ class Watchdog:
         self._say, self._supervisor, self._end = say, supervisor, end
         interval_s = supervisor.interval_s
         self._look_s = LOOK_S if interval_s is None else min(LOOK_S, max(SHORTEST_LOOK_S, interval_s / 4.0))
+        super().__init__("eitskin-watchdog", self._look_s)
         self._sign_s = 0.0 if interval_s is None else interval_s / 2.0
         self._since_sign_s = 0.0
         self._what, self._limit_s = "", 0.0
@@ -129,8 +104,6 @@ class Watchdog:
         self._still_s = 0.0
         self.sockets: list[Path] = []
         """Files to be removed before the process ends."""
-        self._left = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="eitskin-watchdog", daemon=True)
 
     def watch(self, what: str, line: WatchedLine | None = None, limit_s: float = LIMIT_S) -> None:
         """Look, from now on, whether this goes on.
@@ -174,20 +147,6 @@ class Watchdog:
             with suppress(OSError):
                 path.unlink()
         self._end(STOOD_STILL)
-
-    def _run(self) -> None:
-        while not self._left.wait(self._look_s):
-            self.look()
-
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._left.set()
-        self._thread.join()
 
 
 def stacks() -> str:

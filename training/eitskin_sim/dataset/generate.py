@@ -18,9 +18,10 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.reading import FileError, read_bytes
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, id_of, sha256_of
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION, VERSION_OF_SOFT
@@ -185,4 +186,6 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
     }
     if plan.touches != "hard":
         found["touch_kind"] = plan.touches
+    if plan.spread is not None:
+        found.update(devices=plan.devices, device_spread=content["spread"], skin=None)
     return found

@@ -27,10 +27,11 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
 from eitskin_proto.files.arrays import parse_npz
+from eitskin_proto.files.digest import sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, read_bytes, read_json
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID, sha256_of
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend

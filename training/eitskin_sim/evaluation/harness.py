@@ -2,10 +2,11 @@
 
 Everything a solver may see is in a :class:`Case`: the noisy voltages, the reference of its kind, and the cloud that a
 scanner gives of the bend (0.1 mm noise, even by arc length). A classical solver's Jacobian is computed from that
-cloud, as the paper does, on a mesh 3.75 times coarser than the data's. References are averages of many frames, so
+cloud, as the paper does, on a mesh 3.75 times coarser than the data's, and of the ideal device: a phantom's scene is
+the true one, which no solver knows. References are averages of many frames, so
 without noise::
 
-    pre        the flat, untouched sheet, once and for all (paper Fig. 10; what the network gets)
+    pre        the flat, untouched sheet, once, before what came late (paper Fig. 10; what the network gets)
     post       the bent, untouched sheet (paper Table II)
     predicted  V_pred, from the cloud by the forward model: what a robot can have while the sheet is being touched
 """
@@ -25,7 +26,7 @@ from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene
-from eitskin_sim.scene.shift import shifted
+from eitskin_sim.scene.phantoms.shift import shifted
 from eitskin_sim.solvers.l1 import l1_image
 from eitskin_sim.solvers.operators import (
     SATURATED,
@@ -124,6 +125,8 @@ class Case:
     sheet: Sheet
     labels: Literal["units", "area"]
     """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
+    lowering: bool = False
+    """Whether touches of this skin lower its conductance: classical solvers then look for that."""
 
 
 Solver = Callable[[Case], Array]
@@ -145,24 +148,29 @@ def _cells(case: Case, cells: Cells | None) -> Cells:
     return cells or ("units" if case.labels == "units" else "pixels")
 
 
+def _sign(case: Case) -> float:
+    """To first order a touch that lowers conductance is one that raises it, with the data's sign turned."""
+    return -1.0 if case.lowering else 1.0
+
+
 def solve_tikhonov(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of one matrix times the logarithmic data."""
     on = _cells(case, cells)
-    image = case.sheet.tikhonov(on) @ log_data(case.voltages, case.reference)
+    image = case.sheet.tikhonov(on) @ (_sign(case) * log_data(case.voltages, case.reference))
     return scaled(case.sheet.operators(on).to_map(image))
 
 
 def solve_l1(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of FISTA with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(l1_image(operators.relative_jacobian, data, upper=SATURATED)))
 
 
 def solve_sbl(case: Case, cells: Cells | None = None) -> Array:
     """Return the map of structure-aware SBL with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
-    data = linear_data(case.voltages, case.reference)
+    data = _sign(case) * linear_data(case.voltages, case.reference)
     return scaled(operators.to_map(sbl_image(operators.relative_jacobian, data, operators.shape, upper=SATURATED)))
 
 
@@ -226,7 +234,7 @@ def evaluate_all(
     results: list[Results] = [[] for _ in runs]
     for index, phantom in enumerate(phantoms):
         bare = phantom.scene.untouched()
-        flat = voltages_of(replace(bare, bend=Bend()))
+        flat = voltages_of(phantom.scene.reference())
         scores: list[list[Score]] = [[] for _ in runs]
         shown, truth, clean = None, np.zeros(0), np.zeros(0)
         for seed in range(conditions.seeds):

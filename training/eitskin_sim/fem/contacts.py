@@ -39,7 +39,8 @@ class Contacts:
     """(m, 9) integral of phi_i."""
     area_m2: Array
     """(m,) deformed area; for an edge contact the border's length times the layer's thickness."""
-    impedance_ohm_m2: float
+    impedance_ohm_m2: Array
+    """(m,) of the electrode above."""
     fringe_m: Array
     """(m,) FRINGE times the deformed thickness for a patch, 0 for an edge."""
 
@@ -82,7 +83,7 @@ def contacts_of(
         mass_m2=mass,
         load_m2=load,
         area_m2=load.sum(axis=1),
-        impedance_ohm_m2=electrodes.contact_impedance_ohm_m2,
+        impedance_ohm_m2=electrodes.impedances_ohm_m2()[electrode.astype(np.intp)],
         fringe_m=fringe,
     )
 
@@ -91,7 +92,7 @@ _Part = tuple[Index, Index, Array, Array, Array]
 
 
 def _patch(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece, metric: Metric, area: Array) -> _Part:
-    x0, y0, x1, y1 = piece.patch_mm(sheet, electrodes.size_mm)
+    x0, y0, x1, y1 = piece.patch_mm(sheet, float(electrodes.sizes_mm()[piece.electrode]))
     what = f"electrode {piece.electrode}'s edge"
     columns = np.arange(_line(mesh.x_lines_mm, x0, what), _line(mesh.x_lines_mm, x1, what))
     rows = np.arange(_line(mesh.y_lines_mm, y0, what), _line(mesh.y_lines_mm, y1, what))

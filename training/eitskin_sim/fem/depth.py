@@ -29,7 +29,7 @@ from scipy.optimize import nnls
 from scipy.sparse import coo_array, csc_array
 from scipy.sparse.linalg import splu
 
-from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Plate, System, assemble_pieces, metric_at_points
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, touch_lines
@@ -104,7 +104,8 @@ def _groups(scene: Scene) -> list[tuple[Box, list[Piece]]]:
 
 
 def _box(scene: Scene, pieces: Sequence[Piece], reach: float) -> Box:
-    boxes = np.array([piece.patch_mm(scene.sheet, scene.electrodes.size_mm) for piece in pieces])
+    sizes = scene.electrodes.sizes_mm()
+    boxes = np.array([piece.patch_mm(scene.sheet, float(sizes[piece.electrode])) for piece in pieces])
     length, width = scene.sheet.size_mm
     return (
         max(float(boxes[:, 0].min()) - reach, 0.0),
@@ -123,7 +124,8 @@ def _window(scene: Scene, metric: Metric, box: Box, pieces: Sequence[Piece]) -> 
     mesh = TensorMesh(*(_lines(scene, box, pieces, axis) for axis in (0, 1)))
     system = assemble_pieces(mesh, sheet, electrodes, metric, pieces)
     touched = touch(system, scene.touches)
-    return Window(system, touched.blocks, touched.sigma[:, None, None] * loss_blocks(mesh, sheet.thickness_mm, metric))
+    sigma = touched.sigma * system.relative
+    return Window(system, touched.blocks, sigma[:, None, None] * loss_blocks(mesh, sheet.thickness_mm, metric))
 
 
 def loss_blocks(mesh: TensorMesh, thickness_mm: float, metric: Metric) -> Array:
@@ -138,12 +140,13 @@ def loss_blocks(mesh: TensorMesh, thickness_mm: float, metric: Metric) -> Array:
 def _lines(scene: Scene, box: Box, pieces: Sequence[Piece], axis: int) -> Array:
     """Return a window's lines along one axis: on its ends, and the contacts' and touches' edges inside."""
     low, high = box[axis], box[axis + 2]
-    size, thickness = scene.electrodes.size_mm, scene.sheet.thickness_mm
+    sizes, thickness = scene.electrodes.sizes_mm(), scene.sheet.thickness_mm
+    size = float(min(sizes[piece.electrode] for piece in pieces))
     cap = max(CAP * thickness, size / 6)
     edge = EDGE * min(thickness, size)
     fixed = [(low, cap), (high, cap)]
     for piece in pieces:
-        patch = piece.patch_mm(scene.sheet, size)
+        patch = piece.patch_mm(scene.sheet, float(sizes[piece.electrode]))
         fixed += [(patch[axis], edge), (patch[axis + 2], edge)]
     fixed += [(at, edge) for at, _ in touch_lines(scene.touches)[axis] if low < at < high]
     return graded_lines(fixed, cap, max(REFERENCE_MM / scene.element_size_mm, 1.0))
@@ -152,7 +155,8 @@ def _lines(scene: Scene, box: Box, pieces: Sequence[Piece], axis: int) -> Array:
 def _key(window: Window) -> bytes:
     """Return what two windows have in common whose admittances are the same, but for rounding."""
     contacts = window.system.contacts
-    parts = [window.blocks, window.loss, contacts.mass_m2, contacts.element, contacts.electrode - contacts.electrode[0]]
+    parts = [window.blocks, window.loss, contacts.mass_m2, contacts.impedance_ohm_m2, contacts.element]
+    parts.append(contacts.electrode - contacts.electrode[0])
     return repr(window.system.mesh.shape).encode() + b"".join(_rounded(part) for part in parts)
 
 
@@ -164,8 +168,8 @@ def _rounded(part: npt.NDArray[np.generic]) -> bytes:
 
 def _admittance(window: Window) -> Array:
     """Return the (n, n) S admittance of a window's contacts at their own nodes, contact by contact."""
-    mesh, contacts = window.system.mesh, window.system.contacts
-    nodes, mass = _under(window)
+    mesh = window.system.mesh
+    nodes, mass, impedance = _under(window)
     own, at = np.unique(nodes, return_inverse=True)
     rest = np.setdiff1d(np.arange(mesh.n_nodes), own)
     stiffness, loss = gathered(mesh, window.blocks), gathered(mesh, window.loss)
@@ -180,7 +184,7 @@ def _admittance(window: Window) -> Array:
             raise AssertionError("the contact's nodes must be eliminated last")
         # What is left of the matrix after all other nodes are eliminated is the contact's own: L's and U's last block.
         drop += weight * np.linalg.inv(lu.L[first:, first:].toarray() @ lu.U[first:, first:].toarray())
-    whole = drop[at][:, at] + contacts.impedance_ohm_m2 * np.linalg.inv(mass)
+    whole = drop[at][:, at] + impedance[:, None] * np.linalg.inv(mass)
     found = np.linalg.inv((whole + whole.T) / 2)
     return np.asarray((found + found.T) / 2)
 
@@ -195,15 +199,21 @@ def gathered(mesh: TensorMesh, blocks: Array) -> csc_array:
     return coo_array((blocks.ravel(), (rows, columns)), (mesh.n_nodes, mesh.n_nodes)).tocsc()
 
 
-def _under(window: Window) -> tuple[Index, Array]:
-    """Return the (n,) window nodes under each contact in turn, and the (n, n) m^2 mass between those of one contact."""
+def _under(window: Window) -> tuple[Index, Array, Array]:
+    """Return what lies under each contact in turn.
+
+    Returns:
+        The (n,) window nodes, the (n, n) m^2 mass between those of one contact, and its (n,) impedance.
+    """
     contacts, mesh = window.system.contacts, window.system.mesh
     owner = contacts.electrode[:, None] * mesh.n_nodes + mesh.element_nodes[contacts.element]
     keys, local = np.unique(owner, return_inverse=True)
     local = local.reshape(owner.shape)
     mass = np.zeros((len(keys), len(keys)))
     np.add.at(mass, (local[:, :, None], local[:, None, :]), contacts.mass_m2)
-    return keys % mesh.n_nodes, mass
+    impedance = np.zeros(len(keys))
+    impedance[local] = contacts.impedance_ohm_m2[:, None]
+    return keys % mesh.n_nodes, mass, impedance
 
 
 def _on_sheet(system: System, window: Window, admittance: Array) -> Plate:

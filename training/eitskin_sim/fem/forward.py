@@ -8,11 +8,12 @@ t0 / sqrt(det g) and the rest of the surface measure cancels. Electrode l at pot
 
 where a patch has z_eff = z + FRINGE * t / sigma: current leaves a face contact through the layer's own thickness, which
 a sheet has lost. Stiffness is linear in sigma, so a :class:`System` keeps the element blocks at sigma = 1 and solves
-for any conductivity.
+for any conductivity. Where the layer is uneven, or conducts otherwise where it is stretched, sigma is multiplied by
+:func:`eitskin_sim.scene.device.layer.relative_conductivity` at every point, under touches too.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -23,6 +24,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, RECIPROCAL_IN_F
 from eitskin_sim.fem.contacts import Contacts, contacts_of
 from eitskin_sim.fem.mesh import MM, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, gradients
+from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.parts import Electrodes, Sheet
 
@@ -43,7 +45,10 @@ class System:
     thickness_mm: float
     """Before it is bent."""
     background: float
-    """S/m, the untouched sheet's conductivity."""
+    """S/m, the untouched sheet's nominal conductivity."""
+    relative: Array
+    """(n_elements,) conductivity over the nominal at the middles, 1 on an even sheet; ``stiffness`` and the contacts'
+    fringe have it already, so conductivities are given as if the layer were even."""
 
     def solve(self, sigma: Array | None = None, *, polish: bool = True) -> Array:
         """Return the (16 drives, 16 electrodes) potentials in V under 1 A, their mean zero.
@@ -187,30 +192,41 @@ def assemble_pieces(
     mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric, pieces: Sequence[Piece]
 ) -> System:
     """Return the system of a mesh of any part of the sheet and of the contacts that lie on it; see :func:`assemble`."""
-    first = metric_at_points(mesh, metric)
+    first, middle = metric_at_points(mesh, metric), metric(mesh.centres_mm)
     area = np.sqrt(first[..., 0] * first[..., 2] - first[..., 1] ** 2)
+    contacts = contacts_of(mesh, sheet, electrodes, metric, area, pieces)
+    relative, at_middles = np.ones(first.shape[:2]), np.ones(mesh.n_elements)
+    if is_uneven(sheet):
+        relative = relative_conductivity(sheet, points_mm(mesh), first)
+        at_middles = relative_conductivity(sheet, mesh.centres_mm, middle)
+        contacts = replace(contacts, fringe_m=contacts.fringe_m / (relative @ WEIGHTS)[contacts.element])
     return System(
         mesh=mesh,
-        contacts=contacts_of(mesh, sheet, electrodes, metric, area, pieces),
-        stiffness=_stiffness(mesh, sheet.thickness_mm, first),
-        metric=metric(mesh.centres_mm),
+        contacts=contacts,
+        stiffness=_stiffness(mesh, sheet.thickness_mm, first, relative),
+        metric=middle,
         thickness_mm=sheet.thickness_mm,
         background=sheet.conductivity_S_per_m,
+        relative=at_middles,
     )
 
 
 def metric_at_points(mesh: TensorMesh, metric: Metric) -> Array:
     """Return the (n_elements, 9, 3) metric at every element's points of Gauss."""
-    points = mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :]
-    return metric(points.reshape(-1, 2)).reshape(mesh.n_elements, len(GAUSS), 3)
+    return metric(points_mm(mesh).reshape(-1, 2)).reshape(mesh.n_elements, len(GAUSS), 3)
 
 
-def _stiffness(mesh: TensorMesh, thickness_mm: float, first: Array) -> Array:
-    """Integrate t0 grad phi_i . g^-1 grad phi_j over every element."""
+def points_mm(mesh: TensorMesh) -> Array:
+    """Return the (n_elements, 9, 2) points of Gauss of every element."""
+    return np.asarray(mesh.corners_mm[:, None, :] + GAUSS * mesh.sizes_mm[:, None, :])
+
+
+def _stiffness(mesh: TensorMesh, thickness_mm: float, first: Array, relative: Array) -> Array:
+    """Integrate t0 relative grad phi_i . g^-1 grad phi_j over every element."""
     determinant = first[..., 0] * first[..., 2] - first[..., 1] ** 2
     if determinant.min() <= 0.0:
         raise ValueError(f"the metric's determinant falls to {determinant.min():.3g}; it must be above 0")
-    factor = thickness_mm * MM * WEIGHTS / determinant
+    factor = thickness_mm * MM * WEIGHTS / determinant * relative
     dx, dy = mesh.sizes_mm.T
     along_x, along_y = gradients(GAUSS)  # (9 points, 9 nodes) on the unit square
     xx = np.einsum("qi,qj->qij", along_x, along_x)

@@ -18,7 +18,7 @@ from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_SHAPE
 from eitskin_proto.sensor.table import TABLE
-from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, assemble, flat_metric
 from eitskin_sim.fem.mesh import MERGE_MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet, touch_lines

@@ -29,7 +29,8 @@ EDGE_DEPTH_MM: Final = 0.03
 TOUCH_EDGE_MM: Final = 0.5
 """Beside a touch's border, whose corners are weak singularities."""
 MOST_ELEMENTS: Final = 120_000
-"""About 4 GB and two minutes; 0.5 mm in the open sheet have 71,000."""
+"""As many take :func:`eitskin_sim.fem.solve.solve_scene` 1.3 GB and 10 s of one core; 0.5 mm in the open sheet have
+71,000. The law "modes" takes several times that: 71,000 take it 2.2 GB and 90 s, and the limit does not bound it."""
 CURVED_MM: Final = 1.0
 """Inside a touch whose border the mesh cannot follow: the laminate's own size."""
 GRADED_MM: Final = 0.5
@@ -41,13 +42,13 @@ Fixed = list[tuple[float, float]]
 def electrode_lines(sheet: Sheet, electrodes: Electrodes) -> tuple[Fixed, Fixed]:
     """Return the lines (position, size) along x and along y that the electrodes need, the sheet's ends among them."""
     length, width = sheet.size_mm
-    patch = electrodes.contact == "patch"
+    patch, sizes = electrodes.contact == "patch", electrodes.sizes_mm()
     border = PATCH_EDGE_MM * 2 if patch else EDGE_DEPTH_MM
     x: Fixed = [(0.0, border), (length, border)]
     y: Fixed = [(0.0, border), (width, border)]
     for piece in place(sheet, electrodes):
         if patch:
-            x0, y0, x1, y1 = piece.patch_mm(sheet, electrodes.size_mm)
+            x0, y0, x1, y1 = piece.patch_mm(sheet, float(sizes[piece.electrode]))
             x += [(x0, PATCH_EDGE_MM), (x1, PATCH_EDGE_MM)]
             y += [(y0, PATCH_EDGE_MM), (y1, PATCH_EDGE_MM)]
         else:

@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, ROW_IN_FULL
-from eitskin_sim.fem.cut_elements import factorise, touch
+from eitskin_sim.fem.borders.cut_elements import factorise, touch
 from eitskin_sim.fem.depth import plates
 from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.meshing import scene_mesh

@@ -2,14 +2,14 @@
 
 A part is a touch, or several that share elements of the mesh. On the nodes of its outline it adds dS = F J F^T to the
 sheet's stiffness (its inside eliminated, touched less untouched). J is 1 where touches conduct better than the sheet,
-since dS is then positive (:mod:`eitskin_sim.fem.cut_touches`), and -1 where they conduct worse; a part of both kinds
-has columns of either sign, those of 1 first. With G the inverse of the untouched sheet and E the electrodes, what a
-part does alone is
+since dS is then positive (:mod:`eitskin_sim.fem.borders.cut_touches`), and -1 where they conduct worse; a part of both
+kinds has columns of either sign, those of 1 first. With G the inverse of the untouched sheet and E the electrodes, what
+a part does alone is
 
     L = F X^-T,   X J X^T = J + F^T G F,   W = L^T G_oE:      U = G_EE - W^T J W
 
 X is triangular, block by block: the sheet stays a conductor after each. Sets of parts need the products L_p^T G L_q of
-pairs besides (:mod:`eitskin_sim.freeform.voltages`). The geometry of parts (:mod:`eitskin_sim.fem.cut_touches`,
+pairs besides (:mod:`eitskin_sim.freeform.voltages`). The geometry of parts (:mod:`eitskin_sim.fem.borders.cut_touches`,
 :mod:`eitskin_sim.freeform.layout`) serves every deformation.
 """
 
@@ -22,7 +22,7 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.cut_touches import Cuts, check_pieces, find_cuts
+from eitskin_sim.fem.borders.cut_touches import Cuts, check_pieces, find_cuts
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.layout import Fronts, Layout, make_layout
 from eitskin_sim.freeform.mesh import SharedMesh, with_contacts, without_middle

@@ -55,14 +55,14 @@ def place(sheet: Sheet, electrodes: Electrodes) -> tuple[Piece, ...]:
     """
     length, width = sheet.size_mm
     perimeter = 2.0 * (length + width)
-    centres = np.array(electrodes.arc_length_mm)
-    size = electrodes.size_mm
+    centres, sizes = np.array(electrodes.arc_length_mm), electrodes.sizes_mm()
     where = "scene.electrodes"
     for k, centre in enumerate(centres):
         if not 0.0 <= centre < perimeter:
             raise SceneError(f"{where}.arc_length_mm[{k}] is {centre:g}; it must be at least 0 and below {perimeter:g}")
-    if size > min(length, width) / 2:
-        raise SceneError(f"{where}.size_mm is {size:g}; it must be at most {min(length, width) / 2:g}")
+    if sizes.max() > min(length, width) / 2:
+        key = f"size_mm[{sizes.argmax()}]" if isinstance(electrodes.size_mm, tuple) else "size_mm"
+        raise SceneError(f"{where}.{key} is {sizes.max():g}; it must be at most {min(length, width) / 2:g}")
     gaps = np.roll(centres, -1) - centres
     if np.count_nonzero(gaps <= 0.0) != 1:
         k = int(np.flatnonzero(gaps[:-1] <= 0.0)[0])
@@ -70,13 +70,17 @@ def place(sheet: Sheet, electrodes: Electrodes) -> tuple[Piece, ...]:
             f"{where}.arc_length_mm[{k + 1}] is {centres[k + 1]:g} after {centres[k]:g}; electrodes must go "
             "counter-clockwise, once round"
         )
-    for k, gap in enumerate(gaps % perimeter):
-        if gap < size - ROUNDING_MM:
+    for k, (gap, least) in enumerate(zip(gaps % perimeter, (sizes + np.roll(sizes, -1)) / 2, strict=True)):
+        if gap < least - ROUNDING_MM:
             raise SceneError(
                 f"electrodes {k} and {(k + 1) % 16} overlap: their centres are {gap:g} mm apart; "
-                f"they must be at least {size:g} mm (size_mm) apart"
+                f"they must be at least {least:g} mm (size_mm) apart"
             )
-    pieces = [piece for k, centre in enumerate(centres) for piece in _pieces(k, centre, size, sheet)]
+    pieces = [
+        piece
+        for k, (centre, size) in enumerate(zip(centres, sizes, strict=True))
+        for piece in _pieces(k, centre, size, sheet)
+    ]
     if electrodes.contact == "patch":
         _check_patches(pieces, sheet, electrodes)
     return tuple(pieces)
@@ -99,15 +103,16 @@ def _pieces(electrode: int, centre: float, size: float, sheet: Sheet) -> list[Pi
 
 
 def _check_patches(pieces: list[Piece], sheet: Sheet, electrodes: Electrodes) -> None:
-    size = electrodes.size_mm
+    sizes = electrodes.sizes_mm()
     for a, b in pairwise(pieces):
         if a.electrode == b.electrode:
             raise SceneError(
                 f"electrode {a.electrode} is a patch round a corner: its centre is at arc length "
-                f"{electrodes.arc_length_mm[a.electrode]:g} mm; a patch's centre must be at least {size / 2:g} mm from "
+                f"{electrodes.arc_length_mm[a.electrode]:g} mm; a patch's centre must be at least "
+                f"{sizes[a.electrode] / 2:g} mm from "
                 "every corner (contact 'edge' may go round one)"
             )
-    boxes = [piece.patch_mm(sheet, size) for piece in pieces]
+    boxes = [piece.patch_mm(sheet, float(sizes[piece.electrode])) for piece in pieces]
     for i, a_box in enumerate(boxes):
         for j in range(i):
             b_box = boxes[j]

@@ -7,17 +7,57 @@ units are those of the scene's JSON, which :mod:`eitskin_sim.scene.scene` reads 
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+import numpy as np
+import numpy.typing as npt
+
 from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.scene.shapes import Shape
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class SmoothField:
+    """A smooth random field over the flat sheet; :func:`eitskin_sim.scene.device.layer.smooth_field` evaluates it.
+
+    Equal fields are equal everywhere: whatever mesh asks, and whatever they are used for.
+    """
+
+    rms: float
+    """Standard deviation at every point, over seeds."""
+    correlation_mm: float
+    """l of its correlation exp(-r^2 / (2 l^2))."""
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Late:
+    """What came to the layer's conductivity after the reference was taken; all three multiply it."""
+
+    factor: float = 1.0
+    """Of the whole sheet."""
+    gradient_rms: float = 0.0
+    """Rms over the sheet of a tilt of log conductivity, linear in place and of mean zero."""
+    field: SmoothField | None = None
+    """Of log conductivity."""
+    seed: int = 0
+    """Draws the direction of the tilt."""
 
 
 @dataclass(frozen=True, slots=True)
 class Sheet:
-    """The conductive layer before it is bent (paper sections III and V.A)."""
+    """The conductive layer before it is bent (paper sections III and V.A), and in what it is not ideal."""
 
     size_mm: tuple[float, float] = SHEET_MM
     thickness_mm: float = 2.0
     conductivity_S_per_m: float = 1.0
+    gauge_factor: float = 0.0
+    """k: where the sheet is stretched, its conductivity is multiplied by (local area stretch)^-k."""
+    field: SmoothField | None = None
+    """Unevenness of log conductivity that was there when the reference was taken."""
+    late: Late | None = None
+    """What came since; the reference is without it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,10 +65,24 @@ class Electrodes:
     """Sixteen electrodes on the border (paper section III)."""
 
     contact: Literal["patch", "edge"] = "patch"
-    size_mm: float = 4.0
-    contact_impedance_ohm_m2: float = 1e-4
+    size_mm: float | tuple[float, ...] = 4.0
+    """Of all, or of each of the 16."""
+    contact_impedance_ohm_m2: float | tuple[float, ...] = 1e-4
+    """Of all, or of each of the 16."""
     arc_length_mm: tuple[float, ...] = tuple(12.5 + 31.25 * k for k in range(16))
     """Centres by arc length, counter-clockwise from the corner (0, 0)."""
+
+    def sizes_mm(self) -> Array:
+        """Return the (16,) sizes."""
+        return _of_each(self.size_mm)
+
+    def impedances_ohm_m2(self) -> Array:
+        """Return the (16,) contact impedances."""
+        return _of_each(self.contact_impedance_ohm_m2)
+
+
+def _of_each(value: float | tuple[float, ...]) -> Array:
+    return np.array(np.broadcast_to(np.asarray(value, dtype=np.float64), (N_ELECTRODES,)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +141,10 @@ class Scene:
     def untouched(self) -> "Scene":
         """Return the same scene without its touches."""
         return replace(self, touches=())
+
+    def reference(self) -> "Scene":
+        """Return the same device when its reference was taken: flat, untouched, and without what came late."""
+        return replace(self, sheet=replace(self.sheet, late=None), bend=Bend(), touches=())
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,8 +11,9 @@ from typing import Any, Final, Literal, cast
 
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import FileError, read_text
-from eitskin_proto.sensor.grid import SHEET_MM, UNIT_SHAPE
+from eitskin_proto.sensor.grid import UNIT_SHAPE
 from eitskin_sim.scene import limits
+from eitskin_sim.scene.device.read import read_electrodes, read_sheet, sheet_json
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.folds import check_bend
 from eitskin_sim.scene.parts import Bend, Electrodes, Phantom, Scene, Sheet, Touch
@@ -96,10 +97,10 @@ def parse_scene(value: object) -> Scene:
         SceneError: A key is unknown, or a value is outside its bounds; the message has both.
     """
     fields = Fields(value, "scene")
-    sheet = _sheet(fields.take("sheet", {}))
+    sheet = read_sheet(fields.take("sheet", {}))
     scene = Scene(
         sheet=sheet,
-        electrodes=_electrodes(fields.take("electrodes", {}), sheet),
+        electrodes=read_electrodes(fields.take("electrodes", {}), sheet),
         bend=_bend(fields.take("bend", {}), sheet),
         touches=tuple(
             _touch(item, sheet, f"scene.touches[{i}]")
@@ -141,47 +142,6 @@ def _check_shape(shape: Shape, scene: Scene, where: str) -> None:
             f"{where} is smaller than an element: it is {shape.width_mm:.4g} mm wide; element_size_mm is "
             f"{scene.element_size_mm:g}: lower it to {shape.width_mm:.4g} or less"
         )
-
-
-def _sheet(value: object) -> Sheet:
-    fields = Fields(value, "scene.sheet")
-    size = numbers(fields.take("size_mm", list(SHEET_MM)), "scene.sheet.size_mm", 2)
-    for index, side in enumerate(size):
-        number(side, f"scene.sheet.size_mm[{index}]", above=0.0, low=1.0, high=10_000.0)
-    if max(size) > limits.MOST_ASPECT * min(size):
-        raise SceneError(
-            f"scene.sheet.size_mm is {size[0]:g} x {size[1]:g}; one side must be at most {limits.MOST_ASPECT:g} others"
-        )
-    sheet = Sheet(
-        size_mm=(size[0], size[1]),
-        thickness_mm=fields.number("thickness_mm", 2.0, above=0.0, low=1e-3, high=1e3),
-        conductivity_S_per_m=fields.number("conductivity_S_per_m", 1.0, above=0.0, low=1e-6, high=1e8),
-    )
-    fields.close()
-    return sheet
-
-
-def even_arc_length_mm(size_mm: tuple[float, float]) -> tuple[float, ...]:
-    """Return sixteen even positions on the border of a sheet: the paper's where it is 150 x 100 mm."""
-    perimeter = 2.0 * (size_mm[0] + size_mm[1])
-    return tuple(perimeter * (0.4 + k) / 16 for k in range(16))
-
-
-def _electrodes(value: object, sheet: Sheet) -> Electrodes:
-    where = "scene.electrodes"
-    fields = Fields(value, where)
-    contact = fields.take("contact", "patch")
-    if not isinstance(contact, str) or contact not in ("patch", "edge"):
-        raise SceneError(f"{where}.contact is {quoted(contact)}; it must be 'patch' or 'edge'")
-    even = list(even_arc_length_mm(sheet.size_mm))
-    electrodes = Electrodes(
-        contact=cast(Literal["patch", "edge"], contact),
-        size_mm=fields.number("size_mm", 4.0, above=0.0, low=0.01),
-        contact_impedance_ohm_m2=fields.number("contact_impedance_ohm_m2", 1e-4, above=0.0, low=1e-9, high=1e6),
-        arc_length_mm=numbers(fields.take("arc_length_mm", even), f"{where}.arc_length_mm", 16),
-    )
-    fields.close()
-    return electrodes
 
 
 def _bend(value: object, sheet: Sheet) -> Bend:
@@ -284,7 +244,7 @@ def scene_json(scene: Scene) -> str:
             touches.append({key: value, **soft_json(touch)})
     return json.dumps(
         {
-            "sheet": asdict(scene.sheet),
+            "sheet": sheet_json(scene.sheet),
             "electrodes": asdict(scene.electrodes),
             "bend": asdict(scene.bend),
             "touches": touches,

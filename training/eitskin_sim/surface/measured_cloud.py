@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.cloud import align_cloud
+from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.smooth_surface import NODES, by_arc_length

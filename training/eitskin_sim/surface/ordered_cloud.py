@@ -20,9 +20,9 @@ import numpy.typing as npt
 from scipy.spatial import QhullError
 
 from eitskin_proto.errors import SkinError
-from eitskin_proto.sensor.cloud import align_cloud, flat_cloud
-from eitskin_proto.sensor.cloud_file import Surface, save_surface
 from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_proto.skin.cloud import align_cloud, flat_cloud
+from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_sim.surface.outline import find_outline, largest_hole_mm
 from eitskin_sim.surface.smooth_surface import by_arc_length, fit_surface, side_lengths_mm
 from eitskin_sim.surface.unroll import unroll
@@ -151,7 +151,7 @@ def save_cloud(path: str | Path, result: OrderedCloud, predicted: tuple[Array, A
     """Write an ordered cloud, and how it was found, as the file that the runtime takes.
 
     Args:
-        path: See :mod:`eitskin_proto.sensor.cloud_file` for what is in it.
+        path: See :mod:`eitskin_proto.skin.cloud_file` for what is in it.
         result: The cloud.
         predicted: (104,) V_pred of it and (104,) of the flat sheet, by :mod:`eitskin_sim.surface.predict`.
 

@@ -23,10 +23,10 @@ import numpy.typing as npt
 from scipy import linalg
 from scipy.interpolate import BSpline
 
-from eitskin_proto.sensor.cloud import check_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, SHEET_MM
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import check_cloud
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh

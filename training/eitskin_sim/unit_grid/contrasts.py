@@ -24,16 +24,13 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.soft_touch import LEAST_LOG_CONTRAST
-from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_unit
+from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_unit, square_root
 
 BATCH_BYTES: Final = 2e6
 """Size of the matrices that are gathered at once: they stay in the cache."""
 
 MOST: Final = 10
 """Sets of more units are solved as they stand: no richer set has more."""
-
-NULL: Final = 1e-13
-"""Relative size under which an eigenvalue of S_u is its one zero."""
 
 
 class ContrastUnits:
@@ -111,6 +108,11 @@ def check_contrasts(contrast: Array) -> None:
         )
 
 
+def at_once(size: int) -> int:
+    """Return how many matrices (size, size) are gathered at once."""
+    return max(1, int(BATCH_BYTES / (8 * size * size)))
+
+
 def updated(inverse: Array, dofs: Index, change: Array) -> Array:
     """Return the (16, 16) electrode response after ``change`` (m, m) is added to a skeleton at ``dofs``."""
     seen = inverse[np.ix_(dofs, dofs)] @ change
@@ -162,7 +164,7 @@ class ContrastPairs:
         sets, contrast = np.take_along_axis(sets, order, axis=1), np.take_along_axis(contrast, order, axis=1)
         better = np.count_nonzero(contrast > 1.0, axis=1) * self._rank
         size = k * self._rank
-        step = max(1, int(BATCH_BYTES / (8 * size * size)))
+        step = at_once(size)
         found = np.empty((count, N_ELECTRODES, N_ELECTRODES))
         for start in range(0, count, step):
             part = slice(start, start + step)
@@ -231,8 +233,6 @@ def _root(square: npt.NDArray[np.float64]) -> Array:
 
 def _diagonal(inverse: Array, unit: Condensed) -> tuple[Array, Array]:
     """Return (b, r) L with L L^T = S_u of the untouched sheet and L^T G L = diag(lambda), and (r,) lambda."""
-    value, vector = np.linalg.eigh(unit.schur[0])
-    kept = value > NULL * value[-1]
-    factor = vector[:, kept] * np.sqrt(value[kept])
+    factor = square_root(unit.schur[0])
     own, turn = np.linalg.eigh(factor.T @ inverse[np.ix_(unit.dofs, unit.dofs)] @ factor)
     return factor @ turn, own

@@ -9,7 +9,7 @@ are pieces of random kind at random places ::
     unit  #    bar  ####    rectangle  ###    L  #      T  ###    several pieces  #   ##
                                        ###       ###        #                        #
 
-No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.published_phantoms`).
+No set of the published phantoms is ever returned (:mod:`eitskin_sim.scene.phantoms.published`).
 """
 
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ import numpy.typing as npt
 from scipy import ndimage
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
-from eitskin_sim.scene.published_phantoms import is_published
+from eitskin_sim.scene.phantoms.published import is_published
 
 N_RANDOM_SETS: Final = 9_749
 """Random sets of two to four units: what remains of 10,259 after 126 units and 384 squares (FACTS: sample count)."""

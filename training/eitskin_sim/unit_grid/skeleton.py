@@ -1,8 +1,7 @@
 """A bent sheet cut along the borders of its 126 units, each unit condensed onto what it shares with others.
 
 Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What
-remains
-is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
+remains is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
 
     +-----o-----o-----+      o  lines between units: 1,500 nodes of 5,900 at the default size
     |     o     o     |      .  insides and the sheet's border: eliminated, unit by unit
@@ -26,7 +25,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.forward import System, assemble
+from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_sim.devices.loose_contacts import system_on
+from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.scene.bend import metric
@@ -39,6 +40,9 @@ Against a converged mesh a touch's dV is off by 0.1 % (interior) to 0.6 % (under
 
 SNAP: Final = 0.25
 """A line this near to a contact's edge, as a share of the unit's side, moves onto it."""
+
+NULL: Final = 1e-13
+"""Relative size under which an eigenvalue of a unit is its one zero: a constant potential passes no current."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,10 +123,10 @@ def _default_mesh(refine: int) -> UnitMesh:
     return unit_mesh(Sheet(), Electrodes(), refine)
 
 
-def unit_system(bend: Bend, refine: int = 1) -> tuple[UnitMesh, System]:
-    """Return the default sheet's mesh and its system at one bend."""
-    sheet, electrodes, parts = Sheet(), Electrodes(), _default_mesh(refine)
-    return parts, assemble(parts.mesh, sheet, electrodes, lambda xy: metric(bend, sheet, xy))
+def unit_system(bend: Bend, refine: int = 1, device: Device = IDEAL) -> tuple[UnitMesh, System]:
+    """Return the default sheet's mesh, whatever the device, and a device's system at one bend."""
+    parts = _default_mesh(refine)
+    return parts, system_on(parts.mesh, device.sheet, device.electrodes, lambda xy: metric(bend, device.sheet, xy))
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
@@ -187,6 +191,13 @@ def assemble_skeleton(units: Sequence[Condensed], which: int, n_dofs: int) -> Ar
         total[np.ix_(unit.dofs, unit.dofs)] += unit.schur[which]
     total[-N_ELECTRODES:, -N_ELECTRODES:] += ground(total)
     return total
+
+
+def square_root(conductance: Array) -> Array:
+    """Return (b, r) L with L L^T = S, of a unit's (b, b) S or of what touching adds to it; r is the rank of S."""
+    value, vector = np.linalg.eigh(conductance)
+    kept = value > NULL * value[-1]
+    return np.asarray(vector[:, kept] * np.sqrt(value[kept]))
 
 
 def ground(stiffness: Array) -> float:

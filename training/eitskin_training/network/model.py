@@ -111,7 +111,7 @@ class VD2T(nn.Module):
         """Return (D, H), what each cloud adds in the first fusion layer.
 
         Args:
-            clouds: (D, 3, 30, 45) as :func:`eitskin_proto.sensor.cloud.network_input` gives them.
+            clouds: (D, 3, 30, 45) as :func:`eitskin_proto.skin.cloud.network_input` gives them.
         """
         if not self.architecture.use_cloud:
             clouds = torch.zeros_like(clouds)

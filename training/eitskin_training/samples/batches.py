@@ -17,12 +17,12 @@ import torch
 from torch import Tensor
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.sensor.cloud import network_input
 from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import network_input
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit

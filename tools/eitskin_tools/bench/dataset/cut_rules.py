@@ -31,7 +31,7 @@ def rule_rows(sides_mm: Sequence[float] = SIDES_MM) -> list[dict[str, Any]]:
     """
     import numpy as np
 
-    from eitskin_sim.fem.cut_elements import factorise
+    from eitskin_sim.fem.borders.cut_elements import factorise
     from eitskin_sim.fem.solve import solve_scene
     from eitskin_sim.freeform.sheet import inverted_sheet
     from eitskin_sim.freeform.voltages import set_voltages

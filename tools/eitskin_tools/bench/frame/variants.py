@@ -22,8 +22,8 @@ from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import HEADS, engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import flat_cloud, network_input
 
 Infer = Callable[[], object]
 

@@ -2,7 +2,7 @@
 
     area fraction   a cut element has the mean of the two conductivities, by area
     laminate        it conducts as layers do: the mean along the border, the harmonic mean across
-    enriched        what eitskin does: :mod:`eitskin_sim.fem.cut_elements`
+    enriched        what eitskin does: :mod:`eitskin_sim.fem.borders.cut_elements`
 
 The size is fitted: the exact change of the voltages with the size, on a mesh that follows the square, is the yardstick.
 """
@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_elements import touch
-from eitskin_sim.fem.cut_rule import half_plane_share
+from eitskin_sim.fem.borders.cut_elements import touch
+from eitskin_sim.fem.borders.cut_rule import half_plane_share
 from eitskin_sim.fem.forward import Factor, System, assemble
 from eitskin_sim.fem.mesh import MM, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import REFERENCE_MM, electrode_lines, on_sheet, scene_mesh

@@ -51,9 +51,9 @@ class Solid:
     stiffness: Array
     """(entries,) S of the elements' blocks, element fastest."""
     mass: csr_array
-    """m^2 between nodes under contacts."""
+    """S between nodes under contacts."""
     loads: Array
-    """(16, nodes) m^2."""
+    """(16, nodes) S."""
 
     @property
     def shape(self) -> tuple[int, int, int]:
@@ -65,13 +65,10 @@ class Solid:
         """Return the (104,) V under 1 A and the rounds that it took."""
         sigma = self._sigma(touches)
         matrix = self._matrix(sigma)
-        admittance = 1.0 / self.scene.electrodes.contact_impedance_ohm_m2
-        loads = admittance * self.loads[:-1]
+        loads = self.loads[:-1]
         own = loads.sum(axis=1)
         whole = csr_array(
-            block_array(
-                [[matrix + admittance * self.mass, csr_array(-loads.T)], [csr_array(-loads), csr_array(np.diag(own))]]
-            )
+            block_array([[matrix + self.mass, csr_array(-loads.T)], [csr_array(-loads), csr_array(np.diag(own))]])
         )
         currents = np.zeros((whole.shape[0], 15))
         currents[-15:] = np.eye(15)
@@ -114,10 +111,11 @@ def build_solid(scene: Scene, resolution: Resolution, touches: Sequence[Touch]) 
     top = faces[2] > scene.sheet.thickness_mm - 1e-9
     n = len(number)
     mass, loads = csr_array((n, n)), []
-    for x0, y0, x1, y1 in boxes:
+    admittances = 1.0 / scene.electrodes.impedances_ohm_m2()
+    for (x0, y0, x1, y1), admittance in zip(boxes, admittances, strict=True):
         on = top & (faces[0] > x0) & (faces[0] < x1) & (faces[1] > y0) & (faces[1] < y1)
         contact = skfem.FacetBasis(mesh, skfem.ElementHex2(), facets=np.flatnonzero(on), intorder=4)
-        area = _upper_area(scene, _points(contact)) * MM**2
+        area = admittance * _upper_area(scene, _points(contact)) * MM**2
         own = skfem.BilinearForm(lambda u, v, w: w["a"] * u * v).assemble(contact, a=area).tocoo()
         mass = mass + csr_array(coo_array((own.data, (number[own.row], number[own.col])), (n, n)))
         load = np.zeros(n)
@@ -129,7 +127,10 @@ def build_solid(scene: Scene, resolution: Resolution, touches: Sequence[Touch]) 
 
 def contact_boxes(scene: Scene) -> list[Box]:
     """Return the contacts' rectangles in mm, electrode by electrode."""
-    return [p.patch_mm(scene.sheet, scene.electrodes.size_mm) for p in place(scene.sheet, scene.electrodes)]
+    return [
+        piece.patch_mm(scene.sheet, float(scene.electrodes.sizes_mm()[piece.electrode]))
+        for piece in place(scene.sheet, scene.electrodes)
+    ]
 
 
 def _points(basis: Any) -> Array:

@@ -33,18 +33,19 @@ def solve_triangles(scene: Scene, spacing_mm: float = 3.0, rounds: int = 14) -> 
     from skfem.models import poisson
 
     patch = scene.electrodes.contact == "patch"
-    depth = scene.electrodes.size_mm if patch else 0.0
-    boxes = np.array([piece.patch_mm(scene.sheet, depth) for piece in place(scene.sheet, scene.electrodes)])
+    depths = scene.electrodes.sizes_mm() if patch else np.zeros(16)
+    pieces = place(scene.sheet, scene.electrodes)
+    boxes = np.array([piece.patch_mm(scene.sheet, float(depths[piece.electrode])) for piece in pieces])
     mesh = _mesh(scene, boxes, spacing_mm, rounds)
     basis = skfem.Basis(mesh, skfem.ElementTriP2())
     thickness = scene.sheet.thickness_mm * MM
     stiffness = scene.sheet.conductivity_S_per_m * thickness * poisson.laplace.assemble(basis)
     fringe = FRINGE * thickness / scene.sheet.conductivity_S_per_m if patch else 0.0
-    density = (MM**2 if patch else thickness * MM) / (scene.electrodes.contact_impedance_ohm_m2 + fringe)
+    densities = (MM**2 if patch else thickness * MM) / (scene.electrodes.impedances_ohm_m2() + fringe)
     border = mesh.boundary_facets()
     parts = (mesh.p[:, mesh.t].mean(axis=1), mesh.p[:, mesh.facets[:, border]].mean(axis=1))
     loads = []
-    for box in boxes:
+    for box, density in zip(boxes, densities, strict=True):
         low, high = box[:2, None] - 1e-9, box[2:, None] + 1e-9
         inside = [np.flatnonzero(np.all((part >= low) & (part <= high), axis=0)) for part in parts]
         contact: Any = (

@@ -9,8 +9,8 @@ import numpy.typing as npt
 from eitskin.messaging.regions import Region
 from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import GeometryGraph
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_tools.bench.skip.cost import interleaved, saving
 from eitskin_tools.bench.skip.frames import Frames, Material, Way
 

@@ -1,4 +1,4 @@
-"""``eitskin evaluate``: score a solver on phantoms, all of them beside the paper's Table II, or one on drawn trials."""
+"""``eitskin evaluate``: score a solver on phantoms, on drawn trials, and on what was measured."""
 
 import argparse
 import json
@@ -22,6 +22,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
+    what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
+    what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
     parser.add_argument(
         "--solver",
         default="vd2t",
@@ -111,11 +113,33 @@ def run(arguments: argparse.Namespace) -> int:
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
-    if arguments.phantoms is not None:
-        _softness(arguments)
-    else:
+    _softness(arguments)
+    if arguments.measured is not None:
+        return _measured(arguments, request)
+    if arguments.tank is not None:
+        return _tank(arguments)
+    if arguments.phantoms is None:
         return _trial(arguments, request, conditions)
     return _phantoms(arguments, request, conditions)
+
+
+def _measured(arguments: argparse.Namespace, request: Any) -> int:
+    from eitskin_tools.evaluation.measured import evaluate_measured, table
+    from eitskin_tools.evaluation.measured_file import load_measured
+
+    if arguments.shift_px or arguments.cloud != "scan":
+        raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
+    found = evaluate_measured(load_measured(files.find(arguments.measured, files.MEASURED)), request, _progress())
+    print(json.dumps(found) if arguments.json else table(found))
+    return 0
+
+
+def _tank(arguments: argparse.Namespace) -> int:
+    from eitskin_tools.evaluation.tank import evaluate_tank, table
+
+    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress())
+    print(json.dumps(found) if arguments.json else table(found))
+    return 0
 
 
 def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:

@@ -20,7 +20,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--learning-rate", type=float, help="instead of the recipe's")
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
     parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
-    parser.add_argument("--start-from", metavar="RUN", help="begin with the best weights of another run of this recipe")
+    parser.add_argument(
+        "--start-from", metavar="RUN|BUNDLE", help="begin with the best weights of a run, or with a bundle's"
+    )
     parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
     parser.add_argument("--json", action="store_true", help="print one JSON object at the end")
@@ -62,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
             out,
             seed=arguments.seed,
             resume=arguments.resume,
-            start=Path(arguments.start_from) if arguments.start_from else None,
+            start=_start(arguments.start_from),
             sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
             progress=report,
         )
@@ -89,6 +91,18 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"best epoch {best.number}: validation loss {best.validation_loss:.5f}, CC {best.validation_cc:.4f}")
         print(f"next: eitskin export {out} --out {out}.eitskin")
     return 0
+
+
+def _start(path: str | None) -> Any:
+    if path is None:
+        return None
+    if Path(path).is_file():
+        from eitskin_export.unfold import start_of_bundle
+
+        return start_of_bundle(Path(path))
+    from eitskin_training.start import Start
+
+    return Start.of_run(Path(path))
 
 
 class _Reporter:

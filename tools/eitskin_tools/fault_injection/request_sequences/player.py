@@ -79,11 +79,7 @@ class Player:
     def _wait(self, seconds: int) -> None:
         before, self._may_be = self._may_be, [states.wait(state, seconds) for state in self._may_be]
         self._line.wait(seconds)
-        if self._line.dead:
-            self._boot([*before, *self._may_be], cut=True)
-        else:
-            self._look([*before, *self._may_be])
-            self._hello()
+        self._came_from(before)
 
     def _hello(self) -> None:
         self._request(("hello",))
@@ -111,6 +107,10 @@ class Player:
         before = self._may_be
         self._line.await_restart()
         self._may_be = [states.boot(state) for state in before]
+        self._came_from(before)
+
+    def _came_from(self, before: list[State]) -> None:
+        """Look at a device that went on by itself, from one of these states to one of those that it may be in now."""
         if self._line.dead:
             self._boot([*before, *self._may_be], cut=True)
         else:

@@ -97,21 +97,29 @@ def _begin(
         return state, _ack(Code.DOWNGRADE, active_revision)
     if state.trial or state.revoked:
         return state, _ack(Code.NOT_CONFIRMED, state.generation)
-    if token == 0:
-        return state, _ack(Code.BAD_VALUE)
-    if state.session is not None and state.session.token != token:
-        return state, _ack(Code.BUSY, None)
+    refused = _barred(state, token)
+    if refused is not None:
+        return state, refused
     begun = state.with_slot(state.other, None)
     return begun._replace(session=Session(token, digest)), _ack(Code.OK, BLOB_BYTES)
 
 
+def _barred(state: State, token: int) -> Reply | None:
+    """Return why this token may not take the session; None if it may."""
+    return _ack(Code.BAD_VALUE) if token == 0 else _others(state, token)
+
+
+def _others(state: State, token: int) -> Reply | None:
+    """Return that another token has the session; None if none has."""
+    return _ack(Code.BUSY, None) if state.session is not None and state.session.token != token else None
+
+
 def _held(state: State, token: int) -> Reply | None:
     """Return why this token has no open session; None if it has."""
-    if state.session is not None and state.session.token != token:
-        return _ack(Code.BUSY, None)
-    if state.session is None or state.session.announced is None:
+    refused = _others(state, token)
+    if refused is None and (state.session is None or state.session.announced is None):
         return _ack(Code.NO_SESSION)
-    return None
+    return refused
 
 
 def _heard(state: State, **changes: Any) -> State:
@@ -185,10 +193,9 @@ def _rollback(state: State, token: int, generation: int) -> tuple[State, Reply]:
         return state, _ack(Code.STREAMING)
     if generation != state.generation:
         return state, _ack(Code.WRONG_GENERATION, state.generation)
-    if token == 0:
-        return state, _ack(Code.BAD_VALUE)
-    if state.session is not None and state.session.token != token:
-        return state, _ack(Code.BUSY, None)
+    refused = _barred(state, token)
+    if refused is not None:
+        return state, refused
     other = state.slots[state.other]
     if state.running is None or other is None or other.revoked or not other.confirmed:
         return state._replace(session=None), _ack(Code.NO_PREVIOUS, state.generation)

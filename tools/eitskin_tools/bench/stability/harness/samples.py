@@ -17,13 +17,13 @@ from eitskin_proto.sensor.grid import UNIT_SHAPE, map_from_units, unit_rect_mm
 from eitskin_proto.sensor.table import TABLE
 from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import touched_units
-from eitskin_sim.fem.cut_elements import factorise
+from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import draw
-from eitskin_sim.scene.parts import Bend, Scene, Touch
+from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Disc, Rect
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.unit_grid.patterns import rich_touch_sets
@@ -138,7 +138,7 @@ def samples(labels: Labels, count: int, element_size_mm: float) -> tuple[Sample,
 
 def sample_of(scene: Scene, labels: Labels) -> Sample:
     """Return a scene as a sample, against the flat, untouched sheet of the same material on the same mesh size."""
-    flat = voltages_of(replace(scene.untouched(), bend=Bend()))
+    flat = voltages_of(scene.reference())
     return Sample(scene, labels, voltages_of(scene), flat, sheet_of(scene), FULL_SCALE * float(np.abs(flat).max()))
 
 

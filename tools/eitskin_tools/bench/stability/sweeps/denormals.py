@@ -19,8 +19,8 @@ from eitskin.model.denormals import flushed
 from eitskin.model.engine import Engine, engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import open_session
-from eitskin_proto.sensor.cloud import flat_cloud, network_input
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import flat_cloud, network_input
 from eitskin_tools.bench.stability.harness.rows import Row, rounded
 
 Single = npt.NDArray[np.float32]

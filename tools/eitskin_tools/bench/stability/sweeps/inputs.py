@@ -19,7 +19,7 @@ from eitskin import Skin
 from eitskin.errors import PortLost, SkinError
 from eitskin.model.bundle import Bundle
 from eitskin.reference.captured import Reference
-from eitskin_proto.sensor.cloud import flat_cloud
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import Frame
 from eitskin_proto.wire.framing import CRC_BYTES, crc32c, encode

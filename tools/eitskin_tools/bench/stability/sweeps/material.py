@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_elements import touch
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.scene.parts import Scene, Touch
 from eitskin_sim.scene.shapes import Rect
@@ -99,7 +99,8 @@ def _one_contact(sample: Sample, factor: float, rng: np.random.Generator) -> Sam
 def _with_contacts(scene: Scene, factors: tuple[float, ...]) -> Array:
     """Return (104,) V with each electrode's contact impedance multiplied by its own factor."""
     touched = touch(system_of(scene), scene.touches)
-    more = scene.electrodes.contact_impedance_ohm_m2 * (np.array(factors)[touched.system.contacts.electrode] - 1.0)
+    contacts = touched.system.contacts
+    more = contacts.impedance_ohm_m2 * (np.array(factors)[contacts.electrode] - 1.0)
     density = 1.0 / (1.0 / touched.density + more)  # in series with what was there, fringe and all
     return scene.current_A * Factor(touched.system, touched.blocks, density).voltages()
 

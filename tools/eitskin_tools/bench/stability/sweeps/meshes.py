@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import splu
 
-from eitskin_sim.fem.cut_elements import factorise
+from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import flat_cloud
-from eitskin_proto.sensor.sheet_cloud import check_sheet
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.sheet_cloud import check_sheet
 
 
 def cylinder(angle_deg, stretch=1.0):

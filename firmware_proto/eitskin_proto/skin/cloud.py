@@ -1,4 +1,6 @@
-"""The measured surface: 3 x 30 x 45 points in mm, one under each pixel's centre, in one agreed pose.
+"""The measured surface: points in mm, one under each pixel's centre of a skin's map, in one agreed pose.
+
+A cloud is (3, rows, columns): x, y, z; rows along y; columns along x. The paper's is (3, 30, 45).
 
 A scanner sees the sheet from anywhere. Before a cloud is stored, learned from or used, it is moved rigidly onto the
 flat sheet, as close to it as least squares allow (Kabsch, "A solution for the best rotation to relate two sets of
@@ -11,50 +13,46 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, SHEET_MM, pixel_centres_mm
-
-CLOUD_SHAPE: Final = (3, *GRID_SHAPE)
-"""Axes: x, y, z in mm; row along y; column along x."""
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 
 LARGEST_MM: Final = 1000.0
 """No coordinate is further than this from the origin: a cloud in metres or micrometres would be."""
 
 SPREAD_MM: Final = (5.0, 500.0)
-"""Root mean square distance of the points from their middle: 52 mm when flat, 25 mm when rolled up."""
+"""Root mean square distance of the points from their middle: the paper's has 52 mm when flat, 25 mm when rolled up;
+the smallest skin has 20 mm when flat, the largest 163 mm."""
 
-INPUT_CENTRE_MM: Final = (SHEET_MM[0] / 2, SHEET_MM[1] / 2, 0.0)
-"""What the network's input is centred on."""
-
-INPUT_SCALE_MM: Final = 50.0
-"""What the network's input is divided by, so that it is of order one."""
+INPUT_PARTS: Final = 3
+"""A network's input is in parts of the sheet's longer side, so that it is of order one: 50 mm on the paper's."""
 
 
-def flat_cloud() -> npt.NDArray[np.float64]:
-    """Return the (3, 30, 45) mm cloud of the flat sheet: pixel centres with z = 0."""
-    centres = pixel_centres_mm()
-    return np.stack([centres[..., 0], centres[..., 1], np.zeros(GRID_SHAPE)])
+def flat_cloud(grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
+    """Return the (3, rows, columns) mm cloud of the flat sheet: pixel centres with z = 0."""
+    return grid.flat_cloud_mm()
 
 
-def check_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def check_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
     """Return a cloud as float64, or say what is wrong with it.
 
     Args:
-        cloud: (3, 30, 45) mm.
+        cloud: (3, rows, columns) mm.
+        grid: Of the skin.
 
     Raises:
         ValueError: Shape, type, a NaN or infinity, or a coordinate beyond 1000 mm; with the value and the bound.
     """
+    expected = grid.cloud_shape
     try:
         if np.iscomplexobj(cloud):
             raise TypeError("complex numbers are no millimetres")
         points = np.array(cloud, dtype=np.float64)
     except (TypeError, ValueError) as error:
+        raise ValueError(f"a cloud must be numbers of shape {expected} in mm, found {type(cloud).__name__}") from error
+    if points.shape != expected:
         raise ValueError(
-            f"a cloud must be numbers of shape {CLOUD_SHAPE} in mm, found {type(cloud).__name__}"
-        ) from error
-    if points.shape != CLOUD_SHAPE:
-        raise ValueError(
-            f"a cloud has shape {CLOUD_SHAPE} (x y z, rows, columns), found {points.shape}{_remedy(points.shape)}"
+            f"a cloud has shape {expected} (x y z, rows, columns), found {points.shape}"
+            f"{_remedy(points.shape, expected)}"
         )
     finite = np.isfinite(points)
     if not finite.all():
@@ -70,30 +68,31 @@ def check_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
     return points
 
 
-def _remedy(shape: tuple[int, ...]) -> str:
-    if sorted(shape) == sorted(CLOUD_SHAPE):
-        axes = tuple(shape.index(size) for size in CLOUD_SHAPE)
+def _remedy(shape: tuple[int, ...], expected: tuple[int, ...]) -> str:
+    if sorted(shape) == sorted(expected):
+        axes = tuple(shape.index(size) for size in expected)
         return f": axes are exchanged; give cloud.transpose{axes}"
     if len(shape) == 2 and 3 in shape:
         return ": unordered points? make a cloud of them with 'eitskin surface'"
     return ""
 
 
-def align_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def align_cloud(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
     """Return a cloud in the agreed pose: moved rigidly onto the flat sheet.
 
     Args:
-        cloud: (3, 30, 45) mm, in any pose.
+        cloud: (3, rows, columns) mm, in any pose.
+        grid: Of the skin.
 
     Returns:
-        (3, 30, 45) mm.
+        (3, rows, columns) mm.
 
     Raises:
         ValueError: The cloud is malformed, its points lie on one line and so have no pose, or it is far too small or
             too large.
     """
-    points = check_cloud(cloud).reshape(3, -1)
-    target = flat_cloud().reshape(3, -1)
+    points = check_cloud(cloud, grid).reshape(3, -1)
+    target = grid.flat_cloud_mm().reshape(3, -1)
     centred = points - points.mean(axis=1, keepdims=True)
     target_centre = target.mean(axis=1, keepdims=True)
     left, size, right = np.linalg.svd((target - target_centre) @ centred.T)
@@ -111,14 +110,15 @@ def align_cloud(cloud: npt.ArrayLike) -> npt.NDArray[np.float64]:
     handedness = np.sign(np.linalg.det(left @ right))
     rotation = left @ np.diag([1.0, 1.0, handedness]) @ right
     aligned = rotation @ centred + target_centre
-    return np.asarray(aligned.reshape(CLOUD_SHAPE), dtype=np.float64)
+    return np.asarray(aligned.reshape(grid.cloud_shape), dtype=np.float64)
 
 
-def network_input(cloud: npt.ArrayLike) -> npt.NDArray[np.float32]:
-    """Return (3, 30, 45) float32 for a network: aligned, centred on the sheet, divided by 50 mm.
+def network_input(cloud: npt.ArrayLike, grid: Grid = PAPER.grid) -> npt.NDArray[np.float32]:
+    """Return (3, rows, columns) float32 for a network: aligned, centred on the sheet, in thirds of its longer side.
 
     Raises:
         ValueError: See :func:`align_cloud`.
     """
-    centre = np.array(INPUT_CENTRE_MM).reshape(3, 1, 1)
-    return np.asarray((align_cloud(cloud) - centre) / INPUT_SCALE_MM, dtype=np.float32)
+    length, width = grid.size_mm
+    centre = np.array([length / 2, width / 2, 0.0]).reshape(3, 1, 1)
+    return np.asarray((align_cloud(cloud, grid) - centre) / (max(length, width) / INPUT_PARTS), dtype=np.float32)

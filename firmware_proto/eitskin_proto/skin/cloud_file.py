@@ -1,8 +1,8 @@
-"""The file between ``eitskin surface`` and the runtime: a cloud, its prediction where there is one, and the grid's id.
+"""The file between ``eitskin surface`` and the runtime: a cloud, its prediction where there is one, and its skin.
 
 ::
 
-    CLOUD.npz   magic "eitskin-cloud", version 1, grid_id, cloud (3, 30, 45) float64 mm
+    CLOUD.npz   magic "eitskin-cloud", version 1, grid_id, skin_digest, cloud (3, rows, columns) float64 mm
                 predicted, predicted_flat (104,) float64 V under 1 A: only where they were asked for (--predict)
                 and how it was found, for people: size_mm, noise_mm, corner, rotation, translation_mm
 """
@@ -15,13 +15,13 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.errors import SkinError
 from eitskin_proto.files.arrays import read_npz
-from eitskin_proto.files.plain import stated
 from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.cloud import align_cloud, check_cloud
-from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import PAPER, Skin
 
 Array = npt.NDArray[np.float64]
 
@@ -32,7 +32,7 @@ VERSION: Final = 1
 """Layout of a cloud file."""
 
 LARGEST_FILE: Final = 1 << 20
-"""Bytes; a cloud has 36,000."""
+"""Bytes; the paper's cloud has 36,000, the largest skin's 350,000."""
 
 
 class CloudFileError(SkinError):
@@ -44,53 +44,66 @@ class Surface:
     """A cloud and what the forward model says of it."""
 
     cloud_mm: Array
-    """(3, 30, 45)"""
+    """(3, rows, columns)"""
     predicted_V: Array | None = None
     """(104,) V_pred under 1 A, or None where nothing was predicted."""
     predicted_flat_V: Array | None = None
     """(104,) of the same model's flat sheet; there where a prediction is."""
 
 
-def save_surface(path: str | Path, surface: Surface, about: Mapping[str, Any] | None = None) -> None:
+def save_surface(
+    path: str | Path, surface: Surface, about: Mapping[str, Any] | None = None, skin: Skin = PAPER
+) -> None:
     """Write a cloud file.
 
     Args:
         path: Where.
         surface: What.
         about: More fields, for people.
+        skin: Whose surface it is.
 
     Raises:
         FileError: It is no regular file.
         OSError: The file cannot be written.
     """
-    fields: dict[str, Any] = {"magic": MAGIC, "version": VERSION, "grid_id": GRID_ID, "cloud": surface.cloud_mm}
+    fields: dict[str, Any] = {
+        "magic": MAGIC,
+        "version": VERSION,
+        "grid_id": skin.grid_id,
+        "skin_digest": skin.digest,
+        "cloud": surface.cloud_mm,
+    }
     if surface.predicted_V is not None and surface.predicted_flat_V is not None:
         fields |= {"predicted": surface.predicted_V, "predicted_flat": surface.predicted_flat_V}
     with replacing(path) as file:
         np.savez(file, **fields, **(about or {}))
 
 
-def load_surface(path: str | Path) -> Surface:
+def load_surface(path: str | Path, skin: Skin = PAPER) -> Surface:
     """Return the cloud of a file that ``eitskin surface`` wrote, and its prediction.
+
+    Args:
+        path: The file.
+        skin: Whose surface is expected.
 
     Raises:
         CloudFileError: The file cannot be read, or is no cloud.
-        MismatchError: The cloud was made for another grid.
+        MismatchError: The cloud was made for another skin.
     """
     try:
         file = read_npz(path, LARGEST_FILE)
         if str(file["magic"]) != MAGIC:
             raise CloudFileError(f"{path} is no cloud: make one with 'eitskin surface'")
-        if str(file["grid_id"]) != GRID_ID:
-            raise MismatchError(
-                f"{path}: grid_id",
-                found=stated(str(file["grid_id"])),
-                expected=GRID_ID,
-                hint="run 'eitskin surface' again",
-            )
+        check_made_for(
+            str(path),
+            skin,
+            grid_id=str(file["grid_id"]),
+            skin_digest=str(file["skin_digest"]) if "skin_digest" in file else None,
+            hint="run 'eitskin surface' again, for this skin",
+        )
         predicted = [_rows(file[name]) if name in file else None for name in ("predicted", "predicted_flat")]
-        cloud = check_cloud(file["cloud"])
-        align_cloud(cloud)  # refuses what has no pose
+        cloud = check_cloud(file["cloud"], skin.grid)
+        align_cloud(cloud, skin.grid)  # refuses what has no pose
         return Surface(cloud, *predicted)
     except OSError as error:
         raise CloudFileError(

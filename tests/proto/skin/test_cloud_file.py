@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.sensor.cloud import flat_cloud
-from eitskin_proto.sensor.cloud_file import CloudFileError, Surface, load_surface, save_surface
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.cloud_file import CloudFileError, Surface, load_surface, save_surface
 
 
 def test_a_surface_comes_back_as_it_was_with_and_without_a_prediction(tmp_path):

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.cloud import align_cloud, check_cloud, flat_cloud, network_input
+from eitskin_proto.skin.cloud import align_cloud, check_cloud, flat_cloud, network_input
 
 
 def bent(radius_mm=70.0):

@@ -1,8 +1,8 @@
 """What counts as cut by a touch's border, and how much of an element lies inside: one rule for scenes and generators.
 
 An element is cut where a border passes through it. It then has two functions of its own beside the biquadratic ones,
-whose strengths minimise its energy. Scenes (:mod:`eitskin_sim.fem.cut_elements`) and the generators of data sets
-(:mod:`eitskin_sim.fem.cut_blocks`) share what is here. They integrate it differently ::
+whose strengths minimise its energy. Scenes (:mod:`eitskin_sim.fem.borders.cut_elements`) and the generators of data
+sets (:mod:`eitskin_sim.fem.borders.cut_blocks`) share what is here. They integrate it differently ::
 
                      scenes                                        generators
     integrated at    4 x 4 cells of 2 x 2 points of Gauss          middles of 6 x 6 cells

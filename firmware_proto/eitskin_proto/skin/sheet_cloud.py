@@ -15,21 +15,28 @@ the families A and B (:mod:`eitskin_sim.scene.family`). Lengths are in multiples
     the same, in multiples of the noise           at most 7.7           and 12           and 9
     turn of rows and columns, towards the front   at least -15 deg                       -40 deg
 
+That is the paper's skin. Where another one is bent or stretched further by its description, its bounds are as much
+wider; where its pixels are larger than ``COARSE_MM``, neighbours may be as much further from a smooth curve.
+
 A rectangle looks the same from either side, so a flat cloud with x and y exchanged, or with its rows in reverse, *is*
 the flat sheet in another pose, and is used as it should be. Bent, it is a sheet that bends to the other side: a real
 sheet may, but no network has learned it, so it is warned of. A cloud with both orders reversed is a sheet turned by
 half a turn; no look at the cloud alone can tell. The look takes 0.6 ms.
 """
 
+from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.cloud import check_cloud
-from eitskin_proto.sensor.grid import PITCH_MM, SHEET_MM
+from eitskin_proto.skin.cloud import check_cloud
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
 
 Array = npt.NDArray[np.float64]
+Range = tuple[float, float]
 
 MEAN_ALONG_X: Final = (0.85, 1.40)
 MEAN_ALONG_Y: Final = (0.80, 1.30)
@@ -58,51 +65,93 @@ NOTED_OFF: Final = (1.0, 9.0)
 LEAST_TURN_DEG: Final = -40.0
 """How far rows and columns together turn towards the sheet's front, end to end; a network learned -15 to 205."""
 
+COARSE_MM: Final = 10.0
+"""Pixels up to here show a bend's curve; the look at noise and single points is for these."""
+
 _FOURTH: Final = float(np.sqrt(70.0))
 """Fourth differences 1 -4 6 -4 1 have so many times the noise, and next to nothing of a sheet's shape."""
 
 
-def check_sheet(cloud: npt.ArrayLike) -> tuple[Array, tuple[str, ...]]:
+@dataclass(frozen=True, slots=True)
+class _Bounds:
+    """What a skin's clouds may be."""
+
+    grid: Grid
+    mean_x: Range
+    mean_y: Range
+    line: Range
+    spacing: Range
+    coarse: float
+    turn_deg: float
+
+
+@lru_cache(maxsize=8)
+def _bounds(skin: Skin) -> _Bounds:
+    own, paper = skin.deformations, PAPER.deformations
+    low_x, high_x = _beyond(own.stretch_along, paper.stretch_along)
+    low_y, high_y = _beyond(own.stretch_across, paper.stretch_across)
+    low, high = min(low_x, low_y), max(high_x, high_y)
+    return _Bounds(
+        skin.grid,
+        (MEAN_ALONG_X[0] * low_x, MEAN_ALONG_X[1] * high_x),
+        (MEAN_ALONG_Y[0] * low_y, MEAN_ALONG_Y[1] * high_y),
+        (LINE[0] * low, LINE[1] * high),
+        (SPACING[0] * low, SPACING[1] * high),
+        max(1.0, max(skin.grid.pixel_mm) / COARSE_MM),
+        LEAST_TURN_DEG + min(0.0, own.angle_deg[0]),
+    )
+
+
+def _beyond(own: Range, paper: Range) -> Range:
+    return min(1.0, own[0] / paper[0]), max(1.0, own[1] / paper[1])
+
+
+def check_sheet(cloud: npt.ArrayLike, skin: Skin = PAPER) -> tuple[Array, tuple[str, ...]]:
     """Return a cloud as float64, and what is doubtful about it, a line each.
 
     Args:
-        cloud: (3, 30, 45) mm, in any pose.
+        cloud: (3, rows, columns) mm, in any pose.
+        skin: Whose surface it is.
 
     Raises:
-        ValueError: It is malformed (:func:`eitskin_proto.sensor.cloud.check_cloud`), or cannot be of this sheet; with
+        ValueError: It is malformed (:func:`eitskin_proto.skin.cloud.check_cloud`), or cannot be of this sheet; with
             what was found, what was expected and what to do.
     """
-    points = check_cloud(cloud)
+    bounds = _bounds(skin)
+    points = check_cloud(cloud, bounds.grid)
     along_x, along_y = np.diff(points, axis=2), np.diff(points, axis=1)
-    of_x, of_y = _length(along_x), _length(along_y)
-    _check_size(of_x, of_y)
-    _check_order(of_x, of_y)
+    dx, dy = bounds.grid.pixel_mm
+    of_x, of_y = _length(along_x, dx), _length(along_y, dy)
+    _check_size(of_x, of_y, bounds)
+    _check_order(of_x, of_y, bounds)
     noise_mm, off_mm = _noise(along_x, along_y)
-    if noise_mm > LARGEST_NOISE_MM:
+    coarse = bounds.coarse
+    if noise_mm > LARGEST_NOISE_MM * coarse:
         raise ValueError(
             f"the cloud's points are {noise_mm:.2g} mm (rms) off a smooth surface, expected at most "
-            f"{LARGEST_NOISE_MM:g} mm: smooth it, or make it with 'eitskin surface'"
+            f"{LARGEST_NOISE_MM * coarse:g} mm: smooth it, or make it with 'eitskin surface'"
         )
     alone = (
-        f"a point of the cloud is {off_mm:.2g} mm off its neighbours, expected at most {NOTED_OFF[0]:g} mm: leave such "
-        "points out, or make the cloud with 'eitskin surface'"
+        f"a point of the cloud is {off_mm:.2g} mm off its neighbours, expected at most {NOTED_OFF[0] * coarse:g} "
+        "mm: leave such points out, or make the cloud with 'eitskin surface'"
     )
-    if off_mm > max(LARGEST_OFF[0], LARGEST_OFF[1] * noise_mm):
+    if off_mm > max(LARGEST_OFF[0] * coarse, LARGEST_OFF[1] * noise_mm):
         raise ValueError(alone)
-    _check_spacing(points)
+    _check_spacing(points, bounds)
     across_x = along_x[:, :-1] + along_x[:, 1:]
     across_y = along_y[:, :, :-1] + along_y[:, :, 1:]
     _check_angles(across_x, across_y)
     doubts = []
-    if noise_mm > NOTED_NOISE_MM:
+    if noise_mm > NOTED_NOISE_MM * coarse:
         doubts.append(
-            f"the cloud's points are {noise_mm:.2g} mm (rms) off a smooth surface, more than the {NOTED_NOISE_MM:g} mm "
-            "up to which maps are as accurate as stated: smooth it, or make it with 'eitskin surface'"
+            f"the cloud's points are {noise_mm:.2g} mm (rms) off a smooth surface, more than the "
+            f"{NOTED_NOISE_MM * coarse:g} mm up to which maps are as accurate as stated: smooth it, or make it with "
+            "'eitskin surface'"
         )
-    if off_mm > max(NOTED_OFF[0], NOTED_OFF[1] * noise_mm):
+    if off_mm > max(NOTED_OFF[0] * coarse, NOTED_OFF[1] * noise_mm):
         doubts.append(alone)
-    turned_deg = _turned_deg(along_x, along_y, across_x, across_y)
-    if turned_deg < LEAST_TURN_DEG:
+    turned_deg = _turned_deg(along_x, along_y, across_x, across_y, bounds.grid)
+    if turned_deg < bounds.turn_deg:
         doubts.append(
             f"the cloud bends to the sheet's back by {-turned_deg:.0f} degrees, where networks learned bends to its "
             "front: if the sheet does not, the order of its rows or columns is reversed, or x and y are exchanged"
@@ -110,46 +159,50 @@ def check_sheet(cloud: npt.ArrayLike) -> tuple[Array, tuple[str, ...]]:
     return points, tuple(doubts)
 
 
-def _length(steps: Array) -> Array:
+def _length(steps: Array, pitch_mm: float) -> Array:
     """Size of vectors along the first axis, in steps of the flat sheet."""
-    return np.asarray(np.sqrt(np.einsum("irc,irc->rc", steps, steps)) / PITCH_MM)
+    return np.asarray(np.sqrt(np.einsum("irc,irc->rc", steps, steps)) / pitch_mm)
 
 
-def _check_size(along_x: Array, along_y: Array) -> None:
+def _check_size(along_x: Array, along_y: Array, bounds: _Bounds) -> None:
     long, wide = float(along_x.mean()), float(along_y.mean())
-    inside = MEAN_ALONG_X[0] <= long <= MEAN_ALONG_X[1] and MEAN_ALONG_Y[0] <= wide <= MEAN_ALONG_Y[1]
+    (low_x, high_x), (low_y, high_y), line = bounds.mean_x, bounds.mean_y, bounds.line
+    inside = low_x <= long <= high_x and low_y <= wide <= high_y
     rows, columns = along_x.mean(axis=1), along_y.mean(axis=0)
-    if inside and min(rows.min(), columns.min()) >= LINE[0] and max(rows.max(), columns.max()) <= LINE[1]:
+    if inside and min(rows.min(), columns.min()) >= line[0] and max(rows.max(), columns.max()) <= line[1]:
         return
-    length_mm, width_mm = SHEET_MM
+    length_mm, width_mm = bounds.grid.size_mm
+    n_rows, n_columns = bounds.grid.shape
     if not inside:
-        exchanged = long < MEAN_ALONG_X[0] and wide > MEAN_ALONG_Y[1]
+        exchanged = long < low_x and wide > high_y
         remedy = (
-            "x runs along the 45 columns, y along the 30 rows; are they exchanged?"
+            f"x runs along the {n_columns} columns, y along the {n_rows} rows; are they exchanged?"
             if exchanged
             else "give the whole conductive layer and nothing else, in mm"
         )
         raise ValueError(
             f"the cloud's sheet is {long * length_mm:.3g} mm along x and {wide * width_mm:.3g} mm along y, expected "
-            f"{MEAN_ALONG_X[0] * length_mm:.4g} to {MEAN_ALONG_X[1] * length_mm:.4g} and "
-            f"{MEAN_ALONG_Y[0] * width_mm:.4g} to {MEAN_ALONG_Y[1] * width_mm:.4g} mm: {remedy}"
+            f"{low_x * length_mm:.4g} to {high_x * length_mm:.4g} and "
+            f"{low_y * width_mm:.4g} to {high_y * width_mm:.4g} mm: {remedy}"
         )
     worst = max((rows.max(), columns.max(), 1.0 / max(rows.min(), 1e-9), 1.0 / max(columns.min(), 1e-9)))
     raise ValueError(
         f"a row or column of the cloud is {worst:.3g} times longer or shorter than the flat sheet's, expected "
-        f"{LINE[0]:g} to {LINE[1]:g} times its length: are the 30 rows and 45 columns in order?"
+        f"{line[0]:g} to {line[1]:g} times its length: are the {n_rows} rows and {n_columns} columns in order?"
     )
 
 
-def _check_order(along_x: Array, along_y: Array) -> None:
+def _check_order(along_x: Array, along_y: Array, bounds: _Bounds) -> None:
     """Look at the mean step from each column or row to the next: one that is out of order or twice there shows."""
-    for steps, kind in ((along_x.mean(axis=0), "column"), (along_y.mean(axis=1), "row")):
-        odd = np.flatnonzero((steps < SPACING[0]) | (steps > SPACING[1]))
+    dx, dy = bounds.grid.pixel_mm
+    low, high = bounds.spacing
+    for steps, pitch_mm, kind in ((along_x.mean(axis=0), dx, "column"), (along_y.mean(axis=1), dy, "row")):
+        odd = np.flatnonzero((steps < low) | (steps > high))
         if odd.size:
             at = int(odd[0])
             raise ValueError(
-                f"the cloud's {kind}s {at} and {at + 1} are {steps[at] * PITCH_MM:.3g} mm apart, expected "
-                f"{SPACING[0] * PITCH_MM:.3g} to {SPACING[1] * PITCH_MM:.3g} mm: is a {kind} missing, twice there or "
+                f"the cloud's {kind}s {at} and {at + 1} are {steps[at] * pitch_mm:.3g} mm apart, expected "
+                f"{low * pitch_mm:.3g} to {high * pitch_mm:.3g} mm: is a {kind} missing, twice there or "
                 "out of order?"
             )
 
@@ -162,18 +215,20 @@ def _noise(along_x: Array, along_y: Array) -> tuple[float, float]:
     return float(noise), float(np.sqrt(max(float(square.max()) for square in squares))) / 6.0
 
 
-def _check_spacing(points: Array) -> None:
-    along_x = _length(points[:, :, STEPS:] - points[:, :, :-STEPS]) / STEPS
-    along_y = _length(points[:, STEPS:] - points[:, :-STEPS]) / STEPS
-    for found, kind in ((along_x, "columns"), (along_y, "rows")):
+def _check_spacing(points: Array, bounds: _Bounds) -> None:
+    dx, dy = bounds.grid.pixel_mm
+    along_x = _length(points[:, :, STEPS:] - points[:, :, :-STEPS], dx) / STEPS
+    along_y = _length(points[:, STEPS:] - points[:, :-STEPS], dy) / STEPS
+    least, most = bounds.spacing
+    for found, pitch_mm, kind in ((along_x, dx, "columns"), (along_y, dy, "rows")):
         low, high = float(found.min()), float(found.max())
-        if low < SPACING[0] or high > SPACING[1]:
-            worst = low if low < SPACING[0] else high
+        if low < least or high > most:
+            worst = low if low < least else high
             row, column = np.unravel_index(int(np.argmin(np.abs(found - worst))), found.shape)
             raise ValueError(
-                f"the cloud's points near row {row}, column {column} are {worst * PITCH_MM:.3g} mm apart from one of "
-                f"the {kind} to the next, expected {SPACING[0] * PITCH_MM:.3g} to {SPACING[1] * PITCH_MM:.3g} mm: rows "
-                "run along y and columns along x, 10/3 mm apart when flat; are they in order?"
+                f"the cloud's points near row {row}, column {column} are {worst * pitch_mm:.3g} mm apart from one of "
+                f"the {kind} to the next, expected {least * pitch_mm:.3g} to {most * pitch_mm:.3g} mm: rows run along "
+                f"y and columns along x, {dx:.3g} and {dy:.3g} mm from one to the next when flat; are they in order?"
             )
 
 
@@ -191,7 +246,7 @@ def _check_angles(across_x: Array, across_y: Array) -> None:
         )
 
 
-def _turned_deg(along_x: Array, along_y: Array, across_x: Array, across_y: Array) -> float:
+def _turned_deg(along_x: Array, along_y: Array, across_x: Array, across_y: Array, grid: Grid) -> float:
     """Sum of the mean turns of rows and columns from end to end, positive towards the front of the sheet."""
     front = np.stack(
         [
@@ -203,4 +258,5 @@ def _turned_deg(along_x: Array, along_y: Array, across_x: Array, across_y: Array
     front /= np.sqrt(np.einsum("irc,irc->rc", front, front)) + 1e-12
     of_rows = np.einsum("irc,irc->rc", np.diff(along_x, axis=2)[:, :-1], front[:, :, 1:]).sum(axis=1).mean()
     of_columns = np.einsum("irc,irc->rc", np.diff(along_y, axis=1)[:, :, :-1], front[:, 1:]).sum(axis=0).mean()
-    return float(np.degrees((of_rows + of_columns) / PITCH_MM))
+    dx, dy = grid.pixel_mm
+    return float(np.degrees(of_rows / dx + of_columns / dy))

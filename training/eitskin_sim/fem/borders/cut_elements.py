@@ -8,19 +8,19 @@ makes a touch of 10 mm look 2.5 mm too large. A cut element is therefore given t
 with the conductivity inside and outside each where it belongs, and the two are eliminated within the element (their
 energy is minimised), which leaves a 9 x 9 block like any other's. They vanish at the element's nodes; between them
 neighbours may differ a little, as in any immersed finite element, so what counts is only what the touch changes, as in
-:mod:`eitskin_sim.fem.cut_blocks`:
+:mod:`eitskin_sim.fem.borders.cut_blocks`:
 
     S = S_outside + E_touched - E_outside,       E the minimised energy with the element's own or with one conductivity
 
 Without contrast a touch changes nothing, and S lies between the blocks of the least and the greatest conductivity. A
 10 mm square keeps its size within 0.3 mm with elements of 3 mm, 0.1 mm with 2 mm (``eitskin bench physics``).
 
-What this has in common with the generators, and the difference, is in :mod:`eitskin_sim.fem.cut_rule`.
+What this has in common with the generators, and the difference, is in :mod:`eitskin_sim.fem.borders.cut_rule`.
 
 Rules. An element that no border cuts has the conductivity of the last touch that covers it. In a cut one, the touches
 that cut it make one inside: where they abut with one conductivity there is no seam. Its outside is the last touch that
 covers the element, or the sheet. Contacts on it pass the mean of what they would on either side. Touches with graded
-borders come last and multiply what they find (:mod:`eitskin_sim.fem.graded_elements`).
+borders come last and multiply what they find (:mod:`eitskin_sim.fem.borders.graded_elements`).
 """
 
 from collections.abc import Sequence
@@ -30,9 +30,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.cut_rule import FLOOR, UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.graded_elements import grade
 from eitskin_sim.fem.forward import Factor, System
-from eitskin_sim.fem.graded_elements import grade
 from eitskin_sim.fem.mesh import MERGE_MM, MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
@@ -218,10 +218,10 @@ def _eliminated(blocks: Array, floor: Array) -> Array:
 
 
 def _conductance(system: System, cut: Index) -> Array:
-    """Return the (k, 2, 2) S tensor t0 g^-1 at the middles of some elements."""
+    """Return the (k, 2, 2) S tensor t0 g^-1 at the middles of some elements, for a conductivity of 1 S/m."""
     E, F, G = system.metric[cut].T
     inverse = np.stack([np.stack([G, -F], axis=-1), np.stack([-F, E], axis=-1)], axis=-2)
-    return np.asarray(inverse * (system.thickness_mm * MM / (E * G - F**2))[:, None, None])
+    return np.asarray(inverse * (system.thickness_mm * MM / (E * G - F**2) * system.relative[cut])[:, None, None])
 
 
 def _mix_contacts(system: System, cut: Index, phases: _Phases, density: Array) -> None:
@@ -231,7 +231,7 @@ def _mix_contacts(system: System, cut: Index, phases: _Phases, density: Array) -
     row = np.where(row < len(cut), row, 0)
     pieces = np.flatnonzero(cut[row] == contacts.element)
     row = row[pieces]
-    fringe, impedance = contacts.fringe_m[pieces], contacts.impedance_ohm_m2
-    inside = 1.0 / (impedance + fringe[:, None] / phases.inside[row])
+    fringe, impedance = contacts.fringe_m[pieces], contacts.impedance_ohm_m2[pieces]
+    inside = 1.0 / (impedance[:, None] + fringe[:, None] / phases.inside[row])
     outside = 1.0 / (impedance + fringe / phases.outside[row])
     density[pieces] = np.mean(phases.share[row] * inside + (1.0 - phases.share[row]) * outside[:, None], axis=1)

@@ -1,9 +1,9 @@
 """Elements that a touch's border cuts: their blocks, from integrals that do not depend on the deformation.
 
-Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.cut_elements` (what the two share and where they
-differ is in :mod:`eitskin_sim.fem.cut_rule`), a cut element gets two functions of
-its own, d+ and d+ t less their biquadratic interpolants (d+ the distance outside, t along the border), whose strengths
-minimise the element's energy E. They differ a little between neighbours, so what counts is only what the touch changes:
+Across a border the potential has a kink. As in :mod:`eitskin_sim.fem.borders.cut_elements` (what the two share and
+where they differ is in :mod:`eitskin_sim.fem.borders.cut_rule`), a cut element gets two functions of its own, d+ and
+d+ t less their biquadratic interpolants (d+ the distance outside, t along the border), whose strengths minimise the
+element's energy E. They differ a little between neighbours, so what counts is only what the touch changes:
 
     S = S_1 + E_sigma - E_1,      E_sigma = A_sigma - C_sigma K_sigma^-1 C_sigma^T
 
@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES
+from eitskin_sim.fem.borders.cut_rule import FLOOR, UNIT_NODES
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.touch_table import Array

@@ -2,16 +2,16 @@
 
 An element is cut by a piece when its border passes through. Its share inside is integrated over ``POINTS`` x ``POINTS``
 cells, each cut by a straight line. Pieces of a set that cut one element make one inside: where they abut there is no
-seam. What a cut element's block becomes is in :mod:`eitskin_sim.fem.cut_blocks`.
+seam. What a cut element's block becomes is in :mod:`eitskin_sim.fem.borders.cut_blocks`.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from eitskin_sim.fem.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
-from eitskin_sim.fem.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
-from eitskin_sim.fem.graded_blocks import CELL, GradedIntegrals, integrate_graded
+from eitskin_sim.fem.borders.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
+from eitskin_sim.fem.borders.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.graded_blocks import CELL, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.shapes import ellipse_distance

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.fem.borders.graded import plateau
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.graded import plateau
 from eitskin_sim.fem.mesh import MM
 from eitskin_sim.fem.q2 import gradients
 from eitskin_sim.scene.parts import Touch
@@ -45,9 +45,10 @@ def grade(
     place = np.full(system.mesh.n_elements, -1, dtype=np.intp)
     place[elements] = np.arange(len(elements))
     pieces = np.flatnonzero(place[contacts.element] >= 0)
-    through = 1.0 / density[pieces, None] - contacts.impedance_ohm_m2
+    impedance = contacts.impedance_ohm_m2[pieces, None]
+    through = 1.0 / density[pieces, None] - impedance
     own = factor[place[contacts.element[pieces]]]
-    density[pieces] = np.mean(1.0 / (contacts.impedance_ohm_m2 + through / own), axis=1)
+    density[pieces] = np.mean(1.0 / (impedance + through / own), axis=1)
 
 
 def _factors(system: System, touches: Sequence[Touch], points: Array) -> tuple[Index, Array]:
@@ -69,7 +70,7 @@ def _added(system: System, elements: Index, points: Array, weight: Array) -> Arr
     """Return the (k, 9, 9) S of elements at conductivities (k, q), with the conductance of their middles."""
     sizes = system.mesh.sizes_mm[elements]
     E, F, G = system.metric[elements].T
-    scale = system.thickness_mm * MM / (E * G - F**2)
+    scale = system.thickness_mm * MM / (E * G - F**2) * system.relative[elements]
     dx, dy = gradients(points)
     xy = np.einsum("qi,qj->qij", dx, dy)
     table = [np.einsum("qi,qj->qij", dx, dx), xy + np.swapaxes(xy, 1, 2), np.einsum("qi,qj->qij", dy, dy)]

@@ -1,9 +1,10 @@
 """Elements that the graded borders of touches reach, in the generators: conductivity point by point, and a kink.
 
-Beside :mod:`eitskin_sim.fem.cut_blocks`, which has sharp borders and says what E is: an element gets the two functions
-psi and psi t less their biquadratic interpolants, psi the kink of a graded border (:mod:`eitskin_sim.fem.graded`), of
-the touch whose outline is nearest, and S = S_1 + E_sigma - E_1. Logarithms of several touches add up. A sharp touch in
-such an element counts as one with a border of a cell, since there its kink cannot be told apart from the other's.
+Beside :mod:`eitskin_sim.fem.borders.cut_blocks`, which has sharp borders and says what E is: an element gets the two
+functions psi and psi t less their biquadratic interpolants, psi the kink of a graded border
+(:mod:`eitskin_sim.fem.borders.graded`), of the touch whose outline is nearest, and S = S_1 + E_sigma - E_1. Logarithms
+of several touches add up. A sharp touch in such an element counts as one with a border of a cell, since there its kink
+cannot be told apart from the other's.
 """
 
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.cut_blocks import (
+from eitskin_sim.fem.borders.cut_blocks import (
     POINTS,
     PRODUCTS,
     SLOPES,
@@ -20,8 +21,8 @@ from eitskin_sim.fem.cut_blocks import (
     eliminated,
     products_of,
 )
-from eitskin_sim.fem.cut_rule import FLOOR, UNIT_NODES
-from eitskin_sim.fem.graded import kink, plateau
+from eitskin_sim.fem.borders.cut_rule import FLOOR, UNIT_NODES
+from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import Array
 

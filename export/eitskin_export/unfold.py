@@ -1,0 +1,134 @@
+"""A network again from the graphs of a bundle: what folding put together is taken apart, so that it can learn on.
+
+Folding (:mod:`eitskin_export.fold`) makes one layer of a linear layer and its normalisation; of the two only the
+product is left. Here the linear layer gets all of it, and the normalisation becomes the identity but for the bias it
+carries. In evaluation the network gives the bundle's maps. In training its norms must stay in evaluation too: the
+statistics that they once had are gone.
+"""
+
+import math
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+import onnx
+import torch
+from onnx import numpy_helper
+from torch import Tensor, nn
+
+from eitskin_export.bundle import read
+from eitskin_proto.errors import SkinError
+from eitskin_training.network.images import IMAGES, SIGNS, ImageLinear
+from eitskin_training.network.model import VD2T, Residual
+from eitskin_training.network.sharpen import LOGITS
+from eitskin_training.recipes import Recipe
+from eitskin_training.start import Start
+
+Weights = dict[str, npt.NDArray[np.float32]]
+
+FUSION: Final = ("fusion.linear.weight", "fusion.weight", "permute")
+"""What the exporter calls the first fusion layer, transposed where it is the third."""
+
+
+def start_of_bundle(path: Path) -> Start:
+    """Return the weights of a bundle, for training to go on from.
+
+    Raises:
+        SkinError: It is no bundle, or one whose network cannot be taken apart.
+    """
+    files, facts = read(path)
+    try:
+        recipe = Recipe.from_dict(facts["recipe"])
+    except (KeyError, ValueError, TypeError) as error:
+        raise SkinError(f"{path} does not say how it was trained ({error}); start from a run instead") from error
+    model = unfolded(files["geometry.onnx"], files["head.onnx"], recipe)
+    lineage = {"bundle_data": facts.get("data_digest"), "seeds": facts.get("seeds"), "still": True}
+    return Start(model.state_dict(), recipe.architecture, lineage)
+
+
+def unfolded(geometry: bytes, head: bytes, recipe: Recipe) -> VD2T:
+    """Return the network of a bundle, in evaluation mode.
+
+    Args:
+        geometry: ``geometry.onnx``.
+        head: ``head.onnx``.
+        recipe: The manifest's, with the architecture.
+
+    Raises:
+        SkinError: The graphs are not those of the architecture.
+    """
+    try:
+        return _filled(VD2T(recipe.architecture), _weights(geometry), _weights(head))
+    except (KeyError, RuntimeError, ValueError) as error:
+        raise SkinError(
+            f"the bundle's graphs are not those of its recipe's network ({error}); start from a run instead"
+        ) from error
+
+
+def _weights(graph: bytes) -> Weights:
+    model = onnx.load_model_from_string(graph)
+    return {one.name: numpy_helper.to_array(one) for one in model.graph.initializer}
+
+
+def _filled(model: VD2T, geometry: Weights, head: Weights) -> VD2T:
+    with torch.no_grad():
+        first = model.voltage[0]
+        assert isinstance(first, nn.Sequential)
+        _dense(first, head["voltage.0.0.weight"], head["voltage.0.0.bias"])
+        for number, block in enumerate(list(model.voltage)[1:], start=1):
+            if not isinstance(block, Residual):
+                raise SkinError("only networks with a residual voltage channel can be taken apart; train one anew")
+            name = f"voltage.{number}.path.0" + (".linear" if model.architecture.symmetric else "")
+            _dense(block.path, head[f"{name}.weight"], head[f"{name}.bias"])
+        name = next(name for name in FUSION if name in head)
+        _linear(model.fusion_voltage, head[name].T if name == FUSION[-1] else head[name])
+        _norm(model.fusion[0], np.zeros(model.architecture.hidden, dtype=np.float32))
+        out = "out.linear" if model.architecture.symmetric else "out"
+        _linear(model.out, head[f"{out}.weight"], head[f"{out}.bias"])
+        for number, sharpening in enumerate(model.sharpen.blocks):
+            assert isinstance(sharpening, nn.Sequential)
+            for layer, factor in ((0, LOGITS), (2, 1.0)):
+                _linear(
+                    sharpening[layer],
+                    factor * head[f"blocks.{number}.{layer}.weight"],
+                    head.get(f"blocks.{number}.{layer}.bias", np.zeros(1, dtype=np.float32)),  # zeros are left out
+                )
+        for number, convolution in enumerate(list(model.cloud)[: len(model.architecture.cloud_channels)]):
+            assert isinstance(convolution, nn.Sequential)
+            _linear(convolution[0], geometry[f"convolutions.{number}.0.weight"])
+            _norm(convolution[1], geometry[f"convolutions.{number}.0.bias"])
+        _linear(model.fusion_cloud, geometry["linear.weight"], geometry["linear.bias"])
+    return model.eval()
+
+
+def _dense(layers: nn.Sequential, weight: npt.NDArray[np.float32], bias: npt.NDArray[np.float32]) -> None:
+    _linear(layers[0], weight)
+    _norm(layers[1], bias)
+
+
+def _linear(layer: nn.Module, weight: npt.NDArray[np.float32], bias: npt.NDArray[np.float32] | None = None) -> None:
+    """Fill a layer in; of images, from the one matrix that they were mixed into."""
+    own = layer.weight
+    assert isinstance(own, Tensor)
+    found = torch.from_numpy(np.array(weight))
+    if isinstance(layer, ImageLinear):
+        signs = torch.tensor(SIGNS, dtype=found.dtype)
+        found = torch.einsum("kg,gio->kio", signs, found.T.reshape(IMAGES, -1, len(weight)))
+    if found.shape != own.shape:
+        raise ValueError(f"a layer of shape {tuple(found.shape)}, expected {tuple(own.shape)}")
+    own.copy_(found)
+    if bias is not None:
+        assert isinstance(layer.bias, Tensor)
+        layer.bias.copy_(torch.from_numpy(np.array(bias)))
+
+
+def _norm(norm: nn.Module, bias: npt.NDArray[np.float32]) -> None:
+    """Make a normalisation the identity in evaluation, plus a bias."""
+    assert isinstance(norm, nn.BatchNorm1d | nn.BatchNorm2d)
+    assert norm.running_mean is not None
+    assert norm.running_var is not None
+    norm.running_mean.zero_()
+    norm.running_var.fill_(1.0)
+    norm.weight.fill_(math.sqrt(1.0 + norm.eps))
+    norm.bias.copy_(torch.from_numpy(np.array(bias)))

@@ -1,0 +1,130 @@
+"""A skin: one frozen description that everything follows, and its digest.
+
+Geometry, the map and the ids of everything made for a skin come from here. What is handed on is the skin itself, never
+a constant: two skins may be used in one process.
+"""
+
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.files.digest import id_of_values
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.parts import (
+    Deformations,
+    Doubts,
+    Instrument,
+    Layer,
+    Map,
+    Outline,
+    Ring,
+    Touches,
+)
+
+
+@dataclass(frozen=True)
+class Skin:
+    """What a sheet with electrodes and its front end are, how sure that is, and what they will meet.
+
+    Args:
+        name: For people; not part of the digest.
+        outline: The border.
+        layer: The conductive layer.
+        electrodes: The ring of sixteen.
+        front_end: The instrument.
+        map: Where results are drawn.
+        deformations: How it is bent.
+        touches: What touches it.
+        may_be_off: What else is uncertain.
+        calibrated_from: Digest of the description that calibration started from, or "".
+
+    Raises:
+        ValueError: Parts contradict each other; the text names them.
+    """
+
+    name: str = "paper"
+    outline: Outline = field(default_factory=Outline)
+    layer: Layer = field(default_factory=Layer)
+    electrodes: Ring = field(default_factory=Ring)
+    front_end: Instrument = field(default_factory=Instrument)
+    map: Map = field(default_factory=Map)
+    deformations: Deformations = field(default_factory=Deformations)
+    touches: Touches = field(default_factory=Touches)
+    may_be_off: Doubts = field(default_factory=Doubts)
+    calibrated_from: str = ""
+
+    def __post_init__(self) -> None:
+        length, width = self.outline.size_mm
+        if self.outline.kind == "disc" and length != width:
+            raise ValueError(f"[outline] size_mm is {length:g} x {width:g}; a disc's two sizes are alike, its diameter")
+        if not (self.touches.lower or self.touches.higher):
+            raise ValueError("[touches] has neither lower nor higher: nothing that touches this skin would be seen")
+        self._check_electrodes()
+
+    def _check_electrodes(self) -> None:
+        perimeter = self.outline.perimeter_mm
+        arc, size = self.arc_length_mm, self.electrodes.size_mm.nominal(N_ELECTRODES)
+        if arc.max() >= perimeter:
+            k = int(arc.argmax())
+            raise ValueError(
+                f"[electrodes] arc_length_mm[{k}] is {arc[k]:g}, expected below {perimeter:g}, once round the border"
+            )
+        gaps = np.roll(arc, -1) - arc
+        if np.count_nonzero(gaps <= 0.0) != 1:
+            k = int(np.flatnonzero(gaps[:-1] <= 0.0)[0])
+            raise ValueError(
+                f"[electrodes] arc_length_mm[{k + 1}] is {arc[k + 1]:g} after {arc[k]:g}; electrodes go "
+                "counter-clockwise, once round"
+            )
+        room = gaps % perimeter - (size + np.roll(size, -1)) / 2
+        if room.min() < -1e-9:
+            k = int(room.argmin())
+            raise ValueError(
+                f"[electrodes] {k} and {(k + 1) % N_ELECTRODES} overlap by {-room[k]:g} mm: they are "
+                f"{gaps[k] % perimeter:g} mm apart and {size[k]:g} and {size[(k + 1) % N_ELECTRODES]:g} mm long"
+            )
+
+    @property
+    def arc_length_mm(self) -> npt.NDArray[np.float64]:
+        """(16,) stated centres of the electrodes."""
+        return self.electrodes.arc_length_mm.nominal(N_ELECTRODES)
+
+    @cached_property
+    def grid(self) -> Grid:
+        """The map and the units."""
+        return Grid(self.outline.size_mm, self.map.shape, self.map.units)
+
+    @cached_property
+    def grid_id(self) -> str:
+        """16 hex digits that stand for the map, the units and the electrodes on the flat sheet."""
+        content = {
+            "sheet_mm": self.outline.size_mm,
+            "shape": self.map.shape,
+            "order": "row-major from (0, 0), x along columns",
+            "units": self.map.units,
+            "electrode_arc_mm": self.arc_length_mm.tolist(),
+        }
+        return id_of_values(content if self.outline.kind == "rectangle" else content | {"outline": self.outline.kind})
+
+    @cached_property
+    def digest(self) -> str:
+        """16 hex digits that stand for the whole description, but not for its name."""
+        content = asdict(self)
+        del content["name"]
+        return id_of_values(content)
+
+    @property
+    def touch_kind(self) -> Literal["raising", "lowering", "both"]:
+        """Which way touches change this skin's conductance."""
+        return "both" if self.touches.lower and self.touches.higher else "lowering" if self.touches.lower else "raising"
+
+    def __hash__(self) -> int:
+        return hash(self.digest)
+
+
+PAPER = Skin()
+"""The paper's sheet: what is meant where no skin is named."""

@@ -1,0 +1,94 @@
+"""Clouds of a sheet that is not the paper's."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests.second_skin import SECOND, rolled
+
+from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.cloud import align_cloud, check_cloud, network_input
+from eitskin_proto.skin.cloud_file import CloudFileError, Surface, load_surface, save_surface
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.parts import Deformations
+from eitskin_proto.skin.sheet_cloud import check_sheet
+from eitskin_proto.skin.skin import PAPER
+
+GRID = SECOND.grid
+
+
+def test_the_flat_sheet_is_where_it_is_and_fills_the_network_s_input():
+    flat = GRID.flat_cloud_mm()
+    assert flat.shape == (3, 18, 45)
+    assert np.abs(align_cloud(flat, GRID) - flat).max() < 1e-10
+    found = network_input(flat, GRID)
+    assert found[0].max() == pytest.approx(1.5 * 44 / 45)  # half a pixel in
+    assert found[1].max() == pytest.approx(1.5 * 90 / 220 * 17 / 18)
+    with pytest.raises(ValueError, match=r"shape \(3, 18, 45\) .*found \(3, 30, 45\)"):
+        check_cloud(PAPER.grid.flat_cloud_mm(), GRID)
+
+
+@pytest.mark.parametrize("angle_deg", [1.0, 90.0, 180.0])
+def test_its_bends_pass_without_a_word(angle_deg):
+    assert check_sheet(rolled(SECOND, angle_deg), SECOND)[1] == ()
+
+
+def test_lengths_are_told_in_its_own_pixels():
+    cloud = rolled(SECOND, 40.0)
+    with pytest.raises(ValueError, match=r"440 mm along x and 180 mm along y, expected 187 to 308 and 72 to 117"):
+        check_sheet(2.0 * cloud, SECOND)
+    rows = cloud[:, [0, 2, 1, *range(3, 18)]]
+    with pytest.raises(ValueError, match=r"rows 0 and 1 are 10 mm apart, expected 2.5 to 8.5 mm"):
+        check_sheet(rows, SECOND)
+    columns = cloud[:, :, [0, 2, 1, *range(3, 45)]]
+    with pytest.raises(ValueError, match=r"columns 0 and 1 are 9.78 mm apart, expected 2.44 to 8.31 mm"):
+        check_sheet(columns, SECOND)
+    (line,) = check_sheet(rolled(SECOND, -120.0), SECOND)[1]
+    assert "back by 115 degrees" in line  # 43 of 45 pixels have one before and one behind
+
+
+def test_what_a_skin_is_made_for_widens_its_bounds():
+    both_ways = replace(SECOND, deformations=Deformations(angle_deg=(-150.0, 150.0), stretch_along=(0.96, 1.83)))
+    assert check_sheet(rolled(both_ways, -120.0), both_ways)[1] == ()
+    stretched = GRID.flat_cloud_mm() * np.array([1.7, 1.0, 1.0]).reshape(3, 1, 1)
+    assert check_sheet(stretched, both_ways)[1] == ()
+    with pytest.raises(ValueError, match="374 mm along x"):
+        check_sheet(stretched, SECOND)
+
+
+def test_the_bend_of_a_coarse_map_is_no_noise():
+    coarse = replace(
+        SECOND, outline=replace(SECOND.outline, size_mm=(400.0, 90.0)), map=replace(SECOND.map, shape=(6, 6))
+    )
+    assert check_sheet(rolled(coarse, 180.0), coarse)[1] == ()
+
+
+def test_a_cloud_file_says_whose_it_is(tmp_path):
+    path, cloud = tmp_path / "cloud.npz", rolled(SECOND, 30.0)
+    save_surface(path, Surface(cloud), skin=SECOND)
+    assert np.array_equal(load_surface(path, SECOND).cloud_mm, cloud)
+    with pytest.raises(MismatchError, match=f"found {SECOND.grid_id}, expected {PAPER.grid_id}; run 'eitskin surface'"):
+        load_surface(path)
+    other = replace(SECOND, deformations=Deformations(twist_deg=(0.0, 1.0)))
+    with pytest.raises(MismatchError, match=rf"skin_digest: found {SECOND.digest}, expected {other.digest} \(second\)"):
+        load_surface(path, other)
+    calibrated = replace(other, calibrated_from=SECOND.digest)
+    assert np.array_equal(load_surface(path, calibrated).cloud_mm, cloud)
+
+
+def test_a_cloud_file_of_the_right_ids_and_another_shape_is_none(tmp_path):
+    save_surface(tmp_path / "cloud.npz", Surface(PAPER.grid.flat_cloud_mm()), skin=SECOND)
+    with pytest.raises(CloudFileError, match=r"expected|shape"):
+        load_surface(tmp_path / "cloud.npz", SECOND)
+
+
+def test_what_is_older_than_descriptions_is_the_paper_s():
+    check_made_for("it", PAPER, grid_id=PAPER.grid_id, skin_digest=None, hint="")
+    known_better = replace(PAPER, name="ours", calibrated_from=PAPER.digest)
+    check_made_for("it", known_better, grid_id=PAPER.grid_id, skin_digest=None, hint="")
+    bent = replace(PAPER, deformations=Deformations(twist_deg=(0.0, 1.0)))
+    for grid_id in (PAPER.grid_id, "feed", None):
+        with pytest.raises(MismatchError, match=r"it: .*found .*expected .*; do"):
+            check_made_for("it", bent, grid_id=grid_id, skin_digest=None, hint="do")
+    with pytest.raises(MismatchError, match="it: skin_digest"):
+        check_made_for("it", PAPER, grid_id=PAPER.grid_id, skin_digest="", hint="")  # no calibration is no permission

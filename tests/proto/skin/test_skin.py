@@ -1,0 +1,103 @@
+"""A skin's description: the paper's is what was meant before there was one, and every other says what it says."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor import grid as paper_grid
+from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.parts import Layer, Map, Outline, Ring, Touches
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER, Skin
+
+ARCS = tuple(float(arc) for arc in 10.0 + 38.75 * np.arange(16))
+LARGE = Skin(
+    outline=Outline(size_mm=(220.0, 90.0)), electrodes=Ring(arc_length_mm=Quantity(ARCS)), map=Map((27, 66), (9, 22))
+)
+
+
+def test_the_paper_s_skin_has_the_id_and_the_grid_that_every_artefact_carries():
+    assert PAPER.grid_id == GRID_ID
+    assert PAPER.touch_kind == "raising"
+    np.testing.assert_array_equal(PAPER.grid.pixel_centres_mm(), paper_grid.pixel_centres_mm())
+    np.testing.assert_array_equal(PAPER.grid.unit_of_pixel, paper_grid.UNIT_OF_PIXEL)
+    assert PAPER.grid.pitch_mm == paper_grid.PITCH_MM
+    assert PAPER.grid.quarter == paper_grid.QUARTER_SHAPE
+
+
+def test_pixels_and_units_tile_any_sheet():
+    grid = LARGE.grid
+    centres = grid.pixel_centres_mm()
+    np.testing.assert_allclose(centres.reshape(-1, 2).mean(axis=0), (110.0, 45.0))
+    assert grid.pixel_mm2 * grid.n_pixels == pytest.approx(220.0 * 90.0)
+    areas = np.zeros(grid.n_units)
+    for unit in range(grid.n_units):
+        row, column = divmod(unit, grid.units[1])
+        x0, y0, x1, y1 = grid.unit_rect_mm(column, row)
+        areas[unit] = (x1 - x0) * (y1 - y0)
+        inside = (centres[..., 0] > x0) & (centres[..., 0] < x1) & (centres[..., 1] > y0) & (centres[..., 1] < y1)
+        np.testing.assert_array_equal(inside, grid.unit_of_pixel == unit)
+    assert areas.sum() == pytest.approx(220.0 * 90.0)
+    with pytest.raises(ValueError, match=r"unit \[22, 0\] is not on the sheet: columns are 0 to 21, rows 0 to 8"):
+        grid.unit_rect_mm(22, 0)
+
+
+def test_a_map_of_units_is_read_back_from_it():
+    grid = Grid((60.0, 60.0), (12, 12), (4, 3))
+    values = np.arange(12.0)
+    assert [set(grid.map_from_units(values)[grid.unit_of_pixel == unit]) for unit in range(12)] == [
+        {value} for value in values
+    ]
+
+
+def test_the_digest_stands_for_all_but_the_name():
+    assert replace(PAPER, name="other").digest == PAPER.digest
+    others = [
+        replace(PAPER, layer=Layer(gauge_factor=Quantity(0.0, "normal", 0.5))),
+        replace(PAPER, touches=Touches(lower=True)),
+        replace(PAPER, calibrated_from=PAPER.digest),
+        LARGE,
+    ]
+    assert len({PAPER.digest, *(skin.digest for skin in others)}) == 5
+    assert [skin.grid_id == PAPER.grid_id for skin in others] == [True, True, True, False]
+    assert len({PAPER, replace(PAPER), replace(PAPER, outline=Outline())}) == 1  # as the key of a cache
+
+
+@pytest.mark.parametrize(
+    ("changed", "words"),
+    [
+        ({"outline": Outline("disc", (100.0, 90.0))}, "a disc's two sizes are alike"),
+        ({"touches": Touches(higher=False)}, "neither lower nor higher"),
+        ({"electrodes": Ring(size_mm=Quantity(32.0))}, r"\[electrodes\] 0 and 1 overlap by 0.75 mm"),
+        ({"electrodes": Ring(arc_length_mm=Quantity((43.75, 12.5, *PAPER.arc_length_mm[2:])))}, "counter-clockwise"),
+        ({"outline": Outline(size_mm=(100.0, 100.0))}, r"arc_length_mm\[15\] is 481.25, expected below 400"),
+    ],
+)
+def test_parts_that_contradict_each_other_are_refused(changed, words):
+    with pytest.raises(ValueError, match=words):
+        replace(PAPER, **changed)
+
+
+def test_quantities_are_drawn_by_their_law():
+    rng = np.random.default_rng(0)
+    drawn = {law: Quantity(2.0, law, 0.3).draw(rng, 20_000) for law in ("exact", "normal", "uniform", "log_normal")}
+    assert np.all(drawn["exact"] == 2.0)
+    # five standard errors of 20,000 draws
+    assert drawn["normal"].mean() == pytest.approx(2.0, abs=0.011)
+    assert drawn["normal"].std() == pytest.approx(0.3, abs=0.008)
+    assert 1.7 <= drawn["uniform"].min() < 1.701
+    assert 2.299 < drawn["uniform"].max() <= 2.3
+    assert np.log(drawn["log_normal"] / 2.0).std() == pytest.approx(0.3, abs=0.008)
+    each = Quantity(tuple(np.arange(16.0)), "normal", 0.1).draw(rng, 16)
+    assert np.abs(each - np.arange(16.0)).max() < 0.6
+
+
+def test_another_law_leaves_what_is_drawn_after_it_as_it_was():
+    after = []
+    for law in ("exact", "normal", "uniform", "log_normal"):
+        rng = np.random.default_rng(0)
+        Quantity(1.0, law, 0.1).draw(rng, 16)
+        after.append(rng.random())
+    assert len(set(after)) == 1

@@ -1,0 +1,63 @@
+"""A skin's file: what is written is read back, and what is wrong is named with what was meant."""
+
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import NAMED, load, named, parse, to_toml
+
+HEAD = 'format = "eitskin-skin"\nversion = 1\n'
+
+
+@pytest.mark.parametrize("name", NAMED)
+def test_what_is_written_is_read_back(name, tmp_path):
+    skin = named(name)
+    assert parse(to_toml(skin)) == skin
+    (tmp_path / "skin.toml").write_text(to_toml(skin))
+    assert load(tmp_path / "skin.toml").digest == load(name).digest == skin.digest
+
+
+def test_the_paper_s_file_states_what_is_meant_without_one():
+    assert named("paper") == PAPER
+    assert parse(HEAD).digest == PAPER.digest
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("", r"format is None version None, expected 'eitskin-skin' version 1: is it a skin's description\?"),
+        ('format = "eitskin-skin"\nversion = 2\n', "version 2, expected 'eitskin-skin' version 1"),
+        (HEAD + "[outlines]\n", r"unknown key 'outlines' in the head of the file; did you mean 'outline'\?"),
+        (HEAD + "outline = 3\n", r"outline is 3, expected a table \[outline\]"),
+        (HEAD + "[layer]\nthickness = 2.0\n", r"unknown key 'thickness' in \[layer\]; did you mean 'thickness_mm'\?"),
+        (HEAD + "[layer]\nthickness_mm = 200.0\n", "thickness_mm is 200.0, expected a number from 0.05 to 20"),
+        (HEAD + "[layer]\nthickness_mm = nan\n", r"\[layer\] thickness_mm is nan, expected a number"),
+        (HEAD + "[layer]\nthickness_mm = [2.0]\n", r"\[layer\] thickness_mm is a list of 1, expected a number"),
+        (HEAD + "[layer]\nthickness_mm = {value = 2.0}\n", "expected value and one of normal, uniform, log_normal"),
+        (HEAD + "[layer]\nthickness_mm = {value = 2.0, normal = -1}\n", "normal is -1, expected a number from 0 on"),
+        (HEAD + "[layer]\nthickness_mm = {value = 2.0, gauss = 1}\n", "unknown key 'gauss'"),
+        (HEAD + "[electrodes]\nsize_mm = [4.0, 4.0]\n", "has 2 numbers, expected one, or 16, one an electrode"),
+        (HEAD + '[electrodes]\ncontact = "glue"\n', r"\[electrodes\] contact is 'glue', expected one of patch, edge"),
+        (HEAD + "[electrodes]\nsize_mm = 40.0\n", "overlap"),
+        (HEAD + "[outline]\nsize_mm = [1000.0, 100.0]\n", "size_mm is 1000.0, expected a number from 50 to 400"),
+        (HEAD + "[outline]\nsize_mm = 100.0\n", r"expected two numbers \[a, b\]"),
+        (HEAD + "[map]\nshape = [30.0, 45.0]\n", "shape is 30.0, expected a whole number from 6 to 120"),
+        (HEAD + "[touches]\nlower = 1\n", "lower is 1, expected true or false"),
+        (HEAD + "[touches]\nsize_mm = [20.0, 5.0]\n", "from 20 to 5; the first is the smaller one"),
+        (HEAD + 'name = "a\\u001b[2J"\n', "expected a text of at most 60 printable characters"),
+        ("format = ", "not a TOML file"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named(text, words):
+    with pytest.raises(ValueError, match=words):
+        parse(text)
+
+
+def test_an_error_names_the_file(tmp_path):
+    (tmp_path / "skin.toml").write_text(HEAD + "[layer]\nthickness_mm = 0\n")
+    with pytest.raises(ValueError, match=r"skin.toml: \[layer\] thickness_mm is 0"):
+        load(tmp_path / "skin.toml")
+
+
+def test_a_skin_that_does_not_come_with_the_package_is_refused():
+    with pytest.raises(ValueError, match="skin 'gel' does not come with the package; paper, hydrogel do"):
+        named("gel")

@@ -1,0 +1,132 @@
+"""From a tank's numbers to its objects: the front end is told, objects are found, and whatever is wrong is one line."""
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import FULL_TABLE
+from eitskin_sim.tank.front_end import fit_front_end
+from eitskin_sim.tank.objects import Found, angle_error_deg, find_objects, front_end_of, judge, tank_model
+from eitskin_sim.tank.recording import Object, TankError, load_tank
+
+from . import simulated_tank as tank
+
+SETS = [[(1, "metal")], [(3, "metal"), (7, "plastic")], [(2, "plastic"), (6, "plastic"), (11, "metal"), (15, "metal")]]
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("tank") / "tank.npz"
+    np.savez(path, **dict(tank.frame(objects, seed) for seed, objects in enumerate(SETS)))
+    return path
+
+
+@pytest.fixture(scope="module")
+def frames(file):
+    return load_tank(file)
+
+
+@pytest.fixture(scope="module")
+def model(frames):
+    return tank_model(frames, widths_deg=(2.0, 12.0))
+
+
+def test_names_say_what_stands_where(frames):
+    assert [[(one.electrode, one.material) for one in frame.objects] for frame in frames] == SETS
+    assert frames[0].water_V.shape == (208,)
+
+
+def test_every_object_is_found_in_its_sector_with_its_sign_and_nothing_else(frames, model):
+    for frame in frames:
+        change = front_end_of(model, frame).change(frame.water_V, frame.objects_V)
+        found = find_objects(model, change)
+        assert len(found) == len(frame.objects)
+        assert all(one.right for one in judge(frame.objects, found))
+        assert all(abs(one.radius - tank.AT) < 0.2 for one in found)
+
+
+def test_with_the_offset_left_in_small_rows_are_wrong(frames, model):
+    frame = frames[1]
+    front_end = front_end_of(model, frame)
+    with_it = (frame.objects_V - frame.water_V) / frame.water_V
+    taken_out = (frame.objects_V - frame.water_V) / (frame.water_V - front_end.offset_V)
+    assert np.abs(with_it / taken_out).max() > 3.0
+
+
+def test_offset_and_gains_are_those_of_the_front_end():
+    rng = np.random.default_rng(1)
+    gain, rows = tank.gains(rng), tank.volts((), 4.5)
+    found = fit_front_end(tank.read(rows, gain, rng, noise_db=np.inf), rows)
+    assert found.offset_V == pytest.approx(tank.OFFSET_V, rel=1e-9)
+    assert np.allclose(found.gains, gain, rtol=1e-9)
+    assert found.residual < 1e-9
+    noisy = fit_front_end(tank.read(rows, gain, rng, noise_db=36.0), rows)
+    assert noisy.residual == pytest.approx(10 ** (-36 / 20), rel=0.15)
+    assert abs(noisy.offset_V - tank.OFFSET_V) < 0.02 * abs(tank.OFFSET_V)
+    assert noisy.reciprocity == pytest.approx(np.sqrt(2) * 10 ** (-36 / 20), rel=0.2)
+
+
+def test_a_front_end_that_cannot_be_told_is_refused():
+    with pytest.raises(ValueError, match="offset"):
+        fit_front_end(np.full(208, 0.1 + 0j), np.ones(208))
+
+
+def test_the_electrodes_width_that_explains_the_water_is_taken(frames, model):
+    assert model.disc.electrode_width_deg == 12.0
+    assert front_end_of(model, frames[0]).residual < 0.025
+
+
+def test_nothing_changed_is_nothing_found(model):
+    assert find_objects(model, np.zeros(104)) == []
+
+
+def test_the_full_table_is_that_of_the_file():
+    rows = [
+        (s, (s + m) % 16)
+        for s in range(16)
+        for m in range(16)
+        if not {s, (s + 1) % 16} & {(s + m) % 16, (s + m + 1) % 16}
+    ]
+    assert rows == [tuple(row) for row in FULL_TABLE.tolist()]
+
+
+def found(angle_deg, material):
+    return Found(angle_deg, 0.6, material, 1.0)
+
+
+def test_an_object_is_right_in_its_own_sector_with_its_own_sign():
+    objects = [Object(1, "metal"), Object(5, "plastic"), Object(9, "plastic")]
+    judged = judge(objects, [found(350.0, "metal"), found(80.0, "metal"), found(168.0, "plastic")])
+    assert [one.right for one in judged] == [True, False, False]  # one off by 12 degrees, and one is left
+    assert [one.error_deg for one in judged] == [pytest.approx(10.0), None, pytest.approx(12.0)]
+    assert angle_error_deg(Object(9, "metal"), found(0.0, "metal")) == 180.0
+
+
+def test_one_found_object_counts_once():
+    judged = judge([Object(1, "metal"), Object(2, "metal")], [found(10.0, "metal")])
+    assert [one.right for one in judged] == [True, False]
+
+
+@pytest.mark.parametrize(
+    ("name", "array", "said"),
+    [
+        ("electrode01_metal", np.zeros((104, 4)), "(104, 4)"),
+        ("electrode01_metal", np.full((208, 4), np.nan), "not finite"),
+        ("electrode01_metal", np.zeros((208, 4)), "zeros"),
+        ("electrode01_metal", np.ones((208, 4), dtype=complex), "real numbers"),
+        ("electrode17_metal", np.ones((208, 4)), "1 to 16"),
+        ("electrode03_metal_electrode03_plastic", np.ones((208, 4)), "twice"),
+    ],
+)
+def test_a_frame_that_cannot_be_is_refused_by_name(tmp_path, name, array, said):
+    np.savez(tmp_path / "tank.npz", **{name: array})
+    with pytest.raises(TankError) as caught:
+        load_tank(tmp_path / "tank.npz")
+    assert said in str(caught.value)
+    assert name in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_frames_is_refused(tmp_path):
+    np.savez(tmp_path / "tank.npz")
+    with pytest.raises(TankError, match="no frame"):
+        load_tank(tmp_path / "tank.npz")

@@ -1,0 +1,47 @@
+"""``eitskin evaluate --tank``: a tank of our own, as the measured one's file is."""
+
+import json
+
+import numpy as np
+import pytest
+from tests.sim.tank import simulated_tank as tank
+
+from eitskin_tools import cli
+
+SETS = [[(4, "plastic"), (12, "metal")], [(9, "metal")]]
+
+
+@pytest.fixture(scope="module")
+def frames():
+    return dict(tank.frame(objects, seed) for seed, objects in enumerate(SETS))
+
+
+def test_objects_are_found_and_counted(tmp_path, frames, capsys):
+    np.savez(tmp_path / "tank.npz", **frames, saline=next(iter(frames.values())))
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["objects"], found["right"], found["ghosts"]) == (3, 3, 0)
+    assert found["angle_error_deg"]["worst"] < 11.25
+    first, _, unnamed = found["frames"]
+    assert [one["electrode"] for one in first["objects"]] == [4, 12]
+    assert first["offset_V"] == pytest.approx([tank.OFFSET_V.real, tank.OFFSET_V.imag], abs=1e-3)
+    assert unnamed["objects"] == []
+    assert {one["material"] for one in unnamed["found"]} == {"metal", "plastic"}
+
+
+def test_people_read_a_line_an_object(tmp_path, frames, capsys):
+    turned = {name.replace("04", "05").replace("12", "05_"): array for name, array in frames.items()}
+    wrong = {"electrode02_plastic": next(iter(turned.values()))}
+    np.savez(tmp_path / "tank.npz", **wrong)
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "WRONG" in lines[1]
+    assert lines[2].startswith("0 of 1 objects")
+
+
+def test_what_is_no_tank_is_one_line(tmp_path, capsys):
+    np.savez(tmp_path / "tank.npz", electrode01_metal=np.zeros((3, 4)))
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 1
+    assert capsys.readouterr().err.count("\n") == 1
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "none.npz")]) == 1
+    assert "no file" in capsys.readouterr().err

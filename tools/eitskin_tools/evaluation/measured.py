@@ -1,0 +1,213 @@
+"""Scores a solver on measured samples, one by one and by kind, as a stream would have shown them.
+
+The samples are gone through in the order they were measured. Each is held against the one reference; the touch gate of
+the bundle judges it, and the solver makes its map, which is judged as a phantom's is. Where the reference has a scan,
+the sheet was as that scan shows when it was taken. What a flat one would have read is then
+
+    V_flat = V_reference * V_model(flat) / V_model(reference's scan)
+
+and stands for the reference: both inputs of a network are shifted by it.
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from eitskin.model.bundle import Bundle, default_path, load_bundle
+from eitskin.model.gate import Gate
+from eitskin_proto.files.plain import plain
+from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
+from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm, touch_centres_mm
+from eitskin_sim.surface.predict import flat_voltages, predict
+from eitskin_tools.evaluation.measured_file import Measured, TouchKind
+from eitskin_tools.evaluation.solvers import Progress, Request, named
+
+Array = npt.NDArray[np.float64]
+
+NEAR_MM: Final = 15.0
+"""A touch is missed if none is found this near to it."""
+
+
+@dataclass(frozen=True, slots=True)
+class SampleScore:
+    """What one sample's map is worth."""
+
+    kind: str
+    touched: bool
+    """As the gate says; without a gate every frame is taken for touched."""
+    peak: float
+    """Highest value of the map."""
+    true_touches: int | None
+    """None where no truth is known."""
+    cc: float | None = None
+    """None where nothing touches, or no truth is known."""
+    localisation_mm: float | None = None
+    """Between true and found touches, both ways."""
+    distances_mm: tuple[float, ...] = ()
+    """From every true touch to the nearest found one; infinite where there is none."""
+
+
+def bundle_for(request: Request, touch_kind: TouchKind | None) -> Bundle:
+    """Return the bundle that a request names, or the shipped one of area labels, whatever the touches.
+
+    Raises:
+        BundleError: It cannot be read.
+    """
+    return load_bundle(request.bundle or default_path("area"))
+
+
+def evaluate_measured(measured: Measured, request: Request, progress: Progress | None = None) -> dict[str, Any]:
+    """Return the object that ``eitskin evaluate --measured --json`` prints.
+
+    Args:
+        measured: The samples.
+        request: Solver, reference ("pre" or "predicted"), bundle.
+        progress: Called with the samples done and all samples.
+
+    Raises:
+        ValueError: The request needs what nobody measured: the untouched, bent sheet.
+        BundleError: The bundle cannot be used.
+    """
+    if request.reference == "post" or request.prediction == "true":
+        asked = "--reference post" if request.reference == "post" else "--prediction true"
+        raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
+    classical = request.name in SOLVERS
+    reference: Reference = request.reference or ("predicted" if classical else "pre")
+    bundle = bundle_for(request, measured.touch_kind)
+    solver = named(Request(request.name, reference, bundle.path, request.prediction), bundle.labels)
+    judge = _judge(bundle)
+    flat = _flat_reference(measured)
+    labels: Literal["units", "area"] = "units" if bundle.labels == "units" else "area"
+    sheets: dict[int, Sheet] = {}
+    last = {int(scan): number for number, scan in enumerate(measured.cloud_index)}
+    scores = []
+    for number, (volts, scan) in enumerate(zip(measured.voltages_V, measured.cloud_index.tolist(), strict=True)):
+        if scan not in sheets:
+            sheets[scan] = _sheet(measured, scan)
+        sheet = sheets[scan]
+        held = sheet.predicted() * flat / flat_voltages() if reference == "predicted" else flat
+        case = Case(volts, held, flat, sheet, labels, lowering=measured.touch_kind == "lowering")
+        truth = None if measured.truth is None else measured.truth[number]
+        scores.append(_score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat)))
+        if last[scan] == number:
+            del sheets[scan]
+        if progress is not None:
+            progress(number + 1, len(measured.voltages_V))
+    return {
+        "solver": request.name,
+        "reference": reference,
+        "prediction": solver.prediction,
+        "bundles": [bundle.id],
+        "touch_kind": measured.touch_kind,
+        "ignored": list(measured.ignored),
+        "samples": [_sample(one) for one in scores],
+        "by_kind": {
+            kind: summary([one for one in scores if one.kind == kind]) for kind in dict.fromkeys(measured.kinds)
+        },
+    }
+
+
+def _sheet(measured: Measured, scan: int) -> Sheet:
+    unknown = np.full(measured.voltages_V.shape[1], np.nan)
+    return Sheet(flat_cloud() if scan < 0 else measured.clouds_mm[scan], unknown)
+
+
+def _flat_reference(measured: Measured) -> Array:
+    if measured.reference_cloud_mm is None:
+        return measured.reference_V
+    return measured.reference_V * flat_voltages() / predict(measured.reference_cloud_mm)
+
+
+def _judge(bundle: Bundle) -> Callable[[Array, Array], bool]:
+    """Return what a stream's gate says of one frame after the other: its state goes on from sample to sample."""
+    arrays = bundle.gate_arrays()
+    if arrays is None:
+        return lambda volts, reference: True
+    gate = Gate(arrays)
+
+    def touched(volts: Array, reference: Array) -> bool:
+        gate.change[:] = relative_change(volts, reference)
+        return gate.touched()
+
+    return touched
+
+
+def _score(image: Array, truth: Array | None, kind: str, touched: bool) -> SampleScore:
+    peak = float(image.max())
+    if truth is None:
+        return SampleScore(kind, touched, peak, None)
+    true = true_centres_mm(truth)
+    if not len(true):
+        return SampleScore(kind, touched, peak, 0)
+    found = touch_centres_mm(image)
+    nearest = cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf)
+    return SampleScore(
+        kind, touched, peak, len(true), correlation(image, truth), localisation_error_mm(image, truth), tuple(nearest)
+    )
+
+
+def true_centres_mm(truth: Array) -> Array:
+    """Return the (touches, 2) places of a truth's touches; one that nowhere covers half a pixel is one all the same."""
+    found = touch_centres_mm(truth)
+    if len(found) or not truth.any():
+        return found
+    return np.asarray((pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
+
+
+def _sample(one: SampleScore) -> dict[str, Any]:
+    return {
+        "kind": one.kind,
+        "cc": one.cc,
+        "localisation_mm": one.localisation_mm,
+        "touched": one.touched,
+        "peak": one.peak,
+    }
+
+
+def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
+    """Return the figures of one kind; what its samples do not tell is None.
+
+    Args:
+        scores: Of the samples of this kind, at least one.
+    """
+    with_touches = [one for one in scores if one.true_touches]
+    bare = [one for one in scores if one.true_touches == 0 or (one.true_touches is None and one.kind == "untouched")]
+    cc = [one.cc for one in with_touches if one.cc is not None]
+    distance = np.array([each for one in with_touches for each in one.distances_mm])
+    found = distance[distance <= NEAR_MM]
+    return {
+        "samples": len(scores),
+        "cc": float(np.mean(cc)) if cc else None,
+        "cc_worst": min(cc) if cc else None,
+        "localisation_rms_mm": float(np.sqrt(np.mean(found**2))) if found.size else None,
+        "missed": float(np.mean(distance > NEAR_MM)) if distance.size else None,
+        "gate_missed": float(np.mean([not one.touched for one in with_touches])) if with_touches else None,
+        "false_touch": float(np.mean([one.touched for one in bare])) if bare else None,
+    }
+
+
+def table(found: dict[str, Any]) -> str:
+    """Return the figures by kind as people read them."""
+    lines = [
+        f"{found['solver']}, reference: {found['reference']}, {len(found['samples'])} samples",
+        "kind            samples      CC   worst  rms mm  missed  gate missed  false touch",
+    ]
+    for kind, row in found["by_kind"].items():
+        cells = [_cell(row["cc"], 8, ".3f"), _cell(row["cc_worst"], 8, ".3f")]
+        cells += [_cell(row["localisation_rms_mm"], 8, ".2f"), _cell(row["missed"], 8, ".1%")]
+        cells += [_cell(row["gate_missed"], 13, ".1%"), _cell(row["false_touch"], 13, ".1%")]
+        lines.append(f"{plain(kind):16}{row['samples']:7d}{''.join(cells)}")
+    if found["ignored"]:
+        lines.append(f"not read: {plain(', '.join(found['ignored']))}")
+    return "\n".join(lines)
+
+
+def _cell(value: float | None, width: int, form: str) -> str:
+    return f"{'-':>{width}}" if value is None else f"{value:{width}{form}}"

@@ -1,0 +1,236 @@
+"""Reads a file of somebody's own recordings: voltages, the reference, scans, and the truth where it is known.
+
+::
+
+    MEASURED.npz  reference_V (104,) V         untouched and flat, or as its scan shows
+                  reference_cloud_mm (3, 30, 45) mm   the scan of the sheet when the reference was taken (optional)
+                  voltages_V (n, 104) V        one sample each, in the order they were measured
+                  cloud_mm (k, 3, 30, 45) mm   scans, in any pose
+                  cloud_index (n,)             the scan of each sample, -1 for none; without scans both are left out
+                  truth (n, 30, 45)            touched share of every pixel (optional)
+                  kind (n,) text               "single", "untouched", anything; figures are by it (optional)
+                  touch_kind text              "lowering" or "raising": which way touches change conductance (optional)
+                  protocol_id, grid_id text    as 'eitskin --version' prints them, held against this release (optional)
+
+Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, cast, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.plain import quoted, stated
+from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.normalise import weak_rows
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
+from eitskin_proto.skin.skin import PAPER
+
+Array = npt.NDArray[np.float64]
+
+TouchKind = Literal["lowering", "raising"]
+"""Which way a skin's touches change its conductance."""
+
+TOUCH_KINDS: Final[tuple[str, ...]] = get_args(TouchKind)
+"""The kinds of touch."""
+
+LARGEST_FILE: Final = 1 << 30
+"""Bytes: 80,000 samples with their truth."""
+
+UNTOUCHED: Final = "untouched"
+"""The kind of samples that nothing touches."""
+
+ROUNDING: Final = 1e-6
+"""A share may be this far outside 0 to 1."""
+
+KNOWN: Final = (
+    "reference_V", "reference_cloud_mm", "voltages_V", "cloud_mm", "cloud_index", "truth", "kind", "touch_kind",
+    "protocol_id", "grid_id",
+)  # fmt: skip
+"""Arrays that are read."""
+
+
+class MeasuredFileError(SkinError, ValueError):
+    """A file that holds no measured samples that can be judged."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measured:
+    """Measured samples, checked."""
+
+    reference_V: Array
+    """(104,)"""
+    reference_cloud_mm: Array | None
+    """(3, 30, 45)"""
+    voltages_V: Array
+    """(n, 104)"""
+    clouds_mm: Array
+    """(k, 3, 30, 45)"""
+    cloud_index: npt.NDArray[np.intp]
+    """(n,) from -1, no scan, to k - 1."""
+    truth: Array | None
+    """(n, 30, 45) touched shares."""
+    kinds: tuple[str, ...]
+    """Of every sample; where the file has none, by the truth, or ``unknown``."""
+    touch_kind: TouchKind | None
+    """None where the file does not say."""
+    ignored: tuple[str, ...]
+    """Names of arrays that are none of a measured file's."""
+
+
+def load_measured(path: str | Path) -> Measured:
+    """Return the samples of a measured file.
+
+    Raises:
+        MeasuredFileError: An array is missing, has another shape, is not finite, or contradicts another one.
+        MismatchError: The file was made for another table or grid.
+        FileError: It is no intact file of plain arrays.
+        OSError: It cannot be read.
+    """
+    arrays = read_npz(path, LARGEST_FILE)
+    try:
+        _check_ids(arrays, path)
+        return _measured(arrays)
+    except MismatchError:
+        raise
+    except ValueError as error:
+        raise MeasuredFileError(f"{path}: {error}") from error
+
+
+def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
+    for name in ("reference_V", "voltages_V"):
+        if name not in arrays:
+            there = ", ".join(quoted(name) for name in list(arrays)[:12]) or "no array"
+            raise ValueError(f"lacks {name}; found {there}; a measured file has {', '.join(KNOWN[:5])}")
+    reference = _numbers(arrays, "reference_V", (N_ROWS,))
+    weak_rows(reference)  # refuses what nothing can be held against
+    voltages = _numbers(arrays, "voltages_V", (None, N_ROWS))
+    n = len(voltages)
+    if not n:
+        raise ValueError("voltages_V holds no sample; expected at least one")
+    clouds, index = _clouds(arrays, n)
+    at_reference = (
+        _numbers(arrays, "reference_cloud_mm", PAPER.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
+    )
+    if at_reference is not None:
+        _check_cloud(at_reference, "reference_cloud_mm")
+    truth = _truth(arrays, n) if "truth" in arrays else None
+    return Measured(
+        reference_V=reference,
+        reference_cloud_mm=at_reference,
+        voltages_V=voltages,
+        clouds_mm=clouds,
+        cloud_index=index,
+        truth=truth,
+        kinds=_kinds(arrays, n, truth),
+        touch_kind=_touch_kind(arrays),
+        ignored=tuple(sorted(set(arrays) - set(KNOWN))),
+    )
+
+
+def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | None, ...]) -> Array:
+    """Return an array of finite numbers; None in its shape is any length."""
+    found = arrays[name]
+    if found.dtype.kind not in "fiu":
+        raise ValueError(f"{name} holds {found.dtype}, expected real numbers")
+    if found.ndim != len(shape) or any(
+        size not in (None, given) for given, size in zip(found.shape, shape, strict=True)
+    ):
+        wanted = ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "")
+        full = found.ndim == len(shape) and found.shape[-1] == N_FULL_ROWS and shape[-1] == N_ROWS
+        remedy = "; of 208 rows keep eitskin_proto.sensor.table.ROW_IN_FULL" if full else ""
+        raise ValueError(f"{name} has shape {found.shape}, expected ({wanted}){remedy}")
+    finite = np.isfinite(found)
+    if not finite.all():
+        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+        raise ValueError(
+            f"{name}{list(where)} is {found[where]}, expected finite numbers; {int((~finite).sum())} are not: leave "
+            "such samples out"
+        )
+    return np.asarray(found, dtype=np.float64)
+
+
+def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int) -> tuple[Array, npt.NDArray[np.intp]]:
+    given = [name for name in ("cloud_mm", "cloud_index") if name in arrays]
+    if not given:
+        return np.zeros((0, *PAPER.grid.cloud_shape)), np.full(n, -1)
+    if len(given) == 1:
+        raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
+    clouds = _numbers(arrays, "cloud_mm", (None, *PAPER.grid.cloud_shape))
+    for number, cloud in enumerate(clouds):
+        _check_cloud(cloud, f"cloud_mm[{number}]")
+    index = arrays["cloud_index"]
+    if index.dtype.kind not in "iu" or index.shape != (n,):
+        raise ValueError(f"cloud_index is {index.dtype} of shape {index.shape}, expected whole numbers ({n},)")
+    outside = np.flatnonzero((index < -1) | (index >= len(clouds)))
+    if outside.size:
+        raise ValueError(
+            f"cloud_index[{outside[0]}] is {index[outside[0]]}, expected -1 for no scan, or from 0 to "
+            f"{len(clouds) - 1}: cloud_mm holds {len(clouds)}"
+        )
+    return clouds, np.asarray(index, dtype=np.intp)
+
+
+def _check_cloud(cloud: Array, name: str) -> None:
+    try:
+        align_cloud(check_cloud(cloud))
+    except ValueError as error:
+        raise ValueError(f"{name}: {error}") from error
+
+
+def _truth(arrays: dict[str, npt.NDArray[Any]], n: int) -> Array:
+    truth = _numbers(arrays, "truth", (n, *GRID_SHAPE))
+    low, high = float(truth.min()), float(truth.max())
+    if low < -ROUNDING or high > 1.0 + ROUNDING:
+        raise ValueError(f"truth goes from {low:g} to {high:g}; expected touched shares from 0 to 1")
+    return truth
+
+
+def _kinds(arrays: dict[str, npt.NDArray[Any]], n: int, truth: Array | None) -> tuple[str, ...]:
+    touched = None if truth is None else [bool(one.any()) for one in truth]
+    if "kind" not in arrays:
+        if touched is None:
+            return ("unknown",) * n
+        return tuple("touched" if one else UNTOUCHED for one in touched)
+    found = arrays["kind"]
+    if found.dtype.kind not in "US" or found.shape != (n,):
+        raise ValueError(f"kind is {found.dtype} of shape {found.shape}, expected texts ({n},)")
+    kinds = tuple(str(one) for one in (np.char.decode(found, "utf-8") if found.dtype.kind == "S" else found))
+    for number, kind in enumerate(kinds):
+        if touched is not None and kind == UNTOUCHED and touched[number]:
+            raise ValueError(f"kind[{number}] is {UNTOUCHED!r}, but truth[{number}] has touches; correct one of them")
+    return kinds
+
+
+def _text(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:
+    found = arrays[name]
+    if found.dtype.kind not in "US" or found.size != 1:
+        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}, expected one text")
+    one = found.reshape(-1)[0]
+    return one.decode("utf-8") if isinstance(one, bytes) else str(one)
+
+
+def _touch_kind(arrays: dict[str, npt.NDArray[Any]]) -> TouchKind | None:
+    if "touch_kind" not in arrays:
+        return None
+    found = _text(arrays, "touch_kind")
+    if found not in TOUCH_KINDS:
+        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
+    return cast(TouchKind, found)
+
+
+def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path) -> None:
+    for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+        if name in arrays and (found := _text(arrays, name)) != expected:
+            raise MismatchError(
+                f"{path}: {name}",
+                found=stated(found),
+                expected=expected,
+                hint="write it again with the rows and the grid that 'eitskin --version' names",
+            )

@@ -1,0 +1,1 @@
+"""Outlines that are no rectangle: maps onto the rectangle that meshes, grids and solvers know."""

@@ -1,0 +1,96 @@
+"""A plane disc with sixteen contacts on its rim, solved on the rectangle that it is mapped onto.
+
+In the disc the layer conducts K = sigma t, the same in every direction, and so it does in the rectangle: the elements
+there are those of a flat sheet. What differs are the contacts, whose conductance goes by the disc's lengths. They get
+those as a metric whose length along the border is the map's scale and whose area stays 1, so that the layer keeps its
+thickness.
+"""
+
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.fem.contacts import contacts_of
+from eitskin_sim.fem.forward import System, assemble, flat_metric
+from eitskin_sim.fem.mesh import Metric, TensorMesh
+from eitskin_sim.outline.disc_map import DiscMap
+from eitskin_sim.scene.electrodes import place
+from eitskin_sim.scene.parts import Electrodes, Sheet
+
+Array = npt.NDArray[np.float64]
+
+SIDE_MM: Final = 100.0
+"""Of the square: meshes are as fine in the disc's middle as this is to its diameter."""
+
+EVEN_DEG: Final = tuple(-135.0 + 22.5 * (k + 0.5) for k in range(N_ELECTRODES))
+"""Middles of even electrodes, four on each side of the square, none in a corner."""
+
+
+@dataclass(frozen=True, slots=True)
+class Disc:
+    """A round layer and its contacts."""
+
+    radius_mm: float
+    thickness_mm: float = 2.0
+    conductivity_S_per_m: float = 1.0
+    electrodes_deg: tuple[float, ...] = EVEN_DEG
+    """Middles of the 16 contacts, counter-clockwise from -135 degrees, where the square's corner (0, 0) lies."""
+    electrode_width_deg: float = 5.0
+    contact_impedance_ohm_m2: float = 1e-4
+    map: DiscMap = field(init=False)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "map", DiscMap((SIDE_MM, SIDE_MM), self.radius_mm))
+
+    @property
+    def sheet(self) -> Sheet:
+        """The rectangle's layer."""
+        return Sheet(self.map.size_mm, self.thickness_mm, self.conductivity_S_per_m)
+
+    @property
+    def electrodes(self) -> Electrodes:
+        """The contacts on the rectangle's border, each of its own width there."""
+        middles, half = np.array(self.electrodes_deg), self.electrode_width_deg / 2
+        start, stop = (self.map.rim_to_arc_mm(middles + side) for side in (-half, half))
+        perimeter = 2.0 * sum(self.map.size_mm)
+        sizes = np.remainder(stop - start, perimeter)
+        centres = np.remainder(start + sizes / 2, perimeter)
+        return Electrodes(
+            contact="edge",
+            size_mm=tuple(sizes.tolist()),
+            contact_impedance_ohm_m2=self.contact_impedance_ohm_m2,
+            arc_length_mm=tuple(centres.tolist()),
+        )
+
+
+def assemble_disc(mesh: TensorMesh, disc: Disc) -> System:
+    """Return the system of a disc.
+
+    Args:
+        mesh: Of the rectangle, with lines at the ends of every contact (``disc.sheet``, ``disc.electrodes``).
+        disc: What is solved.
+
+    Raises:
+        ValueError: The mesh does not cover the rectangle, or a contact's end is no line of it.
+    """
+    sheet, electrodes = disc.sheet, disc.electrodes
+    flat = assemble(mesh, sheet, electrodes, flat_metric)
+    ones = np.ones((mesh.n_elements, 9))
+    contacts = contacts_of(mesh, sheet, electrodes, _rim_metric(disc.map), ones, place(sheet, electrodes))
+    return replace(flat, contacts=contacts)
+
+
+def _rim_metric(disc: DiscMap) -> Metric:
+    """E, F, G at points of the border: the scale's square along it, its inverse across."""
+    length = disc.size_mm[0]
+
+    def metric(xy_mm: Array) -> Array:
+        square = np.maximum(disc.scale(xy_mm), 1e-9) ** 2
+        upright = (xy_mm[:, 0] < 1e-9 * length) | (xy_mm[:, 0] > (1.0 - 1e-9) * length)
+        along_x, along_y = np.where(upright, 1.0 / square, square), np.where(upright, square, 1.0 / square)
+        return np.stack([along_x, np.zeros(len(xy_mm)), along_y], axis=-1)
+
+    return metric

@@ -1,0 +1,97 @@
+"""Frames of a tank: before and with objects in it, 208 rows each, real and imaginary.
+
+::
+
+    TANK.npz   one array (208, 4) a frame: V of water, real and imaginary, then with objects, real and imaginary
+               rows: for each drive s = 0 to 15, m = 0 to 15 where the pairs (s, s + 1) and (s + m, s + m + 1) share no
+               electrode: the full table's
+
+An array's name says what stands in the tank, as ``electrode01_metal_electrode05_plastic_...``: which electrode, from 1,
+an object stands before, and of what it is. Metal conducts better than water, plastic worse.
+"""
+
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, Literal, cast
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.sensor.table import N_ELECTRODES, N_FULL_ROWS
+
+Complex = npt.NDArray[np.complex128]
+
+Material = Literal["metal", "plastic"]
+
+NAMED: Final = re.compile(r"electrode([0-9]{1,4})_(metal|plastic)")
+
+LARGEST_FILE: Final = 64 << 20
+"""Bytes: ten thousand frames."""
+
+COLUMNS: Final = 4
+
+
+class TankError(SkinError, ValueError):
+    """A file that holds no frames of a tank."""
+
+
+@dataclass(frozen=True, slots=True)
+class Object:
+    """Something that stands in the tank."""
+
+    electrode: int
+    """That it stands before, from 1."""
+    material: Material
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TankFrame:
+    """One frame."""
+
+    name: str
+    water_V: Complex
+    """(208,) without objects."""
+    objects_V: Complex
+    """(208,) with them."""
+    objects: tuple[Object, ...]
+    """By the name; empty where it says nothing."""
+
+
+def load_tank(path: str | Path) -> list[TankFrame]:
+    """Return the frames of a file.
+
+    Raises:
+        TankError: There are none, one has another shape or is not finite, or a name tells of what cannot be.
+        FileError: It is no intact file of plain arrays.
+        OSError: It cannot be read.
+    """
+    arrays = read_npz(path, LARGEST_FILE)
+    if not arrays:
+        raise TankError(f"{path} holds no frame; expected arrays ({N_FULL_ROWS}, {COLUMNS})")
+    return [_frame(str(path), name, array) for name, array in arrays.items()]
+
+
+def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
+    where = f"{path}: {quoted(name)}"
+    if array.shape != (N_FULL_ROWS, COLUMNS) or array.dtype.kind not in "fiu":
+        raise TankError(
+            f"{where} is {array.dtype} of shape {array.shape}, expected real numbers ({N_FULL_ROWS}, {COLUMNS}): water "
+            "real, imaginary, objects real, imaginary"
+        )
+    values = array.astype(np.float64)
+    if not np.isfinite(values).all():
+        raise TankError(f"{where} holds {int((~np.isfinite(values)).sum())} values that are not finite; leave it out")
+    water, objects = values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3]
+    if not np.abs(water).max() > 0.0:
+        raise TankError(f"{where}: water reads zeros, which nothing can be held against; leave the frame out")
+    found = tuple(Object(int(number), cast(Material, material)) for number, material in NAMED.findall(name))
+    for one in found:
+        if not 1 <= one.electrode <= N_ELECTRODES:
+            raise TankError(f"{where} names electrode {one.electrode}, expected 1 to {N_ELECTRODES}")
+    if len({one.electrode for one in found}) != len(found):
+        raise TankError(f"{where} names an electrode twice, expected one object before each")
+    return TankFrame(plain(name), water, objects, found)
