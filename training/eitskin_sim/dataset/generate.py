@@ -21,7 +21,8 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.reading import FileError, read_bytes
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION, VERSION_OF_SOFT
@@ -167,12 +168,14 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
         {**entry(name), "samples": count, "split": split, "bend": bend}
         for name, count, split, bend in zip(names, counts, plan.splits, content["bends"], strict=True)
     ]
-    whole = "".join([touches["sha256"], *(d["sha256"] for d in deformations), PROTOCOL_ID, GRID_ID])
+    whole = "".join([touches["sha256"], *(d["sha256"] for d in deformations), PROTOCOL_ID, plan.skin.grid_id])
     found: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION if plan.touches == "hard" else VERSION_OF_SOFT,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        "grid_id": plan.skin.grid_id,
+        "skin_digest": plan.skin.digest,
+        "skin": to_toml(plan.skin),
         "set": plan.set_name,
         "labels": "area" if plan.set_name == "free" else "units",
         "seed": plan.seed,
@@ -186,6 +189,6 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
     }
     if plan.touches != "hard":
         found["touch_kind"] = plan.touches
-    if plan.spread is not None:
-        found.update(devices=plan.devices, device_spread=content["spread"], skin=None)
+    if plan.devices != "ideal":
+        found["devices"] = plan.devices
     return found

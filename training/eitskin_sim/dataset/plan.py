@@ -20,10 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.digest import id_of_values
-from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.draws import check_outline
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends
+from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.patterns import N_PAPER_SETS
 
@@ -73,7 +76,9 @@ class Plan:
         splits: "train", "kept" or "other" for each.
         near: Share of the free sets that are drawn with touches near to each other; others have none.
         touches: Which touches; a plan of hard ones says nothing of it, as before there were others.
-        spread: What random devices are drawn from; None is the ideal device, of which a plan says nothing either.
+        skin: The sheet, its map and what bends it, and the uncertainties that random devices are drawn from; a plan of
+            the paper's ideal device says nothing of it.
+        devices: Which devices.
     """
 
     set_name: SetName
@@ -84,20 +89,18 @@ class Plan:
     splits: tuple[str, ...]
     near: float | None = None
     touches: TouchKind = "hard"
-    spread: Uncertainties | None = None
-
-    @property
-    def devices(self) -> DeviceKind:
-        """Which devices."""
-        return "ideal" if self.spread is None else "random"
+    skin: Skin = PAPER
+    devices: DeviceKind = "ideal"
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
         found = {**asdict(self), "recipe": RECIPES[self.set_name]}
         if self.touches == "hard":
             del found["touches"]
-        if self.spread is None:
-            del found["spread"]
+        if self.devices == "random" or self.skin.digest == PAPER.digest:
+            del found["devices"]
+        if self.devices == "ideal" and self.skin.digest == PAPER.digest:
+            del found["skin"]
         return found
 
     @property
@@ -169,6 +172,7 @@ def make_plan(
     near: float | None = None,
     touches: str = "hard",
     devices: str = "ideal",
+    skin: Skin | None = None,
 ) -> Plan:
     """Return a plan; what is left out takes the recipe's own size.
 
@@ -182,6 +186,7 @@ def make_plan(
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "press", that lower conductance; "both"; "paper" has hard ones alone.
         devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
+        skin: What is bent and touched; None is the paper's, or for random devices the shipped skin "lab".
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -205,8 +210,13 @@ def make_plan(
         raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
     if set_name == "paper" and devices != "ideal":
         raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
+    if skin is None:
+        skin = named("lab") if devices == "random" else PAPER
+    if devices == "random":
+        check_outline(skin)
+    nominal_sheet(skin)
     kind: TouchKind = touches
-    spread = Uncertainties() if devices == "random" else None
+    device_kind: DeviceKind = devices
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -223,11 +233,11 @@ def make_plan(
     _check("touch sets shown at a deformation", n_shown, 1, n_sets)
     _check("deformations kept apart", apart, 0, 10_000)
     if set_name == "paper":
-        bends, splits = paper_bends(n_bends), ("train",) * n_bends
-        return Plan("paper", seed, n_sets, n_sets, bends, splits)
-    bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
+        bends, splits = paper_bends(n_bends, skin), ("train",) * n_bends
+        return Plan("paper", seed, n_sets, n_sets, bends, splits, skin=skin)
+    bends = draw("A", n_bends + apart, seed, skin) + draw("B", apart, seed, skin)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, spread)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, skin, device_kind)
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -35,13 +35,13 @@ def predicted_log_of(folder: str | Path, data: DataSet) -> npt.NDArray[np.float3
         folder: Where the data set lies; one that cannot be written to keeps nothing, and each call computes.
         data: The data set, of D deformations.
     """
-    path, flat = Path(folder) / FILE, flat_voltages()
+    path, flat = Path(folder) / FILE, flat_voltages(data.skin)
     kept = _read(path, data, flat)
     if kept is not None:
         return kept
-    found = predicted_log(data.clouds)
+    found = predicted_log(data.clouds, data.skin)
     with contextlib.suppress(PermissionError, FileError), replacing(path) as file:
-        np.savez(file, digest=data.digest, model=model(), flat=flat, log_predicted=found)
+        np.savez(file, digest=data.digest, model=model(data.skin), flat=flat, log_predicted=found)
     return found
 
 
@@ -49,7 +49,7 @@ def _read(path: Path, data: DataSet, flat: npt.NDArray[np.float64]) -> npt.NDArr
     """The kept predictions, or None where there are none of this data set and this model."""
     try:
         file = read_npz(path, LARGEST_FILE)
-        same = str(file["digest"]) == data.digest and str(file["model"]) == model()
+        same = str(file["digest"]) == data.digest and str(file["model"]) == model(data.skin)
         if same and np.allclose(file["flat"], flat, rtol=1e-9, atol=0.0):
             found = np.asarray(file["log_predicted"], dtype=np.float32)
             return found if found.shape == (len(data.clouds), len(flat)) and np.isfinite(found).all() else None

@@ -2,16 +2,15 @@
 
 A folder of plain files; every array is an ``.npy`` inside an uncompressed ``.npz`` ::
 
-    index.json          format, version, protocol_id, grid_id, set, seed, sizes, digest; per deformation: its bend,
-    split,
-                        file, number of samples, SHA-256 of the file
-    touches.npz         on the unit grid  units (T, 16) uint8, packed bits, unit 0 first
-                        there, not hard   contrast_class (T, 126) uint8 of touched units, contrast (classes,) float64
+    index.json          format, version, protocol_id, grid_id, skin (its TOML), skin_digest, set, seed, sizes, digest;
+                        per deformation: its bend, split, file, number of samples, SHA-256 of the file
+    touches.npz         on the unit grid  units (T, n / 8) uint8, packed bits, unit 0 first
+                        there, not hard   contrast_class (T, units) uint8 of touched units, contrast (classes,) float64
                         anywhere          pieces (P, 7) float64 and first (T + 1,) int64   (scene.touch_table)
                         there, not hard   pieces (P, 8), with the width of their borders
                         and               validation (T,) bool, reference (104,) float64 V, flat and untouched
     deformation-0000.npz  touch_set (n,) int32, voltages (n, 104) float32 V at 1 A, free of noise;
-                        untouched (104,) float64 V; cloud (3, 30, 45) float32 mm as measured, in the agreed pose
+                        untouched (104,) float64 V; cloud (3, rows, columns) float32 mm as measured, in the agreed pose
 
 A sample takes 420 bytes; 1350 labels as float32 would take 5,400. Labels are made from the touch set, noise is added
 when a batch is made. ``index.json`` is written last: a folder without it is unfinished, and 'eitskin dataset' goes on
@@ -30,10 +29,10 @@ from eitskin_proto.files.arrays import parse_npz
 from eitskin_proto.files.digest import sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, read_bytes, read_json
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import parse
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
@@ -69,7 +68,7 @@ class DataSet:
     untouched_V: npt.NDArray[np.float64]
     """(D, 104)"""
     clouds: npt.NDArray[np.float32]
-    """(D, 3, 30, 45) mm, as measured, in the agreed pose."""
+    """(D, 3, rows, columns) mm, as measured, in the agreed pose."""
     bends: tuple[Bend, ...]
     deformation_split: tuple[str, ...]
     """(D,) "train", "kept" (family A) or "other" (family B)."""
@@ -82,7 +81,7 @@ class DataSet:
     touch_split: npt.NDArray[np.bool_]
     """(T,) True for a touch set that is held out."""
     units: npt.NDArray[np.bool_]
-    """(T, 126) touched units; (0, 126) for touches anywhere."""
+    """(T, units) touched units; (0, units) for touches anywhere."""
     free: TouchTable
     """Touches anywhere; empty on the unit grid."""
     unit_contrasts: UnitContrasts | None = None
@@ -107,16 +106,16 @@ class DataSet:
         return np.flatnonzero(wanted)
 
     def labels(self, rows: npt.NDArray[np.integer]) -> npt.NDArray[np.float32]:
-        """Return the (n, 30, 45) maps of some samples."""
+        """Return the (n, rows, columns) maps of some samples."""
         sets = self.touch_set[rows]
         if self.labels_kind == "units":
-            return np.asarray(map_from_units(self.units[sets]), dtype=np.float32)
+            return np.asarray(self.skin.grid.map_from_units(self.units[sets]), dtype=np.float32)
         unique, back = np.unique(sets, return_inverse=True)
-        maps = np.minimum(self.free.chosen(unique).area_table().toarray(), 1.0).astype(np.float32)
-        return np.asarray(maps[back].reshape(-1, *GRID_SHAPE))
+        maps = np.minimum(self.free.chosen(unique).area_table(self.skin.grid).toarray(), 1.0).astype(np.float32)
+        return np.asarray(maps[back].reshape(-1, *self.skin.grid.shape))
 
     def contrasts(self, number: int) -> npt.NDArray[np.float64]:
-        """Return the contrasts of one touch set: (126,) of its units, 1 untouched, or (p,) of its pieces."""
+        """Return the contrasts of one touch set: (units,) of its units, 1 untouched, or (p,) of its pieces."""
         if self.labels_kind == "area":
             return np.asarray(self.free.of(number)[:, 6], dtype=np.float64)
         if self.unit_contrasts is None:
@@ -124,10 +123,11 @@ class DataSet:
         return np.asarray(self.unit_contrasts.of(np.array([number]))[0], dtype=np.float64)
 
     def label_table_u8(self) -> npt.NDArray[np.uint8]:
-        """Return (T, 1350) labels of every touch set, 255 where a pixel is touched all over."""
+        """Return (T, pixels) labels of every touch set, 255 where a pixel is touched all over."""
         if self.labels_kind == "units":
-            return np.asarray(map_from_units(np.uint8(255) * self.units), dtype=np.uint8).reshape(-1, N_PIXELS)
-        table = self.free.area_table()
+            maps = self.skin.grid.map_from_units(np.uint8(255) * self.units)
+            return np.asarray(maps, dtype=np.uint8).reshape(-1, self.skin.grid.n_pixels)
+        table = self.free.area_table(self.skin.grid)
         table.data = np.rint(255.0 * np.minimum(table.data, 1.0)).astype(np.uint8)
         return np.asarray(table.toarray())
 
@@ -152,8 +152,12 @@ def load(path: str | Path) -> DataSet:
 
 def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> DataSet:
     """Return the data set of its files' arrays, each held against the others."""
+    skin = skin_of(index)
+    n_units = skin.grid.n_units
     unit_bits, pieces = touches.get("units"), touches.get("pieces", np.empty((0, 7)))
-    units = np.empty((0, 126), dtype=np.bool_) if unit_bits is None else unpack(_of(unit_bits, "u", (None, 16)))
+    units = np.empty((0, n_units), dtype=np.bool_)
+    if unit_bits is not None:
+        units = unpack(_of(unit_bits, "u", (None, -(-n_units // 8))), n_units)
     first = _of(touches.get("first", np.zeros(1, dtype=np.int64)), "i", (None,))
     held_out = _of(touches["validation"], "b", (None,))
     if first[0] != 0 or np.any(np.diff(first) < 0) or first[-1] != len(pieces):
@@ -173,7 +177,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         digest=str(index["digest"]),
         reference_V=_of(touches["reference"], "f", (N_ROWS,)),
         untouched_V=np.array([_of(shard["untouched"], "f", (N_ROWS,)) for shard in shards]),
-        clouds=np.array([_of(shard["cloud"], "f", (3, *GRID_SHAPE)) for shard in shards]),
+        clouds=np.array([_of(shard["cloud"], "f", (3, *skin.grid.shape)) for shard in shards]),
         bends=tuple(bend_from_json(entry["bend"]) for entry in index["deformations"]),
         deformation_split=tuple(str(entry["split"]) for entry in index["deformations"]),
         voltages_V=np.concatenate([shard["voltages"] for shard in shards]),
@@ -185,6 +189,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         units=units,
         free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
+        skin=skin,
     )
 
 
@@ -201,6 +206,20 @@ def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContra
 
 def _is_soft(index: dict[str, Any]) -> bool:
     return bool(index.get("touch_kind", "hard") != "hard")
+
+
+def skin_of(index: dict[str, Any]) -> Skin:
+    """Return the skin that a data set was made for; one made before skins had descriptions is of the paper's.
+
+    Raises:
+        ValueError: The description is none, or not that of the digest.
+    """
+    if "skin_digest" not in index:
+        return PAPER
+    skin = parse(str(index.get("skin")))
+    if skin.digest != index["skin_digest"]:
+        raise ValueError(f"skin_digest is {quoted(index['skin_digest'])}, its description has {skin.digest}")
+    return skin
 
 
 def read_index(folder: Path) -> dict[str, Any]:
@@ -221,7 +240,11 @@ def read_index(folder: Path) -> dict[str, Any]:
     if not isinstance(index, dict) or index.get("format") != FORMAT:
         raise ProtocolError(f"{path} is no index of a data set; {HINT}")
     version = VERSION_OF_SOFT if _is_soft(index) else VERSION
-    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    try:
+        skin = skin_of(index)
+    except ValueError as error:
+        raise ProtocolError(f"{path}: {plain(str(error))}; {HINT}") from error
+    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", skin.grid_id)):
         if index.get(name) != expected:
             raise MismatchError(
                 f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT

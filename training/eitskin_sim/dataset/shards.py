@@ -12,10 +12,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.dataset.device_files import device_at, device_file, device_job, drawn_device
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.dataset.device_files import device_file, device_job, moment_of, referenced_device, true_bend
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
@@ -35,25 +36,26 @@ Arrays = dict[str, npt.NDArray[Any]]
 
 
 def unit_sets(plan: Plan) -> Bits:
-    """Return the (T, 126) touch sets of a plan on the unit grid."""
-    return _unit_sets(plan.set_name, plan.touch_sets, plan.seed)
+    """Return the (T, units) touch sets of a plan on the unit grid."""
+    return _unit_sets(plan.set_name, plan.touch_sets, plan.seed, plan.skin.grid.units)
 
 
 @lru_cache(maxsize=2)
-def _unit_sets(set_name: str, count: int, seed: int) -> Bits:
-    return paper_touch_sets(seed)[:count] if set_name == "paper" else rich_touch_sets(count, seed)
+def _unit_sets(set_name: str, count: int, seed: int, shape: tuple[int, int]) -> Bits:
+    return paper_touch_sets(seed, shape)[:count] if set_name == "paper" else rich_touch_sets(count, seed, shape)
 
 
 def unit_contrasts(plan: Plan) -> UnitContrasts:
     """Return the contrasts of a plan's touches on the unit grid, which are not hard ones."""
-    return _unit_contrasts(plan.set_name, plan.touch_sets, plan.seed, plan.touches)
+    return _unit_contrasts(plan.set_name, plan.touch_sets, plan.seed, plan.skin.grid.units, plan.touches)
 
 
 @lru_cache(maxsize=2)
-def _unit_contrasts(set_name: str, count: int, seed: int, kind: TouchKind) -> UnitContrasts:
+def _unit_contrasts(set_name: str, count: int, seed: int, shape: tuple[int, int], kind: TouchKind) -> UnitContrasts:
     generator = np.random.default_rng([seed, 6])
     contrast = contrasts_of(kind, CLASSES, generator)
-    return UnitContrasts(touch_classes(_unit_sets(set_name, count, seed), CLASSES, generator), contrast)
+    sets = _unit_sets(set_name, count, seed, shape)
+    return UnitContrasts(touch_classes(sets, CLASSES, generator, shape), contrast)
 
 
 def freeform_sets(plan: Plan) -> TouchTable:
@@ -70,7 +72,7 @@ def freeform_sets(plan: Plan) -> TouchTable:
 
 def touches_file(plan: Plan) -> Arrays:
     """Return what ``touches.npz`` holds."""
-    common: Arrays = {"validation": plan.validation(), "reference": reference()}
+    common: Arrays = {"validation": plan.validation(), "reference": reference(plan.skin)}
     if plan.set_name == "free":
         sets = freeform_sets(plan)
         return {**common, "pieces": sets.pieces, "first": sets.first}
@@ -81,15 +83,16 @@ def touches_file(plan: Plan) -> Arrays:
     return common
 
 
-@lru_cache(maxsize=1)
-def reference() -> npt.NDArray[np.float64]:
-    """Return (104,) V of the flat, untouched sheet."""
-    return untouched(Bend())
+@lru_cache(maxsize=4)
+def reference(skin: Skin = PAPER) -> npt.NDArray[np.float64]:
+    """Return (104,) V of the flat, untouched sheet that a skin states."""
+    return untouched(Bend(), skin)
 
 
-def untouched(bend: Bend) -> npt.NDArray[np.float64]:
+def untouched(bend: Bend, skin: Skin = PAPER) -> npt.NDArray[np.float64]:
     """Return (104,) V of a bent, untouched sheet on the mesh of a scene, 1e-5 from converged."""
-    return solve_scene(Scene(bend=bend)).voltages
+    nominal = ideal(skin)
+    return solve_scene(Scene(nominal.sheet, nominal.electrodes, bend)).voltages
 
 
 def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
@@ -97,6 +100,7 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
     together = next(shard for shard in plan.shards() if deformations[0] in shard)
     return {
         "set": plan.set_name,
+        "skin": plan.skin,
         "seed": plan.seed,
         "deformations": deformations,
         "bends": [asdict(plan.bends[number]) for number in deformations],
@@ -116,17 +120,20 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
     generator's says takes the mesh's own error out of every reference.
     """
     bends = [bend_from_json(bend) for bend in job["bends"]]
-    drawn = drawn_device(job, reference()) if "device" in job else None
-    devices = [IDEAL if drawn is None else device_at(job, drawn.device, number) for number in job["deformations"]]
+    own = referenced_device(job, reference(job["skin"])) if "device" in job else None
+    devices = [ideal(job["skin"])] * len(bends)
+    if own is not None:
+        devices = [own.drawn.device.since(moment_of(job, number).late) for number in job["deformations"]]
+        bends = [true_bend(own.drawn, bend) for bend in bends]
     make = _free_responses if job["set"] == "free" else _unit_responses
     cases = zip(job["deformations"], bends, job["shown"], make(job, bends, devices), strict=True)
     found: list[Arrays] = []
     for (number, bend, shown, made), device in zip(cases, devices, strict=True):
-        if drawn is None:
-            own = _ideal_file(job, number, bend, made)
+        if own is None:
+            file = _ideal_file(job, number, bend, made)
         else:
-            own = device_file(job, number, bend, device, made, (drawn.reference_V, reference()))
-        found.append({"touch_set": shown, **own})
+            file = device_file(job, number, bend, device, made, (own.reference_V, reference(job["skin"])))
+        found.append({"touch_set": shown, **file})
     return found
 
 
@@ -135,37 +142,38 @@ _Made = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
 def _ideal_file(job: dict[str, Any], number: int, bend: Bend, made: _Made) -> Arrays:
-    fine, coarse = untouched(bend), to_voltages(made[1][None])[0]
+    fine, coarse = untouched(bend, job["skin"]), to_voltages(made[1][None])[0]
     voltages = (to_voltages(made[0]) * (fine / coarse)).astype(np.float32)
     if job["set"] != "free" and job["touches"] == "hard":
         voltages = np.ascontiguousarray(voltages)  # these files have always been so, and digests are of their bytes
     return {
         "voltages": voltages,
         "untouched": fine,
-        "cloud": measured_cloud(bend, np.random.default_rng([job["seed"], 3, number])),
+        "cloud": measured_cloud(bend, np.random.default_rng([job["seed"], 3, number]), skin=job["skin"]),
     }
 
 
 def _unit_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
-    sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])
+    drawn = (job["set"], job["touch_sets"], job["seed"], job["skin"].grid.units)
+    sets = _unit_sets(*drawn)
     for bend, device, shown in zip(bends, devices, job["shown"], strict=True):
-        generator = UnitGenerator(bend, device=device)
+        generator = UnitGenerator(bend, device=device, skin=job["skin"])
         contrast = None
         if job["touches"] != "hard":
-            contrast = _unit_contrasts(job["set"], job["touch_sets"], job["seed"], job["touches"]).of(shown)
+            contrast = _unit_contrasts(*drawn, job["touches"]).of(shown)
         yield generator.responses(sets[shown], contrast), generator.at_terminals
 
 
 def _pool(job: dict[str, Any]) -> SetPool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return set_pool(job["pool"], job["seed"], job["near"], job["touches"])
+    return set_pool(job["pool"], job["seed"], job["near"], job["touches"], job["skin"].grid)
 
 
 def _free_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
-    pool, grid = _pool(job), shared_mesh(electrodes=devices[0].electrodes)
+    pool, grid = _pool(job), shared_mesh(electrodes=devices[0].electrodes, skin=job["skin"])
     batches = geometry(pool.parts, grid)
     used = None
     for number, bend, device in zip(job["deformations"], bends, devices, strict=True):
-        sheet = inverted_sheet(bend, into=used, device=device)
+        sheet = inverted_sheet(bend, into=used, device=device, skin=job["skin"])
         yield pool_responses(sheet, grid, pool, batches, number), sheet.at_terminals
         used = sheet.inverse

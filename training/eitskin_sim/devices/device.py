@@ -3,7 +3,9 @@
 from dataclasses import dataclass, field, replace
 from typing import Final
 
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Electrodes, Late, Sheet
 
 
@@ -20,5 +22,19 @@ class Device:
         return replace(self, sheet=replace(self.sheet, late=late))
 
 
-IDEAL: Final = Device()
-"""What data sets, bundles and networks know."""
+def ideal(skin: Skin) -> Device:
+    """Return the device that a skin states, scaled to a layer of 1 S/m: what data sets know of it.
+
+    A touch's conductivity is then its contrast. Contacts are scaled in proportion, so voltages are the skin's own times
+    its conductivity, and what is divided by the reference does not change.
+    """
+    sheet, electrodes = nominal_sheet(skin), nominal_electrodes(skin)
+    sigma = sheet.conductivity_S_per_m
+    if sigma == 1.0:
+        return Device(sheet, electrodes)
+    scaled = tuple((sigma * electrodes.impedances_ohm_m2()).tolist())
+    return Device(replace(sheet, conductivity_S_per_m=1.0), replace(electrodes, contact_impedance_ohm_m2=scaled))
+
+
+IDEAL: Final = ideal(PAPER)
+"""The paper's."""

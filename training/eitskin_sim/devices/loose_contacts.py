@@ -21,7 +21,7 @@ LEAST_MM = 1e-6
 """An element that is covered by less along a side is not under the electrode."""
 
 
-def system_on(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric) -> System:
+def system_on(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric, nominal: Electrodes) -> System:
     """Return the system of a mesh whose lines hold the edges of the nominal electrodes, for any electrodes.
 
     Args:
@@ -29,11 +29,11 @@ def system_on(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Me
         sheet: The flat layer.
         electrodes: Where current enters: patches, or the nominal ones.
         metric: The bent surface's first fundamental form.
+        nominal: Whose edges the lines hold.
 
     Raises:
         ValueError: Electrodes beside the mesh's lines are no patches, or two of them meet one element.
     """
-    nominal = Electrodes()
     if electrodes == nominal:
         return assemble(mesh, sheet, electrodes, metric)
     system = assemble(mesh, sheet, nominal, metric)

@@ -22,7 +22,8 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import N_PIXELS
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.sets import PartSets
@@ -59,13 +60,14 @@ class SetDrawer:
     Args:
         pool: The touches.
         near: Share of the chains whose touches lie near to each other.
+        grid: Of the sheet that they lie on.
     """
 
-    def __init__(self, pool: TouchTable, near: float = CLUSTERED) -> None:
+    def __init__(self, pool: TouchTable, near: float = CLUSTERED, grid: Grid = PAPER.grid) -> None:
         self._clustered = near
         self._near = near_table(pool)
         self._middle_mm = middles_mm(pool)
-        self._bar = Bar(pool)
+        self._bar = Bar(pool, grid)
 
     def draw(self, count: int, generator: np.random.Generator) -> PartSets:
         """Return ``count`` sets."""
@@ -176,26 +178,32 @@ class Bar:
     Touches of a set overlap no other, so the square of a set's map is at least the sum of its touches' squares.
     """
 
-    def __init__(self, pool: TouchTable) -> None:
-        maps = pool.area_table()
-        self._product: Array = np.append(maps @ phantom_maps().T, np.zeros((1, len(phantom_maps()))), axis=0)
+    def __init__(self, pool: TouchTable, grid: Grid = PAPER.grid) -> None:
+        maps, phantoms = pool.area_table(grid), phantom_maps(grid)
+        self._pixels = grid.n_pixels
+        self._product: Array = np.append(maps @ phantoms.T, np.zeros((1, len(phantoms))), axis=0)
         self._square: Array = np.append(np.asarray(maps.multiply(maps).sum(axis=1)).ravel(), 0.0)
         self._sum: Array = np.append(np.asarray(maps.sum(axis=1)).ravel(), 0.0)
 
     def may_resemble(self, found: Index) -> npt.NDArray[np.bool_]:
         """Return which of (f, 8) chains have a set that may correlate with a phantom by ``RESEMBLES`` or more."""
         product, square, total = (table[found].cumsum(axis=1) for table in (self._product, self._square, self._sum))
-        length = np.sqrt(np.maximum(square - total**2 / N_PIXELS, 1e-12))
+        length = np.sqrt(np.maximum(square - total**2 / self._pixels, 1e-12))
         return np.asarray((product >= RESEMBLES * length[..., None]).any(axis=(1, 2)))
 
 
-@lru_cache(maxsize=1)
-def phantom_maps() -> Array:
-    """Return the (8, 1350) area maps of the published phantoms, without mean and of length 1."""
+@lru_cache(maxsize=4)
+def phantom_maps(grid: Grid = PAPER.grid) -> Array:
+    """Return the (8, pixels) area maps of the published phantoms, without mean and of length 1.
+
+    They were published for the paper's sheet; one of another size has none.
+    """
+    if grid.size_mm != PAPER.grid.size_mm:
+        return np.zeros((0, grid.n_pixels))
     sets = [
         np.array([[RECTANGLE, (x0 + x1) / 2, (y0 + y1) / 2, x1 - x0, y1 - y0, 0.0, 50.0] for x0, y0, x1, y1 in rects])
         for rects in PHANTOM_RECTS_MM.values()
     ]
-    maps = gather(sets).area_table().toarray()
+    maps = gather(sets).area_table(grid).toarray()
     maps -= maps.mean(axis=1, keepdims=True)
     return np.asarray(maps / np.linalg.norm(maps, axis=1, keepdims=True))

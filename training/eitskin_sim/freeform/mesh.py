@@ -19,7 +19,8 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System, flat_metric
@@ -27,16 +28,13 @@ from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.freeform.inverse import Lines, make_lines
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
+from eitskin_sim.scene.parts import Bend, Electrodes
 
 ELEMENT_MM: Final = 3.5
 """The largest element."""
 
 MIDDLE: Final = 4
 """Place of an element's middle among its nine nodes."""
-
-NOMINAL: Final = Electrodes()
-"""Whose edges the mesh's lines follow."""
 
 KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 """Places of the eight other nodes, and the electrode after them."""
@@ -65,20 +63,22 @@ def even_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array
 
 
 @lru_cache(maxsize=4)
-def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes = NOMINAL) -> SharedMesh:
-    """Return the default sheet's mesh for touches anywhere.
+def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = None, skin: Skin = PAPER) -> SharedMesh:
+    """Return a skin's mesh for touches anywhere.
 
     Args:
         size_mm: The largest element.
-        electrodes: Which elements have an unknown of which electrode; the lines follow the nominal ones whatever it is.
+        electrodes: Which elements have an unknown of which electrode; None is the skin's own, which the lines follow
+            whatever it is.
+        skin: The sheet and its electrodes as they are stated.
     """
-    sheet = Sheet()
-    x, y = electrode_lines(sheet, NOMINAL)
+    sheet, nominal = ideal(skin).sheet, ideal(skin).electrodes
+    x, y = electrode_lines(sheet, nominal)
     mesh = TensorMesh(
         even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
         even_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
     )
-    contacts = system_on(mesh, sheet, electrodes, flat_metric).contacts
+    contacts = system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
     column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])
@@ -107,10 +107,11 @@ def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
     return low, high
 
 
-def shared_system(bend: Bend, size_mm: float = ELEMENT_MM, device: Device = IDEAL) -> System:
-    """Return a device's system at one bend."""
-    mesh = shared_mesh(size_mm, device.electrodes).mesh
-    return system_on(mesh, device.sheet, device.electrodes, lambda xy: metric(bend, device.sheet, xy))
+def shared_system(bend: Bend, size_mm: float = ELEMENT_MM, device: Device | None = None, skin: Skin = PAPER) -> System:
+    """Return the system of a skin's device at one bend; None is the device that the skin states."""
+    true = device or ideal(skin)
+    mesh, nominal = shared_mesh(size_mm, true.electrodes, skin).mesh, ideal(skin).electrodes
+    return system_on(mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
 def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Contacts) -> Array:

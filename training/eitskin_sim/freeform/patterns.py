@@ -15,7 +15,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, Array, TouchTable
 
@@ -39,8 +39,10 @@ CLASSES: Final = 32
 """Conductivities in a pool; touch i has the one of class i % CLASSES."""
 
 
-def touch_pool(count: int, generator: np.random.Generator) -> TouchTable:
-    """Return ``count`` random touches on the sheet, one a set, of one or two pieces each."""
+def touch_pool(
+    count: int, generator: np.random.Generator, size_mm: tuple[float, float] = PAPER.outline.size_mm
+) -> TouchTable:
+    """Return ``count`` random touches on a sheet of some size, one a set, of one or two pieces each."""
     low, high = np.log(CONTRAST)
     stratum = (np.arange(CLASSES) + generator.random(CLASSES)) / CLASSES
     sigma = np.exp(low + (high - low) * stratum)[np.arange(count) % CLASSES]
@@ -48,9 +50,9 @@ def touch_pool(count: int, generator: np.random.Generator) -> TouchTable:
     pieces = np.empty((count, 2, 7))
     missing = np.arange(count)
     while len(missing):
-        drawn = _draw(kind[missing], generator)
+        drawn = _draw(kind[missing], generator, size_mm)
         half = half_extents_mm(drawn.reshape(-1, 7)).reshape(-1, 2, 2)
-        inside = (drawn[:, :, 1:3] >= half) & (drawn[:, :, 1:3] <= np.array(SHEET_MM) - half)
+        inside = (drawn[:, :, 1:3] >= half) & (drawn[:, :, 1:3] <= np.array(size_mm) - half)
         fits = inside.all(axis=(1, 2))
         pieces[missing[fits]] = drawn[fits]
         missing = missing[~fits]
@@ -60,10 +62,10 @@ def touch_pool(count: int, generator: np.random.Generator) -> TouchTable:
     return TouchTable(pieces[own], np.concatenate([[0], np.cumsum(own.sum(axis=1))]).astype(np.int64))
 
 
-def _draw(kind: npt.NDArray[np.integer], generator: np.random.Generator) -> Array:
+def _draw(kind: npt.NDArray[np.integer], generator: np.random.Generator, size_mm: tuple[float, float]) -> Array:
     """Return (n, 2, 7) pieces of touches of some kinds, which may leave the sheet; all but L's are one, twice."""
     count = len(kind)
-    where = generator.uniform((0.0, 0.0), SHEET_MM, (count, 2))
+    where = generator.uniform((0.0, 0.0), size_mm, (count, 2))
     angle = np.where(generator.random(count) < 0.5, generator.uniform(0.0, 90.0, count), 0.0)
     sides = generator.uniform(SMALLEST_MM, LARGEST_MM, (count, 2))
     long, thin = generator.uniform(LARGEST_MM, LONGEST_MM, count), generator.uniform(SMALLEST_MM, WIDEST_MM, count)

@@ -9,6 +9,8 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.freeform.draws import CLUSTERED, SetDrawer
 from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.presses import TouchKind, pool_of
@@ -41,7 +43,11 @@ class SetPool:
 
 
 def set_pool(
-    counts: dict[int, tuple[int, int]], seed: int, near: float = CLUSTERED, touches: TouchKind = "hard"
+    counts: dict[int, tuple[int, int]],
+    seed: int,
+    near: float = CLUSTERED,
+    touches: TouchKind = "hard",
+    grid: Grid = PAPER.grid,
 ) -> SetPool:
     """Return the pool of some deformations and their touch sets.
 
@@ -50,6 +56,7 @@ def set_pool(
         seed: Of the data set.
         near: Share of the chains of sets whose touches lie near to each other.
         touches: Which touches.
+        grid: Of the sheet that they lie on.
     """
     first = min(counts)
     learned = max(total - held for total, held in counts.values())
@@ -57,8 +64,9 @@ def set_pool(
     pools = []
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
-        pools.append(pool_of(touches, max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0, generator))
-    drawers = [SetDrawer(pool, near) for pool in pools]
+        many = max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0
+        pools.append(pool_of(touches, many, generator, grid.size_mm))
+    drawers = [SetDrawer(pool, near, grid) for pool in pools]
     sets = {}
     for number, (total, apart) in counts.items():
         generator = np.random.default_rng([seed, 5, number])

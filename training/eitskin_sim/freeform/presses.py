@@ -16,7 +16,7 @@ from typing import Final, Literal
 
 import numpy as np
 
-from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.freeform.patterns import CLASSES, touch_pool
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
@@ -61,8 +61,16 @@ LONGEST: Final = 2.0
 """The most that one axis is longer than the other."""
 
 
-def pool_of(kind: TouchKind, count: int, generator: np.random.Generator) -> TouchTable:
-    """Return ``count`` random touches of a kind on the sheet, one a set; those of one class have one contrast.
+def pool_of(
+    kind: TouchKind, count: int, generator: np.random.Generator, size_mm: tuple[float, float] = PAPER.outline.size_mm
+) -> TouchTable:
+    """Return ``count`` random touches of a kind on a sheet, one a set; those of one class have one contrast.
+
+    Args:
+        kind: Which touches.
+        count: How many.
+        generator: Where draws come from.
+        size_mm: Length and width of the sheet.
 
     Raises:
         ValueError: The kind is unknown.
@@ -70,33 +78,30 @@ def pool_of(kind: TouchKind, count: int, generator: np.random.Generator) -> Touc
     if kind not in TOUCH_KINDS:
         raise ValueError(f"touches {kind!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
     if kind == "hard":
-        return touch_pool(count, generator)
+        return touch_pool(count, generator, size_mm)
     number = np.arange(count)
     contrast = contrasts_of(kind, CLASSES, generator)[number % CLASSES]
     plain = np.flatnonzero((kind == "both") & (contrast > 1.0) & (number // CLASSES % 2 == 1))
     pressed = np.setdiff1d(number, plain)
-    pieces = _on_sheet(contrast[pressed], generator)
+    pieces = _on_sheet(contrast[pressed], generator, size_mm)
     own: dict[int, Array] = {int(at): piece[None] for at, piece in zip(pressed, pieces, strict=True)}
-    shapes = touch_pool(len(plain), generator)
+    shapes = touch_pool(len(plain), generator, size_mm)
     for row, at in enumerate(plain.tolist()):
         own[at] = shapes.of(row).copy()
         own[at][:, 6] = contrast[at]
     return gather([np.zeros((0, 8)), *(own[at] for at in range(count))]).chosen(number + 1)
 
 
-def _on_sheet(contrast: Array, generator: np.random.Generator) -> Array:
+def _on_sheet(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float]) -> Array:
     """Return (n, 8) presses of given contrasts (n,), their outlines on the sheet."""
-    pieces = _draw(contrast, generator)
-    half = half_extents_mm(pieces)
-    while len(missing := np.flatnonzero((np.abs(pieces[:, 1:3] - MIDDLE_MM) > MIDDLE_MM - half).any(axis=1))):
-        pieces[missing, 1:3] = generator.uniform((0.0, 0.0), SHEET_MM, (len(missing), 2))
+    pieces = _draw(contrast, generator, size_mm)
+    half, middle_mm = half_extents_mm(pieces), np.array(size_mm) / 2
+    while len(missing := np.flatnonzero((np.abs(pieces[:, 1:3] - middle_mm) > middle_mm - half).any(axis=1))):
+        pieces[missing, 1:3] = generator.uniform((0.0, 0.0), size_mm, (len(missing), 2))
     return pieces
 
 
-MIDDLE_MM: Final[Array] = np.array(SHEET_MM) / 2
-
-
-def _draw(contrast: Array, generator: np.random.Generator) -> Array:
+def _draw(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float]) -> Array:
     """Return (n, 8) presses of given contrasts (n,), which may reach over the sheet's border."""
     count = len(contrast)
     pieces = np.empty((count, 8))
@@ -111,7 +116,7 @@ def _draw(contrast: Array, generator: np.random.Generator) -> Array:
         chosen = missing[fits]
         pieces[chosen, 0], pieces[chosen, 3], pieces[chosen, 4] = form[fits], (width * ratio)[fits], width[fits]
         missing = missing[~fits]
-    pieces[:, 1:3] = generator.uniform((0.0, 0.0), SHEET_MM, (count, 2))
+    pieces[:, 1:3] = generator.uniform((0.0, 0.0), size_mm, (count, 2))
     pieces[:, 5] = np.where(pieces[:, 0] == DISC, 0.0, generator.uniform(0.0, 180.0, count))
     pieces[:, 6] = contrast
     border = np.minimum(generator.uniform(*BORDERS_MM, count), pieces[:, 4])

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.device import IDEAL, Device, ideal
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
@@ -43,7 +44,11 @@ class InvertedSheet:
 
 
 def inverted_sheet(
-    bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None, device: Device = IDEAL
+    bend: Bend,
+    size_mm: float = ELEMENT_MM,
+    into: Array | None = None,
+    device: Device | None = None,
+    skin: Skin = PAPER,
 ) -> InvertedSheet:
     """Return a deformation, ready for touch sets.
 
@@ -51,9 +56,11 @@ def inverted_sheet(
         bend: The sheet's shape.
         size_mm: The largest element.
         into: The inverse of a sheet that is needed no more: it is overwritten, which is faster than new memory.
-        device: Sheet and electrodes; its front end comes after.
+        device: Sheet and electrodes, whose front end comes after; None is what the skin states.
+        skin: Whose mesh it is solved on.
     """
-    grid, system = shared_mesh(size_mm, device.electrodes), shared_system(bend, size_mm, device)
+    true = device or ideal(skin)
+    grid, system = shared_mesh(size_mm, true.electrodes, skin), shared_system(bend, size_mm, true, skin)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
@@ -61,7 +68,7 @@ def inverted_sheet(
     middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
     inverse = dense_inverse(grid.lines, before, (middle, tie), into)
     to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
-    tensor = _tensors(bend, system, device.sheet)
+    tensor = _tensors(bend, system, true.sheet)
     return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals])
 
 

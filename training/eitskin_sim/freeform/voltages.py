@@ -24,7 +24,8 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.freeform.mesh import ELEMENT_MM, NOMINAL, SharedMesh, shared_mesh
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
 from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry
 from eitskin_sim.freeform.pool import SetPool
 from eitskin_sim.freeform.sets import PartSets, chains, merged
@@ -38,17 +39,19 @@ def set_voltages(
     sheets: Sequence[InvertedSheet],
     touches: TouchTable,
     size_mm: float = ELEMENT_MM,
-    electrodes: Electrodes = NOMINAL,
+    electrodes: Electrodes | None = None,
+    skin: Skin = PAPER,
 ) -> Array:
     """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`set_responses`."""
-    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm, electrodes)])
+    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm, electrodes, skin)])
 
 
 def set_responses(
     sheets: Sequence[InvertedSheet],
     touches: TouchTable,
     size_mm: float = ELEMENT_MM,
-    electrodes: Electrodes = NOMINAL,
+    electrodes: Electrodes | None = None,
+    skin: Skin = PAPER,
 ) -> Array:
     """Return (D, s, 16, 16) potentials of electrodes, V for 1 A into each, at deformations that share the geometry.
 
@@ -56,9 +59,10 @@ def set_responses(
         sheets: D deformations.
         touches: s touch sets.
         size_mm: Size of the sheets' elements.
-        electrodes: Those of the sheets.
+        electrodes: Those of the sheets; None is what the skin states.
+        skin: Whose sheets.
     """
-    grid = shared_mesh(size_mm, electrodes)
+    grid = shared_mesh(size_mm, electrodes, skin)
     alone = TouchTable(touches.pieces, np.arange(len(touches.pieces) + 1))
     batches = geometry(alone, grid)
     extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)

@@ -1,1 +1,1 @@
-"""Exact voltages of touched units of the 9 x 14 grid, thousands a second."""
+"""Exact voltages of touched units of a skin's grid, thousands a second."""

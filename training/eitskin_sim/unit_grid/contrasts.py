@@ -19,7 +19,6 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
-from eitskin_proto.sensor.grid import N_UNITS
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
@@ -38,7 +37,7 @@ class ContrastUnits:
 
     Args:
         inverse: (s + 16, s + 16) V of the untouched skeleton.
-        units: The 126, condensed at the sheet's conductivity first of all.
+        units: All, condensed at the sheet's conductivity first of all.
         parts: The mesh.
         system: At the bend.
     """
@@ -50,7 +49,7 @@ class ContrastUnits:
         self._pairs: ContrastPairs | None = None
 
     def responses(self, units: npt.NDArray[np.bool_], contrast: Array) -> Array:
-        """Return the (n, 16, 16) potentials of electrodes of (n, 126) touch sets with contrasts (n, 126).
+        """Return the (n, 16, 16) potentials of electrodes of (n, units) touch sets with contrasts (n, units).
 
         Raises:
             ValueError: A touched unit has a contrast of 1, or of 0 or less, or the shapes differ.
@@ -127,7 +126,7 @@ class ContrastPairs:
 
     Args:
         inverse: (s + 16, s + 16) V of the untouched skeleton.
-        units: The 126, condensed at the sheet's conductivity first of all.
+        units: All, condensed at the sheet's conductivity first of all.
         at_contacts: Units on which a contact lies.
         change: Gives the (b, b) D_u of a unit at a contrast.
     """
@@ -140,20 +139,21 @@ class ContrastPairs:
         change: Callable[[int, float], Array],
     ) -> None:
         self._at_contacts, self._change = at_contacts, change
-        self._under = np.isin(np.arange(N_UNITS), list(at_contacts))
+        n_units = len(units)
+        self._under = np.isin(np.arange(n_units), list(at_contacts))
         self._at_terminals = inverse[-N_ELECTRODES:, -N_ELECTRODES:]
         self._factors, self._values = zip(*(_diagonal(inverse, unit) for unit in units), strict=True)
         self._rank = rank = max(len(value) for value in self._values)
         self._lambda = np.array([np.pad(value, (0, rank - len(value))) for value in self._values])
-        self._blocks = np.zeros((N_UNITS, N_UNITS, rank, rank))
-        self._loads = np.zeros((N_UNITS, rank, N_ELECTRODES))
-        wide = np.zeros((len(inverse), N_UNITS * rank))
+        self._blocks = np.zeros((n_units, n_units, rank, rank))
+        self._loads = np.zeros((n_units, rank, N_ELECTRODES))
+        wide = np.zeros((len(inverse), n_units * rank))
         for number, (unit, factor) in enumerate(zip(units, self._factors, strict=True)):
             wide[:, number * rank : number * rank + factor.shape[1]] = inverse[:, unit.dofs] @ factor
         for number, (unit, factor) in enumerate(zip(units, self._factors, strict=True)):
             own = factor.shape[1]
             row = factor.T @ wide[unit.dofs]
-            self._blocks[number, :, :own] = row.reshape(own, N_UNITS, rank).transpose(1, 0, 2)
+            self._blocks[number, :, :own] = row.reshape(own, n_units, rank).transpose(1, 0, 2)
             self._loads[number, :own] = factor.T @ inverse[unit.dofs, -N_ELECTRODES:]
         self._own: dict[tuple[int, float], Array] = {}
 

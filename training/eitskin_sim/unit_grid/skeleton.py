@@ -1,4 +1,4 @@
-"""A bent sheet cut along the borders of its 126 units, each unit condensed onto what it shares with others.
+"""A bent sheet cut along the borders of its units, each unit condensed onto what it shares with others.
 
 Stiffness adds up over elements, so a unit's inside can be eliminated once for each conductivity it may have. What
 remains is the skeleton: nodes on the lines between units, and the sixteen electrodes. ::
@@ -23,9 +23,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import cho_factor, cho_solve
 
-from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
@@ -54,6 +54,13 @@ class UnitMesh:
     """(n_elements,)"""
     skeleton: Index
     """(s,) nodes on lines between units."""
+    shape: tuple[int, int]
+    """Rows and columns of units."""
+
+    @property
+    def n_units(self) -> int:
+        """How many units there are."""
+        return self.shape[0] * self.shape[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,9 +105,9 @@ def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: 
     return np.append(parts.ravel(), extent_mm)
 
 
-def unit_mesh(sheet: Sheet, electrodes: Electrodes, refine: int = 1) -> UnitMesh:
-    """Return the mesh that the units need; ``refine`` multiplies the elements along each direction."""
-    rows, columns = UNIT_SHAPE
+def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refine: int = 1) -> UnitMesh:
+    """Return the mesh that rows and columns of units need; ``refine`` multiplies the elements along each direction."""
+    rows, columns = shape
     x, y = electrode_lines(sheet, electrodes)
     mesh = TensorMesh(
         unit_lines(sheet.size_mm[0], columns, sorted({at for at, _ in x}), refine),
@@ -110,29 +117,31 @@ def unit_mesh(sheet: Sheet, electrodes: Electrodes, refine: int = 1) -> UnitMesh
     y_borders = np.linspace(0.0, sheet.size_mm[1], rows + 1)
     column = np.searchsorted(x_borders, mesh.centres_mm[:, 0]) - 1
     row = np.searchsorted(y_borders, mesh.centres_mm[:, 1]) - 1
-    first = np.full(mesh.n_nodes, N_UNITS)
+    first = np.full(mesh.n_nodes, rows * columns)
     last = np.full(mesh.n_nodes, -1)
     unit = row * columns + column
     np.minimum.at(first, mesh.element_nodes, unit[:, None])
     np.maximum.at(last, mesh.element_nodes, unit[:, None])
-    return UnitMesh(mesh, unit, np.flatnonzero(first != last))
+    return UnitMesh(mesh, unit, np.flatnonzero(first != last), shape)
 
 
 @lru_cache(maxsize=4)
-def _default_mesh(refine: int) -> UnitMesh:
-    return unit_mesh(Sheet(), Electrodes(), refine)
+def _nominal_mesh(skin: Skin, refine: int) -> UnitMesh:
+    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine)
 
 
-def unit_system(bend: Bend, refine: int = 1, device: Device = IDEAL) -> tuple[UnitMesh, System]:
-    """Return the default sheet's mesh, whatever the device, and a device's system at one bend."""
-    parts = _default_mesh(refine)
-    return parts, system_on(parts.mesh, device.sheet, device.electrodes, lambda xy: metric(bend, device.sheet, xy))
+def unit_system(
+    bend: Bend, refine: int = 1, device: Device | None = None, skin: Skin = PAPER
+) -> tuple[UnitMesh, System]:
+    """Return a skin's mesh, whatever the device, and a device's system at one bend; None is what the skin states."""
+    parts, true, nominal = _nominal_mesh(skin, refine), device or ideal(skin), ideal(skin).electrodes
+    return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
-    """Return all 126 units, each condensed at every one of some conductivities, S/m."""
+    """Return all units, each condensed at every one of some conductivities, S/m."""
     place = _place(parts)
-    return [_condense(unit, parts, system, place, conductivities) for unit in range(N_UNITS)]
+    return [_condense(unit, parts, system, place, conductivities) for unit in range(parts.n_units)]
 
 
 def condense_unit(unit: int, parts: UnitMesh, system: System, conductivity: float) -> Condensed:

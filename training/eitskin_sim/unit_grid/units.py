@@ -27,9 +27,9 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
-from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE, voltages_from_potentials
-from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.device import Device
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.contrasts import ContrastUnits, at_once, check_contrasts, updated
@@ -49,14 +49,24 @@ class UnitGenerator:
         bend: The sheet's shape.
         touched: S/m of a touched unit.
         refine: Multiplies the elements along each direction.
-        device: Sheet and electrodes; its front end comes after.
+        device: Sheet and electrodes, whose front end comes after; None is what the skin states.
+        skin: Whose units.
 
     Raises:
         ValueError: A touched unit would conduct as the sheet does, or not at all.
     """
 
-    def __init__(self, bend: Bend, *, touched: float = TOUCHED, refine: int = 1, device: Device = IDEAL) -> None:
-        parts, system = unit_system(bend, refine, device)
+    def __init__(
+        self,
+        bend: Bend,
+        *,
+        touched: float = TOUCHED,
+        refine: int = 1,
+        device: Device | None = None,
+        skin: Skin = PAPER,
+    ) -> None:
+        parts, system = unit_system(bend, refine, device, skin)
+        self._columns = parts.shape[1]
         check_contrasts(np.array([touched / system.background]))
         self._n_skeleton = len(parts.skeleton)
         self._units = condense_units(parts, system, (system.background, touched))
@@ -77,12 +87,12 @@ class UnitGenerator:
 
     @property
     def _blocks(self) -> Array:
-        """(126, 126, r, r) H."""
+        """(units, units, r, r) H."""
         return self._pairs()[0]
 
     @property
     def _loads(self) -> Array:
-        """(126, r, 16) W."""
+        """(units, r, 16) W."""
         return self._pairs()[1]
 
     def _pairs(self) -> tuple[Array, Array]:
@@ -92,15 +102,15 @@ class UnitGenerator:
         return self._coupled
 
     def voltages(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
-        """Return the (n, 104) V under 1 A of (n, 126) touch sets; see :meth:`responses`."""
+        """Return the (n, 104) V under 1 A of (n, units) touch sets; see :meth:`responses`."""
         return to_voltages(self.responses(units, contrast))
 
     def responses(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
-        """Return the (n, 16, 16) potentials of electrodes, V for 1 A into each, under (n, 126) touch sets.
+        """Return the (n, 16, 16) potentials of electrodes, V for 1 A into each, under (n, units) touch sets.
 
         Args:
             units: True where a unit is touched; sets may be empty.
-            contrast: (n, 126) conductivity of each touched unit over the sheet's, where they differ; below 1 too.
+            contrast: (n, units) conductivity of each touched unit over the sheet's, where they differ; below 1 too.
 
         Raises:
             ValueError: A touched unit has a contrast of 1, or of 0 or less, or the shapes differ.
@@ -123,19 +133,20 @@ class UnitGenerator:
         return found
 
     def _couple(self, factors: list[Array]) -> tuple[Array, Array]:
-        """Return H (126, 126, r, r) and W (126, r, 16); units of lower rank are filled up with zeros and ones."""
+        """Return H (n, n, r, r) and W (n, r, 16) of n units; those of lower rank are filled up with zeros and ones."""
         rank = max(factor.shape[1] for factor in factors)
         factors = [self._alone(unit, factor) for unit, factor in enumerate(factors)]
-        wide = np.zeros((len(self._inverse), N_UNITS * rank))
+        n_units = len(factors)
+        wide = np.zeros((len(self._inverse), n_units * rank))
         for unit, factor in enumerate(factors):
             at = slice(unit * rank, unit * rank + factor.shape[1])
             wide[:, at] = self._inverse[:, self._units[unit].dofs] @ factor
-        blocks = np.zeros((N_UNITS, N_UNITS, rank, rank))
-        loads = np.zeros((N_UNITS, rank, N_ELECTRODES))
+        blocks = np.zeros((n_units, n_units, rank, rank))
+        loads = np.zeros((n_units, rank, N_ELECTRODES))
         for unit, factor in enumerate(factors):
             own = factor.shape[1]
             row = factor.T @ wide[self._units[unit].dofs]
-            blocks[unit, :, :own] = row.reshape(own, N_UNITS, rank).transpose(1, 0, 2)
+            blocks[unit, :, :own] = row.reshape(own, n_units, rank).transpose(1, 0, 2)
             blocks[unit, unit] = np.eye(rank)
             loads[unit, :own] = factor.T @ self._inverse[self._units[unit].dofs, -N_ELECTRODES:]
         return blocks, loads
@@ -182,7 +193,7 @@ class UnitGenerator:
             return self._units[units[0]]
         found = self._regions.get(units)
         if found is None:
-            first, second = _halves(units)
+            first, second = _halves(units, self._columns)
             found = _merged(self._region(first), self._region(second), self._inside(units))
             self._regions[units] = found
         return found
@@ -219,9 +230,9 @@ def inverse(matrix: Array) -> Array:
     return np.asarray(whole)
 
 
-def _halves(units: tuple[int, ...]) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def _halves(units: tuple[int, ...], columns: int) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """Return a set of units cut across its longer side, at a place that depends on that side alone."""
-    row, column = np.divmod(np.array(units), UNIT_SHAPE[1])
+    row, column = np.divmod(np.array(units), columns)
     along = column if np.ptp(column) >= np.ptp(row) else row
     first = along <= (along.min() + along.max()) // 2
     numbers = np.array(units)

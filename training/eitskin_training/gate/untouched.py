@@ -19,7 +19,6 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.devices.device import Device
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
@@ -178,12 +177,12 @@ def touch_logs(bend: Bend, sets: Sequence[Array], skin: Skin) -> Array:
 
 
 def _inverted(bend: Bend, skin: Skin) -> InvertedSheet:
-    return inverted_sheet(bend, device=Device(nominal_sheet(skin), nominal_electrodes(skin)))
+    return inverted_sheet(bend, skin=skin)
 
 
 def _touched_V(sheet: InvertedSheet, table: TouchTable, skin: Skin) -> Array:
     """Return (s, 104) V of touch sets on a sheet."""
-    return np.asarray(set_voltages([sheet], table, electrodes=nominal_electrodes(skin))[0])
+    return np.asarray(set_voltages([sheet], table, skin=skin)[0])
 
 
 def _contrast(rng: np.random.Generator, skin: Skin) -> float:

@@ -8,7 +8,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, skins
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -53,6 +53,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the nominal sheet, or one as a lab builds it for every few deformations: electrodes, layer, front end, "
         "drift and scans that are off (default ideal)",
     )
+    parser.add_argument(
+        "--skin",
+        metavar="FILE",
+        help="skin.toml of the sheet, and of the uncertainties that random devices are drawn from: a file, or one of "
+        f"{', '.join(files.SKIN.names())} (default: the paper's, for random devices lab)",
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
     parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
@@ -82,6 +88,7 @@ def run(arguments: argparse.Namespace) -> int:
         near=arguments.near,
         touches=arguments.touches,
         devices=arguments.devices,
+        skin=None if arguments.skin is None else skins.read(arguments.skin),
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
@@ -99,6 +106,7 @@ def run(arguments: argparse.Namespace) -> int:
         "set": plan.set_name,
         "touches": plan.touches,
         "devices": plan.devices,
+        "skin_digest": plan.skin.digest,
         "samples": index["samples"],
         "made": progress.made,
         "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},

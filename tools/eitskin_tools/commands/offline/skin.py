@@ -30,7 +30,7 @@ def run(arguments: argparse.Namespace) -> int:
     skin = skins.read(arguments.file)
     if arguments.action == "check":
         needs.require("skin check", ("scipy",))
-        from eitskin_sim.scene.possible import check_skin
+        from eitskin_sim.devices.possible import check_skin
 
         try:
             check_skin(skin)
