@@ -220,13 +220,13 @@ def test_what_is_written_is_read_back_and_what_is_not_is_erased(asked):
     assert asked.ask(m.ConfigRead(slot=Slot.OTHER)).generation == 2
 
 
-def test_a_configuration_that_states_its_skin_says_so_in_hello(clocked):
-    assert clocked.ask(m.HelloRequest()).grid_id == skin.PAPER.grid_id
+def test_a_configuration_that_states_its_skin_says_so_in_hello(asked):
+    assert asked.ask(m.HelloRequest()).grid_id == skin.PAPER.grid_id
     stated = replace(FAST, skin=SKIN)
-    assert clocked.flash(stated).code == Code.OK
-    hello = clocked.restart(9)
+    assert asked.flash(stated).code == Code.OK
+    hello = asked.restart(9)
     assert (hello.grid_id, hello.configuration_name, hello.configuration_digest) == (SKIN, "fast", stated.digest)
-    pieces = [clocked.ask(m.ConfigRead(slot=Slot.ACTIVE, offset=at, length=32)).data for at in (0, 32)]
+    pieces = [asked.ask(m.ConfigRead(slot=Slot.ACTIVE, offset=at, length=32)).data for at in (0, 32)]
     assert b"".join(pieces) == stated.to_blob()
 
 
