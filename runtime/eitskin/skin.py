@@ -85,7 +85,7 @@ class Skin:
         loaded = references.taken(reference, self.description)
         self.transport = open_line(port, baud) if isinstance(port, str) else port
         try:
-            self.device = Device(self.transport)
+            self.device = Device(self.transport, self.description)
             if loaded is not None:
                 loaded.check(self.device.hello)
             idle = None if idle_after_s is None else IdleMode(idle_after_s)

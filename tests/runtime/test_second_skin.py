@@ -11,6 +11,7 @@ import pytest
 from tests.second_skin import SECOND, rolled
 
 import eitskin
+from eitskin.acquisition.capture import capture
 from eitskin.errors import BundleError, ControlError, FrameError, MismatchError
 from eitskin.messaging.control import ControlServer
 from eitskin.messaging.frame import unpack_frame
@@ -32,6 +33,7 @@ from eitskin_proto.skin.parts import Layer, Map
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
+from eitskin_proto.wire import config_toml
 
 PATH = Path(__file__).parents[1] / "golden" / "second.eitskin"
 SHAPE = SECOND.grid.shape
@@ -206,6 +208,20 @@ def test_a_whole_stream_of_another_skin(virtual_skin, tmp_path):
             publisher.close()
     with pytest.raises(MismatchError, match=r"skin_digest: found .*eitskin reference"):
         Skin("/dev/none", bundle=PATH, reference=saved)  # known better than what is in use now
+
+
+@pytest.mark.process
+def test_a_device_that_states_its_skin_is_taken_for_no_other(virtual_skin, tmp_path):
+    stated = replace(config_toml.named("paper"), skin=SECOND.digest)
+    (tmp_path / "device.toml").write_text(config_toml.to_toml(stated))
+    with virtual_skin(configuration=str(tmp_path / "device.toml")) as port:
+        for skin in (None, KNOWN_BETTER):
+            with Skin(port, bundle=PATH, skin=skin) as found:
+                assert found.device.hello.skin_digest == SECOND.digest
+        with pytest.raises(MismatchError, match=rf"found {SECOND.digest}, expected {PAPER.digest} .*--bundle.*flash"):
+            Skin(port)
+        with pytest.raises(MismatchError, match=rf"the device's skin: found {SECOND.digest}"):
+            capture(port, 10)
 
 
 @pytest.mark.process

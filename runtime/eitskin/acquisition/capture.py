@@ -50,7 +50,7 @@ def capture(
     builder = ReferenceBuilder(frames, skin)
     transport = open_line(port, baud)
     try:
-        device = Device(transport)
+        device = Device(transport, skin)
         device.start()
         end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
         _collect(device, builder, end_s)

@@ -14,6 +14,7 @@ from typing import Final, Self
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import MismatchError
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 
@@ -154,3 +155,10 @@ def pixels(regions: Regions, shape: tuple[int, int]) -> npt.NDArray[np.intp]:
     for region in regions:
         wanted[region.slices] = True
     return np.flatnonzero(wanted)
+
+
+def other_skin(endpoint: str, shape: tuple[int, ...], grid: Grid) -> MismatchError:
+    """Return what is raised where a region means other pixels than were meant: the maps have another shape."""
+    hint = "name the runtime's skin beside the region: --skin FILE, or subscribe(..., skin=...)"
+    what = f"{endpoint}: rows and columns of the maps"
+    return MismatchError(what, found=list(shape), expected=list(grid.shape), hint=hint)

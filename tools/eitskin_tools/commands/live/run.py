@@ -228,6 +228,8 @@ def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
 
 
 def _report(skin: Any, log: RunLog) -> None:
+    from eitskin_proto.skin.skin import PAPER
+
     hello = skin.device.hello
     for line in skin.transport.report():
         log.say(line)
@@ -240,6 +242,11 @@ def _report(skin: Any, log: RunLog) -> None:
     log.say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
+    if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
+        log.warn(
+            f'the device does not say which skin it is wired to: state skin = "{skin.description.digest}" in its '
+            "configuration, and 'eitskin flash write'"
+        )
     gate = skin.bundle.manifest.get("gate") or {}
     log.say(
         f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle"

@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     skin = skins.chosen(arguments)
     if arguments.region is not None:
         try:
-            Region.from_mm(*arguments.region, skin.grid)
+            Region.from_mm(*arguments.region, grid=skin.grid)
         except ValueError as error:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
