@@ -9,9 +9,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from eitskin_proto.sensor.cloud import flat_cloud
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_sim.evaluation import harness
 from eitskin_sim.measurement.noise import add_noise
