@@ -15,12 +15,12 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from eitskin_proto.sensor.cloud import flat_cloud
 from scipy.spatial.distance import cdist
 
 from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.model.gate import Gate
 from eitskin_proto.files.plain import plain
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet

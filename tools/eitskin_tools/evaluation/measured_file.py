@@ -21,11 +21,11 @@ from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
+from eitskin_proto.sensor.cloud import CLOUD_SHAPE, align_cloud, check_cloud
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE, align_cloud, check_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
