@@ -53,7 +53,7 @@ def test_drift_walks_from_little_to_the_skins_spread_with_a_few_far_beyond() -> 
     drift = np.abs(np.log(draw_drift(LAB, 50_000, rng(1))))
     assert 0.001 < np.median(drift) < 0.006
     assert 0.01 < np.quantile(drift, 0.9) < 0.03
-    assert 0.001 < np.mean(drift > 0.1) < 0.01
+    assert 0.005 < np.mean(drift > 0.1) < 0.02
     assert drift.max() <= MOST_DRIFT
 
 

@@ -37,7 +37,7 @@ def test_a_contact_covers_its_square_wherever_it_lies() -> None:
     assert found.impedance_ohm_m2 == pytest.approx(LOOSE.impedances_ohm_m2()[found.electrode])
 
 
-# On lines it is 0.06 %, here 0.6; without its covered parts cut out exactly a contact would be off by a tenth of its area.
+# On lines it is 0.06 %, here 0.6.
 def test_untouched_voltages_are_near_those_of_a_mesh_that_follows_the_contacts() -> None:
     device = replace(IDEAL, electrodes=LOOSE)
     fine = readings(device, fine_differences(device, BEND))
