@@ -13,6 +13,7 @@ from eitskin_proto.sensor.cloud import flat_cloud
 
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_sim.evaluation import harness
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch

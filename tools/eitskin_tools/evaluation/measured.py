@@ -23,6 +23,7 @@ from eitskin.model.gate import Gate
 from eitskin_proto.files.plain import plain
 from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm, touch_centres_mm
 from eitskin_sim.surface.predict import flat_voltages, predict

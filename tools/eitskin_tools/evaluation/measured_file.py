@@ -30,6 +30,8 @@ from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
+from eitskin_proto.skin.skin import PAPER
 
 Array = npt.NDArray[np.float64]
 
@@ -114,7 +116,9 @@ def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
     if not n:
         raise ValueError("voltages_V holds no sample; expected at least one")
     clouds, index = _clouds(arrays, n)
-    at_reference = _numbers(arrays, "reference_cloud_mm", CLOUD_SHAPE) if "reference_cloud_mm" in arrays else None
+    at_reference = (
+        _numbers(arrays, "reference_cloud_mm", PAPER.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
+    )
     if at_reference is not None:
         _check_cloud(at_reference, "reference_cloud_mm")
     truth = _truth(arrays, n) if "truth" in arrays else None
@@ -156,10 +160,10 @@ def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | 
 def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int) -> tuple[Array, npt.NDArray[np.intp]]:
     given = [name for name in ("cloud_mm", "cloud_index") if name in arrays]
     if not given:
-        return np.zeros((0, *CLOUD_SHAPE)), np.full(n, -1)
+        return np.zeros((0, *PAPER.grid.cloud_shape)), np.full(n, -1)
     if len(given) == 1:
         raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
-    clouds = _numbers(arrays, "cloud_mm", (None, *CLOUD_SHAPE))
+    clouds = _numbers(arrays, "cloud_mm", (None, *PAPER.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
         _check_cloud(cloud, f"cloud_mm[{number}]")
     index = arrays["cloud_index"]
