@@ -54,7 +54,7 @@ def test_drift_walks_from_little_to_the_skins_spread_with_a_few_far_beyond() -> 
     assert 0.001 < np.median(drift) < 0.006
     assert 0.01 < np.quantile(drift, 0.9) < 0.03
     assert 0.005 < np.mean(drift > 0.1) < 0.02
-    assert drift.max() <= MOST_DRIFT
+    assert drift.max() <= MOST_DRIFT + 1e-12
 
 
 def test_a_scan_is_behind_or_ahead_and_as_noisy_as_the_skin_says() -> None:
