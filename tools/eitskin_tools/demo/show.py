@@ -152,9 +152,9 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
-    if (skin := skin_of(options.bundle)) != PAPER:
+    if (described := skin_of(options.bundle)) != PAPER:
         description = folder / "skin.toml"
-        description.write_text(to_toml(skin), encoding="utf-8")
+        description.write_text(to_toml(described), encoding="utf-8")
         scene += ["--skin", str(description)]
     module, first = (
         ("eitskin_tools.emulator.emulated_skin", [])

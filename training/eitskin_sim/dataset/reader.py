@@ -152,9 +152,8 @@ def load(path: str | Path) -> DataSet:
 
 def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> DataSet:
     """Return the data set of its files' arrays, each held against the others."""
-    skin = skin_of(index)
+    skin, unit_bits, pieces = skin_of(index), touches.get("units"), touches.get("pieces", np.empty((0, 7)))
     n_units = skin.grid.n_units
-    unit_bits, pieces = touches.get("units"), touches.get("pieces", np.empty((0, 7)))
     units = np.empty((0, n_units), dtype=np.bool_)
     if unit_bits is not None:
         units = unpack(_of(unit_bits, "u", (None, -(-n_units // 8))), n_units)

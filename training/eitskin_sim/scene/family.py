@@ -41,9 +41,6 @@ BUMP_MM: Final = 6.0
 BUMP_SIGMA_MM: Final = (12.0, 25.0)
 """Width of a bump of family B."""
 
-TRIES: Final = 1000
-"""Draws that fold, one after the other, after which the ranges are at fault: of the paper's hardly one does."""
-
 BUMP_MARGIN_MM: Final = 15.0
 """A bump of family B keeps this distance from the sheet's border."""
 
@@ -87,7 +84,6 @@ def draw(family: Family, count: int, seed: int, skin: Skin = PAPER) -> tuple[Ben
 
     Raises:
         ValueError: The family is unknown.
-        SceneError: Hardly any deformation within the skin's ranges leaves the sheet whole.
     """
     if family not in ("A", "B"):
         raise ValueError(f"family {family!r} is unknown; expected 'A' or 'B'")
@@ -97,20 +93,12 @@ def draw(family: Family, count: int, seed: int, skin: Skin = PAPER) -> tuple[Ben
 
 def _sequence(family: Family, skin: Skin, generator: np.random.Generator) -> Iterator[Bend]:
     sheet = nominal_sheet(skin)
-    folded = 0
     while True:
         bend = _draw(family, skin, generator)
         try:
             check_bend(bend, sheet)
-        except SceneError as error:
-            folded += 1
-            if folded == TRIES:
-                raise SceneError(
-                    f"skin {skin.name!r}: {TRIES} deformations drawn one after the other fold the sheet, the last "
-                    f"because {error}; expected ranges in [deformations] that it can follow: narrow them"
-                ) from error
+        except SceneError:
             continue
-        folded = 0
         yield bend
 
 
