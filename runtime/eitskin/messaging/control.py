@@ -54,8 +54,9 @@ MOST_CONNECTIONS: Final = 64
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
 
-MOST_UNFINISHED: Final = 16 * LARGEST_REQUEST
-"""Bytes of a client on TCP that were read and are no whole message yet: more is one of parts without end."""
+MOST_UNFINISHED: Final = 16
+"""Largest requests' worth of bytes of a client on TCP that were read and are no whole message yet: more is one of parts
+without end."""
 
 LAST_ANSWERED: Final = 8
 """Clients that are not ended for the sake of others: their answers may be on the way."""
@@ -120,7 +121,7 @@ class ControlServer:
                 keys=self._keys,
                 control=True,
                 most=MOST_CONNECTIONS,
-                allowance_bytes=MOST_UNFINISHED,
+                allowance_bytes=MOST_UNFINISHED * self._largest,
             )
         except BaseException:
             self._socket.close(0)

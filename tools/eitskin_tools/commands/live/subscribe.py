@@ -55,7 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
     skin = PAPER if arguments.skin is None else toml.load(arguments.skin)
     if arguments.region is not None:
         try:
-            Region.from_mm(*arguments.region, grid=skin.grid)
+            x0, y0, x1, y1 = arguments.region
+            Region.from_mm(x0, y0, x1, y1, skin.grid)
         except ValueError as error:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
