@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from eitskin_proto.sensor.cloud import flat_cloud
 
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.ids import GRID_ID

@@ -15,6 +15,7 @@ from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
+from eitskin_proto.sensor.cloud import flat_cloud
 from scipy.spatial.distance import cdist
 
 from eitskin.model.bundle import Bundle, default_path, load_bundle
