@@ -111,6 +111,7 @@ ROOMS: dict[str, Arrows] = {
         "errors": set(),
         "stages": set(),
         "flash": set(),
+        "mismatches": set(),
         "phantoms": set(),
         "pictures": set(),
         "processes": set(),
@@ -120,7 +121,7 @@ ROOMS: dict[str, Arrows] = {
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
-        "evaluation": {"pictures"},
+        "evaluation": {"command_line", "pictures"},
         "demo": {"pictures", "processes", "scripted_scene"},
         "fault_injection": {"emulator", "flash", "virtual_skin"},
         "bench": {

@@ -11,9 +11,10 @@ import numpy as np
 import pytest
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.cloud import flat_cloud
 from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_sim.evaluation import harness
+from eitskin_sim.evaluation.near import true_centres_mm
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
@@ -147,8 +148,8 @@ def test_a_touch_is_missed_by_its_own_distance_and_localised_over_those_found():
 def test_a_truth_that_covers_no_pixel_by_half_is_a_touch_all_the_same():
     truth = np.zeros((30, 45))
     truth[10, 20:22] = 0.3
-    assert measuring.true_centres_mm(truth) == pytest.approx(np.array([[70.0, 35.0]]))
-    assert len(measuring.true_centres_mm(np.zeros((30, 45)))) == 0
+    assert true_centres_mm(truth) == pytest.approx(np.array([[70.0, 35.0]]))
+    assert len(true_centres_mm(np.zeros((30, 45)))) == 0
 
 
 def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):

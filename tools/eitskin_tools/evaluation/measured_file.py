@@ -17,7 +17,7 @@ Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are lef
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -25,16 +25,14 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE, align_cloud, check_cloud
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.skin.cloud import CLOUD_SHAPE, align_cloud, check_cloud
+from eitskin_proto.skin.grid import GRID_SHAPE
+from eitskin_tools.evaluation.solvers import TouchKind
 
 Array = npt.NDArray[np.float64]
-
-TouchKind = Literal["lowering", "raising"]
-"""Which way a skin's touches change its conductance."""
 
 TOUCH_KINDS: Final[tuple[str, ...]] = get_args(TouchKind)
 """The kinds of touch."""
