@@ -25,11 +25,11 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
+from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.skin.cloud import CLOUD_SHAPE, align_cloud, check_cloud
-from eitskin_proto.skin.grid import GRID_SHAPE
 from eitskin_tools.evaluation.solvers import TouchKind
 
 Array = npt.NDArray[np.float64]

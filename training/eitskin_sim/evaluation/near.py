@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from eitskin_proto.skin.grid import pixel_centres_mm
+from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_sim.evaluation.metrics import touch_centres_mm
 
 Array = npt.NDArray[np.float64]
@@ -24,7 +24,7 @@ def true_centres_mm(truth: Array) -> Array:
 
 
 def distances_mm(image: Array, truth: Array) -> Array:
-    """Return the (true touches,) mm from each to the nearest that a map (30, 45) shows; infinite where it shows none."""
+    """Return (true touches,) mm from each to the nearest that a map (30, 45) shows; infinite where it shows none."""
     true, found = true_centres_mm(truth), touch_centres_mm(image)
     return np.asarray(cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf))
 
