@@ -23,8 +23,12 @@ Read = Callable[[Path], object]
 def scene() -> dict[str, Any]:
     """Return a scene with every key."""
     return {
-        "sheet": {"size_mm": [150, 100], "thickness_mm": 2.0, "conductivity_S_per_m": 1.0},
-        "electrodes": {"contact": "patch", "size_mm": 4.0, "contact_impedance_ohm_m2": 1e-4},
+        "sheet": {
+            "size_mm": [150, 100], "thickness_mm": 2.0, "conductivity_S_per_m": 1.0, "gauge_factor": 1.0,
+            "field": {"rms": 0.05, "correlation_mm": 40, "seed": 3},
+            "late": {"factor": 1.1, "gradient_rms": 0.02, "seed": 1},
+        },
+        "electrodes": {"contact": "patch", "size_mm": 4.0, "contact_impedance_ohm_m2": [1e-4] * 16},
         "bend": {"angle_deg": 60, "axis_deg": 5, "skew": 0.1, "stretch_along": 1.02, "bumps_mm": [[70, 50, 1, 20]]},
         "touches": [
             {"rect_mm": [20, 20, 40, 40], "conductivity_S_per_m": 50},
@@ -34,7 +38,7 @@ def scene() -> dict[str, Any]:
         ],
         "current_A": 1.0,
         "element_size_mm": 10.0,
-    }
+    }  # fmt: skip
 
 
 def reference() -> dict[str, Any]:

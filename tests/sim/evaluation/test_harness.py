@@ -9,6 +9,7 @@ import pytest
 from eitskin_proto.sensor.grid import GRID_SHAPE, map_from_units
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
+from eitskin_sim.scene.scene import parse_phantoms
 
 pytestmark = pytest.mark.heavy
 
@@ -69,6 +70,26 @@ def test_distances_are_reported_where_the_truth_has_two_touches_and_averaged_ove
     assert two["two_point_mm"] > 30.0
     assert (disc["two_point_mm"], disc["distance_error"]) == (None, None)
     assert found["mean"]["two_point_mm"] == two["two_point_mm"]
+
+
+def test_the_flat_reference_is_the_devices_own_before_what_came_late():
+    seen = []
+
+    def solver(case):
+        seen.append(case)
+        return np.zeros(GRID_SHAPE)
+
+    layers = [{}, {"gauge_factor": 1.0}, {"late": {"factor": 1.1}}, {"gauge_factor": 1.0, "late": {"factor": 1.1}}]
+    scenes = [{"sheet": layer, "bend": {"stretch_along": 1.2}, "element_size_mm": 6} for layer in layers]
+    device = parse_phantoms([{"scene": scene} for scene in scenes])
+    harness.evaluate(device, solver, noise="none", reference="pre")
+    for case in seen:  # on the flat sheet a gauge does nothing
+        np.testing.assert_allclose(case.reference, seen[0].reference, rtol=1e-9)
+    assert all(np.array_equal(case.voltages, case.sheet.untouched) for case in seen)
+    even, gauged, drifted, _ = (case.voltages / case.reference for case in seen)
+    # Contacts keep their impedance, which is why it is not 1.1 and 1.2 to the last digit.
+    np.testing.assert_allclose(even / drifted, 1.1, rtol=0.02)
+    np.testing.assert_allclose(gauged / even, 1.2, rtol=0.02)
 
 
 def test_several_runs_see_the_same_voltages_as_one(phantoms):

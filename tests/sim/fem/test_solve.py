@@ -1,11 +1,13 @@
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.scene import parse_scene
 from eitskin_tools.cli import main
 
@@ -30,6 +32,23 @@ def test_simulate_writes_voltages_with_their_scene_and_ids(tmp_path: Path, capsy
     np.testing.assert_array_equal(voltages, full[ROW_IN_FULL])
     np.testing.assert_allclose(voltages, full[RECIPROCAL_IN_FULL], rtol=1e-12)
     assert report["largest_V"] == pytest.approx(np.abs(voltages).max())
+
+
+def test_simulate_gives_a_device_and_its_reference(tmp_path: Path) -> None:
+    layer = {"gauge_factor": 1, "field": {"rms": 0.05, "correlation_mm": 40, "seed": 3}}
+    electrodes = {"size_mm": [4 + 0.1 * (k % 2) for k in range(16)], "contact_impedance_ohm_m2": [2e-4] * 16}
+    device: dict[str, Any] = {"sheet": layer, "electrodes": electrodes, "element_size_mm": 6}
+    late = {**device, "sheet": {**layer, "late": {"factor": 1.25}}, "bend": {"stretch_along": 1.1}}
+    scene, rows = write(tmp_path / "scene.json", late), {}
+    for name, options in (("bent", []), ("reference", ["--reference"])):
+        out = tmp_path / f"{name}.npz"
+        assert main(["simulate", scene, "--out", str(out), "--contact-law", "constant", *options]) == 0
+        with np.load(out) as file:
+            rows[name], kept = file["voltages"], parse_scene(json.loads(str(file["scene"])))
+    assert kept == parse_scene(device)
+    np.testing.assert_array_equal(rows["reference"], solve_scene(parse_scene(device)).voltages)
+    np.testing.assert_array_equal(rows["bent"], solve_scene(parse_scene(late)).voltages)
+    assert np.abs(rows["bent"] / rows["reference"] - 1.0).max() > 0.1
 
 
 def test_element_size_of_the_command_line_overrides_the_scene(tmp_path: Path) -> None:

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +16,7 @@ from eitskin_sim.scene.device.layer import (
     smooth_field,
 )
 from eitskin_sim.scene.parts import Late, Sheet, SmoothField
-from eitskin_sim.scene.scene import SceneError, parse_scene, scene_json
+from eitskin_sim.scene.scene import SceneError, load_scene, parse_scene, scene_json
 
 POINTS = np.stack(np.meshgrid(np.linspace(0.0, 150.0, 31), np.linspace(0.0, 100.0, 21)), axis=-1)
 """(21, 31, 2) mm."""
@@ -96,6 +97,12 @@ def test_a_device_is_read_and_survives_its_own_json() -> None:
     assert scene.reference().sheet == replace(scene.sheet, late=None)
 
 
+def test_the_documents_example_is_a_device() -> None:
+    scene = load_scene(Path(__file__).parents[3] / "docs/examples/device.json")
+    assert is_uneven(scene.sheet)
+    assert np.ptp(scene.electrodes.sizes_mm()) > 0.0 < np.ptp(scene.electrodes.impedances_ohm_m2())
+
+
 def test_an_ideal_sheets_json_knows_nothing_of_devices() -> None:
     assert set(json.loads(scene_json(parse_scene({})))["sheet"]) == {"size_mm", "thickness_mm", "conductivity_S_per_m"}
 
@@ -103,7 +110,7 @@ def test_an_ideal_sheets_json_knows_nothing_of_devices() -> None:
 @pytest.mark.parametrize(
     ("scene", "says"),
     [
-        ({"sheet": {"gauge_factor": 11}}, r"sheet\.gauge_factor is 11; it must be at most 10"),
+        ({"sheet": {"gauge_factor": 6}}, r"sheet\.gauge_factor is 6; it must be at most 5"),
         ({"sheet": {"gauge_factor": "1"}}, "found a string"),
         ({"sheet": {"field": 0.05}}, r"sheet\.field: found a number"),
         ({"sheet": {"field": {"rms": 0.05}}}, "has no correlation_mm; it must have rms and correlation_mm"),

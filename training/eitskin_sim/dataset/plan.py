@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.digest import id_of_values
+from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends
@@ -28,6 +29,11 @@ from eitskin_sim.unit_grid.patterns import N_PAPER_SETS
 
 SetName = Literal["paper", "units", "free"]
 """The paper's data; richer shapes on the unit grid; touches anywhere."""
+
+DeviceKind = Literal["ideal", "random"]
+"""The nominal device, or one drawn for every few deformations."""
+
+DEVICE_KINDS: Final[tuple[DeviceKind, ...]] = ("ideal", "random")
 
 SET_NAMES: Final[tuple[SetName, ...]] = ("paper", "units", "free")
 
@@ -67,6 +73,7 @@ class Plan:
         splits: "train", "kept" or "other" for each.
         near: Share of the free sets that are drawn with touches near to each other; others have none.
         touches: Which touches; a plan of hard ones says nothing of it, as before there were others.
+        spread: What random devices are drawn from; None is the ideal device, of which a plan says nothing either.
     """
 
     set_name: SetName
@@ -77,12 +84,20 @@ class Plan:
     splits: tuple[str, ...]
     near: float | None = None
     touches: TouchKind = "hard"
+    spread: Uncertainties | None = None
+
+    @property
+    def devices(self) -> DeviceKind:
+        """Which devices."""
+        return "ideal" if self.spread is None else "random"
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
         found = {**asdict(self), "recipe": RECIPES[self.set_name]}
         if self.touches == "hard":
             del found["touches"]
+        if self.spread is None:
+            del found["spread"]
         return found
 
     @property
@@ -153,6 +168,7 @@ def make_plan(
     kept: int | None = None,
     near: float | None = None,
     touches: str = "hard",
+    devices: str = "ideal",
 ) -> Plan:
     """Return a plan; what is left out takes the recipe's own size.
 
@@ -165,6 +181,7 @@ def make_plan(
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "press", that lower conductance; "both"; "paper" has hard ones alone.
+        devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -184,7 +201,12 @@ def make_plan(
         raise ValueError(f"touches {touches!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
     if set_name == "paper" and touches != "hard":
         raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
+    if devices not in DEVICE_KINDS:
+        raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
+    if set_name == "paper" and devices != "ideal":
+        raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
     kind: TouchKind = touches
+    spread = Uncertainties() if devices == "random" else None
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -205,7 +227,7 @@ def make_plan(
         return Plan("paper", seed, n_sets, n_sets, bends, splits)
     bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, spread)
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -1,6 +1,6 @@
 """Makes the shards of a data set: one deformation each or a few, the same bits whoever makes them.
 
-Everything follows from the plan: the touch sets, the bend, the noise of the cloud. A worker process computes with one
+Everything follows from the plan: touch sets, bends, devices, the noise of clouds. A worker process computes with one
 BLAS thread, because the order of a threaded sum changes the last bits.
 """
 
@@ -12,8 +12,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.dataset.device_files import device_at, device_file, device_job, drawn_device
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
+from eitskin_sim.devices.device import IDEAL, Device
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
@@ -21,12 +23,12 @@ from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.pool import SetPool, set_pool
 from eitskin_sim.freeform.presses import TouchKind, contrasts_of
 from eitskin_sim.freeform.sheet import inverted_sheet
-from eitskin_sim.freeform.voltages import pool_voltages
+from eitskin_sim.freeform.voltages import pool_responses
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.unit_grid.patterns import Bits, UnitContrasts, pack, paper_touch_sets, rich_touch_sets, touch_classes
-from eitskin_sim.unit_grid.units import UnitGenerator
+from eitskin_sim.unit_grid.units import UnitGenerator, to_voltages
 
 Arrays = dict[str, npt.NDArray[Any]]
 """What one ``.npz`` holds."""
@@ -79,6 +81,7 @@ def touches_file(plan: Plan) -> Arrays:
     return common
 
 
+@lru_cache(maxsize=1)
 def reference() -> npt.NDArray[np.float64]:
     """Return (104,) V of the flat, untouched sheet."""
     return untouched(Bend())
@@ -102,45 +105,55 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
         "pool": {number: (plan.counts[number], plan.held_out(number)) for number in together},
         "near": plan.near,
         "touches": plan.touches,
+        **device_job(plan, together[0]),
     }
 
 
 def make_shard(job: dict[str, Any]) -> list[Arrays]:
     """Return what each deformation's file holds.
 
-    Voltages come from the generator's mesh and are multiplied by what a finer mesh says of the untouched sheet over
-    what the generator's says: that takes the mesh's own error out of every reference.
+    Potentials come from the generator's mesh, and what a finer mesh says of the untouched sheet over what the
+    generator's says takes the mesh's own error out of every reference.
     """
     bends = [bend_from_json(bend) for bend in job["bends"]]
-    make = _free_voltages if job["set"] == "free" else _unit_voltages
+    drawn = drawn_device(job, reference()) if "device" in job else None
+    devices = [IDEAL if drawn is None else device_at(job, drawn.device, number) for number in job["deformations"]]
+    make = _free_responses if job["set"] == "free" else _unit_responses
+    cases = zip(job["deformations"], bends, job["shown"], make(job, bends, devices), strict=True)
     found: list[Arrays] = []
-    cases = zip(job["deformations"], bends, job["shown"], make(job, bends), strict=True)
-    for number, bend, shown, (voltages, coarse) in cases:
-        fine = untouched(bend)
-        noise = np.random.default_rng([job["seed"], 3, number])
-        found.append(
-            {
-                "touch_set": shown,
-                "voltages": (voltages * (fine / coarse)).astype(np.float32),
-                "untouched": fine,
-                "cloud": measured_cloud(bend, noise),
-            }
-        )
+    for (number, bend, shown, made), device in zip(cases, devices, strict=True):
+        if drawn is None:
+            own = _ideal_file(job, number, bend, made)
+        else:
+            own = device_file(job, number, bend, device, made, (drawn.reference_V, reference()))
+        found.append({"touch_set": shown, **own})
     return found
 
 
-_Made = Iterator[tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]]
-"""(n, 104) and (104,) V of a deformation, touched and not."""
+_Made = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
+"""(n, 16, 16) and (16, 16) potentials of electrodes at a deformation, V for 1 A into each, touched and not."""
 
 
-def _unit_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
+def _ideal_file(job: dict[str, Any], number: int, bend: Bend, made: _Made) -> Arrays:
+    fine, coarse = untouched(bend), to_voltages(made[1][None])[0]
+    voltages = (to_voltages(made[0]) * (fine / coarse)).astype(np.float32)
+    if job["set"] != "free" and job["touches"] == "hard":
+        voltages = np.ascontiguousarray(voltages)  # these files have always been so, and digests are of their bytes
+    return {
+        "voltages": voltages,
+        "untouched": fine,
+        "cloud": measured_cloud(bend, np.random.default_rng([job["seed"], 3, number])),
+    }
+
+
+def _unit_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
     sets = _unit_sets(job["set"], job["touch_sets"], job["seed"])
-    for bend, shown in zip(bends, job["shown"], strict=True):
-        generator = UnitGenerator(bend)
+    for bend, device, shown in zip(bends, devices, job["shown"], strict=True):
+        generator = UnitGenerator(bend, device=device)
         contrast = None
         if job["touches"] != "hard":
             contrast = _unit_contrasts(job["set"], job["touch_sets"], job["seed"], job["touches"]).of(shown)
-        yield generator.voltages(sets[shown], contrast), generator.untouched_V
+        yield generator.responses(sets[shown], contrast), generator.at_terminals
 
 
 def _pool(job: dict[str, Any]) -> SetPool:
@@ -148,11 +161,11 @@ def _pool(job: dict[str, Any]) -> SetPool:
     return set_pool(job["pool"], job["seed"], job["near"], job["touches"])
 
 
-def _free_voltages(job: dict[str, Any], bends: list[Bend]) -> _Made:
-    pool, grid = _pool(job), shared_mesh()
+def _free_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
+    pool, grid = _pool(job), shared_mesh(electrodes=devices[0].electrodes)
     batches = geometry(pool.parts, grid)
     used = None
-    for number, bend in zip(job["deformations"], bends, strict=True):
-        sheet = inverted_sheet(bend, into=used)
-        yield pool_voltages(sheet, grid, pool, batches, number), sheet.untouched_V
+    for number, bend, device in zip(job["deformations"], bends, devices, strict=True):
+        sheet = inverted_sheet(bend, into=used, device=device)
+        yield pool_responses(sheet, grid, pool, batches, number), sheet.at_terminals
         used = sheet.inverse

@@ -1,8 +1,8 @@
-"""One fixed mesh for touches anywhere, its elements' middles eliminated.
+"""One fixed mesh for touches anywhere on any device, its elements' middles eliminated.
 
-Touches do not move the mesh; elements that their borders cut get blocks of their own
-(:mod:`eitskin_sim.fem.borders.cut_touches`). So the sheet is assembled and inverted once a deformation, and all touch
-sets share that. ::
+Neither touches nor electrodes off their nominal places (:mod:`eitskin_sim.devices.loose_contacts`) move the mesh;
+elements that touches' borders cut get blocks of their own (:mod:`eitskin_sim.fem.borders.cut_touches`). So the sheet is
+assembled and inverted once a deformation, and all touch sets share that. ::
 
     o---o---o      a biquadratic element's middle node is its own affair: eight nodes remain, and the electrode
     |       |      where the element lies under a contact; 3,300 of 4,300 nodes of the sheet
@@ -19,8 +19,10 @@ from typing import Final
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.contacts import Contacts
-from eitskin_sim.fem.forward import System, assemble
+from eitskin_sim.fem.forward import System, flat_metric
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.freeform.inverse import Lines, make_lines
@@ -32,6 +34,9 @@ ELEMENT_MM: Final = 3.5
 
 MIDDLE: Final = 4
 """Place of an element's middle among its nine nodes."""
+
+NOMINAL: Final = Electrodes()
+"""Whose edges the mesh's lines follow."""
 
 KEPT: Final = np.array([0, 1, 2, 3, 5, 6, 7, 8, 9])
 """Places of the eight other nodes, and the electrode after them."""
@@ -60,15 +65,20 @@ def even_lines(extent_mm: float, edges_mm: list[float], size_mm: float) -> Array
 
 
 @lru_cache(maxsize=4)
-def shared_mesh(size_mm: float = ELEMENT_MM) -> SharedMesh:
-    """Return the default sheet's mesh for touches anywhere."""
-    sheet, electrodes = Sheet(), Electrodes()
-    x, y = electrode_lines(sheet, electrodes)
+def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes = NOMINAL) -> SharedMesh:
+    """Return the default sheet's mesh for touches anywhere.
+
+    Args:
+        size_mm: The largest element.
+        electrodes: Which elements have an unknown of which electrode; the lines follow the nominal ones whatever it is.
+    """
+    sheet = Sheet()
+    x, y = electrode_lines(sheet, NOMINAL)
     mesh = TensorMesh(
         even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
         even_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
     )
-    contacts = assemble(mesh, sheet, electrodes).contacts
+    contacts = system_on(mesh, sheet, electrodes, flat_metric).contacts
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
     column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])
@@ -97,10 +107,10 @@ def _spans(contacts: Contacts, columns: int) -> tuple[Index, Index]:
     return low, high
 
 
-def shared_system(bend: Bend, size_mm: float = ELEMENT_MM) -> System:
-    """Return the default sheet's system at one bend."""
-    sheet = Sheet()
-    return assemble(shared_mesh(size_mm).mesh, sheet, Electrodes(), lambda xy: metric(bend, sheet, xy))
+def shared_system(bend: Bend, size_mm: float = ELEMENT_MM, device: Device = IDEAL) -> System:
+    """Return a device's system at one bend."""
+    mesh = shared_mesh(size_mm, device.electrodes).mesh
+    return system_on(mesh, device.sheet, device.electrodes, lambda xy: metric(bend, device.sheet, xy))
 
 
 def with_contacts(blocks: Array, elements: Index, density: Array, contacts: Contacts) -> Array:

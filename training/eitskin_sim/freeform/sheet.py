@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.devices.device import IDEAL, Device
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
@@ -13,6 +14,7 @@ from eitskin_sim.fem.mesh import MM
 from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
+from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
@@ -40,15 +42,18 @@ class InvertedSheet:
         return np.asarray(to_voltages(self.at_terminals[None])[0])
 
 
-def inverted_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None) -> InvertedSheet:
+def inverted_sheet(
+    bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None = None, device: Device = IDEAL
+) -> InvertedSheet:
     """Return a deformation, ready for touch sets.
 
     Args:
         bend: The sheet's shape.
         size_mm: The largest element.
         into: The inverse of a sheet that is needed no more: it is overwritten, which is faster than new memory.
+        device: Sheet and electrodes; its front end comes after.
     """
-    grid, system = shared_mesh(size_mm), shared_system(bend, size_mm)
+    grid, system = shared_mesh(size_mm, device.electrodes), shared_system(bend, size_mm, device)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
@@ -56,17 +61,21 @@ def inverted_sheet(bend: Bend, size_mm: float = ELEMENT_MM, into: Array | None =
     middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
     inverse = dense_inverse(grid.lines, before, (middle, tie), into)
     to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
-    return InvertedSheet(system, _tensors(bend, system), before, inverse, to_terminals, to_terminals[grid.terminals])
+    tensor = _tensors(bend, system, device.sheet)
+    return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals])
 
 
-def _tensors(bend: Bend, system: System) -> Array:
+def _tensors(bend: Bend, system: System, sheet: Sheet = IDEAL.sheet) -> Array:
     """Return (n, 3, 3): conductances xx, xy, yy of unit elements at sigma = 1, S, and their change along x and y."""
     mesh = system.mesh
     ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
 
     def at(x: float, y: float) -> Array:
-        E, F, G = metric(bend, Sheet(), mesh.corners_mm + mesh.sizes_mm * (x, y)).T
-        return np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+        where = mesh.corners_mm + mesh.sizes_mm * (x, y)
+        first = metric(bend, sheet, where)
+        E, F, G = first.T
+        found = np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
+        return found * relative_conductivity(sheet, where, first)[:, None] if is_uneven(sheet) else found
 
     return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)
 

@@ -24,29 +24,41 @@ import numpy as np
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
+from eitskin_sim.freeform.mesh import ELEMENT_MM, NOMINAL, SharedMesh, shared_mesh
 from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry
 from eitskin_sim.freeform.pool import SetPool
 from eitskin_sim.freeform.sets import PartSets, chains, merged
 from eitskin_sim.freeform.sheet import InvertedSheet
+from eitskin_sim.scene.parts import Electrodes
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.unit_grid.units import to_voltages
 
 
-def set_voltages(sheets: Sequence[InvertedSheet], touches: TouchTable, size_mm: float = ELEMENT_MM) -> Array:
+def set_voltages(
+    sheets: Sequence[InvertedSheet],
+    touches: TouchTable,
+    size_mm: float = ELEMENT_MM,
+    electrodes: Electrodes = NOMINAL,
+) -> Array:
     """Return (D, s, 104) V under 1 A of touch sets at several deformations; see :func:`set_responses`."""
-    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm)])
+    return np.array([to_voltages(response) for response in set_responses(sheets, touches, size_mm, electrodes)])
 
 
-def set_responses(sheets: Sequence[InvertedSheet], touches: TouchTable, size_mm: float = ELEMENT_MM) -> Array:
+def set_responses(
+    sheets: Sequence[InvertedSheet],
+    touches: TouchTable,
+    size_mm: float = ELEMENT_MM,
+    electrodes: Electrodes = NOMINAL,
+) -> Array:
     """Return (D, s, 16, 16) potentials of electrodes, V for 1 A into each, at deformations that share the geometry.
 
     Args:
         sheets: D deformations.
         touches: s touch sets.
         size_mm: Size of the sheets' elements.
+        electrodes: Those of the sheets.
     """
-    grid = shared_mesh(size_mm)
+    grid = shared_mesh(size_mm, electrodes)
     alone = TouchTable(touches.pieces, np.arange(len(touches.pieces) + 1))
     batches = geometry(alone, grid)
     extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
@@ -57,7 +69,14 @@ def set_responses(sheets: Sequence[InvertedSheet], touches: TouchTable, size_mm:
 def pool_voltages(
     sheet: InvertedSheet, grid: SharedMesh, pool: SetPool, batches: Sequence[PartGeometry], deformation: int
 ) -> Array:
-    """Return (s, 104) V under 1 A of the sets that a pool has for a deformation.
+    """Return (s, 104) V under 1 A of the sets that a pool has for a deformation; see :func:`pool_responses`."""
+    return to_voltages(pool_responses(sheet, grid, pool, batches, deformation))
+
+
+def pool_responses(
+    sheet: InvertedSheet, grid: SharedMesh, pool: SetPool, batches: Sequence[PartGeometry], deformation: int
+) -> Array:
+    """Return (s, 16, 16) potentials of electrodes, V for 1 A into each, under the sets of a pool for a deformation.
 
     Args:
         sheet: The deformation.
@@ -67,7 +86,7 @@ def pool_voltages(
         deformation: Its number.
     """
     extra, sets = merged(pool.parts, batches, pool.sets[deformation], grid)
-    return to_voltages(put_together(sheet, condense(sheet, [*batches, *geometry(extra, grid)]), sets))
+    return put_together(sheet, condense(sheet, [*batches, *geometry(extra, grid)]), sets)
 
 
 def put_together(sheet: InvertedSheet, parts: Sequence[CondensedPart], sets: PartSets) -> Array:

@@ -24,7 +24,8 @@ FARTHEST: Final = 1e5
 ON_BORDER_MM: Final = 1e-6
 """How far a touch may reach over the sheet's border before it is refused: rounding, not geometry."""
 
-MOST_GAUGE: Final = 10.0
+MOST_GAUGE: Final = 5.0
+"""Of either sign, as in a skin's file."""
 MOST_DRIFT: Final = 100.0
 """Of the common factor that came since the reference, either way."""
 MOST_UNEVEN: Final = 1.0

@@ -25,7 +25,9 @@ from scipy.linalg import cho_factor, cho_solve
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
 from eitskin_proto.sensor.table import N_ELECTRODES
-from eitskin_sim.fem.forward import System, assemble
+from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_sim.devices.loose_contacts import system_on
+from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.scene.bend import metric
@@ -121,10 +123,10 @@ def _default_mesh(refine: int) -> UnitMesh:
     return unit_mesh(Sheet(), Electrodes(), refine)
 
 
-def unit_system(bend: Bend, refine: int = 1) -> tuple[UnitMesh, System]:
-    """Return the default sheet's mesh and its system at one bend."""
-    sheet, electrodes, parts = Sheet(), Electrodes(), _default_mesh(refine)
-    return parts, assemble(parts.mesh, sheet, electrodes, lambda xy: metric(bend, sheet, xy))
+def unit_system(bend: Bend, refine: int = 1, device: Device = IDEAL) -> tuple[UnitMesh, System]:
+    """Return the default sheet's mesh, whatever the device, and a device's system at one bend."""
+    parts = _default_mesh(refine)
+    return parts, system_on(parts.mesh, device.sheet, device.electrodes, lambda xy: metric(bend, device.sheet, xy))
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:

@@ -28,7 +28,8 @@ import numpy.typing as npt
 from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.grid import N_UNITS, UNIT_SHAPE
-from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE, voltages_from_potentials
+from eitskin_proto.sensor.table import N_ELECTRODES, TABLE, voltages_from_potentials
+from eitskin_sim.devices.device import IDEAL, Device
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.unit_grid.contrasts import ContrastUnits, at_once, check_contrasts, updated
@@ -48,13 +49,14 @@ class UnitGenerator:
         bend: The sheet's shape.
         touched: S/m of a touched unit.
         refine: Multiplies the elements along each direction.
+        device: Sheet and electrodes; its front end comes after.
 
     Raises:
         ValueError: A touched unit would conduct as the sheet does, or not at all.
     """
 
-    def __init__(self, bend: Bend, *, touched: float = TOUCHED, refine: int = 1) -> None:
-        parts, system = unit_system(bend, refine)
+    def __init__(self, bend: Bend, *, touched: float = TOUCHED, refine: int = 1, device: Device = IDEAL) -> None:
+        parts, system = unit_system(bend, refine, device)
         check_contrasts(np.array([touched / system.background]))
         self._n_skeleton = len(parts.skeleton)
         self._units = condense_units(parts, system, (system.background, touched))
@@ -62,7 +64,8 @@ class UnitGenerator:
         self._inverse = inverse(assemble_skeleton(self._units, 0, size))
         self._sharing = np.bincount(np.concatenate([unit.dofs for unit in self._units]), minlength=size)
         self._regions: dict[tuple[int, ...], Condensed] = {}
-        self._at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()
+        self.at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()
+        """(16, 16) potentials of electrodes, V for 1 A into each, with nothing touched."""
         self._contrast = touched / system.background
         self._coupled: tuple[Array, Array] | None = None
         self._of_contrasts = ContrastUnits(self._inverse, self._units, parts, system)
@@ -70,7 +73,7 @@ class UnitGenerator:
     @property
     def untouched_V(self) -> Array:
         """(104,) V under 1 A with nothing touched."""
-        return np.asarray(to_voltages(self._at_terminals[None])[0])
+        return np.asarray(to_voltages(self.at_terminals[None])[0])
 
     @property
     def _blocks(self) -> Array:
@@ -89,7 +92,11 @@ class UnitGenerator:
         return self._coupled
 
     def voltages(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
-        """Return the (n, 104) V under 1 A of (n, 126) touch sets.
+        """Return the (n, 104) V under 1 A of (n, 126) touch sets; see :meth:`responses`."""
+        return to_voltages(self.responses(units, contrast))
+
+    def responses(self, units: npt.NDArray[np.bool_], contrast: npt.NDArray[np.floating] | None = None) -> Array:
+        """Return the (n, 16, 16) potentials of electrodes, V for 1 A into each, under (n, 126) touch sets.
 
         Args:
             units: True where a unit is touched; sets may be empty.
@@ -101,13 +108,13 @@ class UnitGenerator:
         if contrast is None and self._contrast < 1.0:
             contrast = np.full(units.shape, self._contrast)
         if contrast is not None:
-            return to_voltages(self._of_contrasts.responses(units, np.asarray(contrast, dtype=np.float64)))
-        found = np.empty((len(units), N_ROWS))
+            return self._of_contrasts.responses(units, np.asarray(contrast, dtype=np.float64))
+        found = np.empty((len(units), N_ELECTRODES, N_ELECTRODES))
         count = units.sum(axis=1)
         for size in np.unique(count):
             rows = np.flatnonzero(count == size)
             if size == 0:
-                found[rows] = self.untouched_V
+                found[rows] = self.at_terminals
             elif size <= MOST_GATHERED:
                 found[rows] = self._gathered(np.nonzero(units[rows])[1].reshape(len(rows), size))
             else:
@@ -141,12 +148,12 @@ class UnitGenerator:
         return np.asarray(blas.dtrsm(1.0, root, factor, side=1, lower=1, trans_a=1))
 
     def _gathered(self, sets: Index) -> Array:
-        """Return the (n, 104) V of (n, k) unit numbers."""
+        """Return the (n, 16, 16) potentials of electrodes of (n, k) unit numbers."""
         count, k = sets.shape
         rank = self._blocks.shape[-1]
         size = (k - 1) * rank + N_ELECTRODES
         step = at_once(size)
-        found = np.empty((count, N_ROWS))
+        found = np.empty((count, N_ELECTRODES, N_ELECTRODES))
         panels, rests = np.empty((step, rank, size)), np.empty((step, size, size))
         for start in range(0, count, step):
             part = sets[start : start + step]
@@ -156,18 +163,18 @@ class UnitGenerator:
                 into[:, :, -N_ELECTRODES:] = self._loads[part[:, i]]
                 for j in range(max(i, 1), k):
                     into[:, :, (j - 1) * rank : j * rank] = self._blocks[part[:, i], part[:, j]]
-            rest[:, -N_ELECTRODES:, -N_ELECTRODES:] = self._at_terminals
+            rest[:, -N_ELECTRODES:, -N_ELECTRODES:] = self.at_terminals
             for before, after in zip(panel, rest, strict=True):
                 left = blas.dsyrk(-1.0, before.T, beta=1.0, c=after.T, lower=1, overwrite_c=1)
                 lapack.dpotrf(left, lower=1, overwrite_a=1, clean=0)
             triangle = np.triu(rest[:, -N_ELECTRODES:, -N_ELECTRODES:])
-            found[start : start + step] = to_voltages(triangle.transpose(0, 2, 1) @ triangle)
+            found[start : start + step] = triangle.transpose(0, 2, 1) @ triangle
         return found
 
     def _outlined(self, units: Index) -> Array:
-        """Return the (104,) V of one set of many units, condensed onto what it shares with the rest."""
+        """Return the (16, 16) potentials of electrodes of one set of many units, condensed onto what it shares."""
         region = self._region(tuple(int(unit) for unit in units))
-        return np.asarray(to_voltages(self.updated(region.dofs, region.schur[1] - region.schur[0])[None])[0])
+        return self.updated(region.dofs, region.schur[1] - region.schur[0])
 
     def _region(self, units: tuple[int, ...]) -> Condensed:
         """Return a set of units condensed as one, from its two halves; halves that recur are made once."""

@@ -46,6 +46,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="hard touches of contrast 20 to 200 (50 on the grid), presses that lower conductance to 0.2 to 0.85 of "
         "it, or touches both ways, 0.2 to 200 (default hard)",
     )
+    parser.add_argument(
+        "--devices",
+        choices=("ideal", "random"),
+        default="ideal",
+        help="the nominal sheet, or one as a lab builds it for every few deformations: electrodes, layer, front end, "
+        "drift and scans that are off (default ideal)",
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
     parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
@@ -74,6 +81,7 @@ def run(arguments: argparse.Namespace) -> int:
         kept=arguments.kept,
         near=arguments.near,
         touches=arguments.touches,
+        devices=arguments.devices,
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
@@ -90,6 +98,7 @@ def run(arguments: argparse.Namespace) -> int:
         "out": str(arguments.out),
         "set": plan.set_name,
         "touches": plan.touches,
+        "devices": plan.devices,
         "samples": index["samples"],
         "made": progress.made,
         "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},

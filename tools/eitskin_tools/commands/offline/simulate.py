@@ -21,6 +21,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="how a face contact passes current: by the modes of the layer's depth (default), or by one fitted "
         "constant, which data sets and bundles are made with",
     )
+    parser.add_argument(
+        "--reference",
+        action="store_true",
+        help="the scene's device when its reference was taken: flat, untouched, and without what came late",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object on what was solved")
 
 
@@ -34,11 +39,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     scene = load_scene(files.find(arguments.scene, files.SCENE))
     files.writable(arguments.out)
+    if arguments.reference:
+        scene = scene.reference()
     if arguments.element_size_mm is not None:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
     if sys.stderr.isatty():
-        print("eitskin simulate: solving, half a minute at most", file=sys.stderr)
+        print("eitskin simulate: solving, a minute at most", file=sys.stderr)
     start = perf_counter()
     solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start

@@ -1,0 +1,124 @@
+"""What a deformation's file holds where the device is a random one: readings in terms of the nominal reference.
+
+Training divides every voltage by one reference, the nominal sheet's. A random device has a reference of its own, so
+what it reads is stored as ::
+
+    voltages = reading * (nominal reference / the device's reference)
+
+whose relative change is that of the device's own reading against its own reference. The device's ``reference`` and
+``drift``, by which each sample's resistances had changed since then, are stored beside it. All else is what a robot
+would have: a scan that is noisy, off in scale and behind or ahead of the sheet, and nothing that tells of the device.
+"""
+
+from dataclasses import asdict, dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.dataset.plan import Plan
+from eitskin_sim.devices.device import Device
+from eitskin_sim.devices.draws import Moment, draw_device, draw_drift, draw_front_end, draw_moment
+from eitskin_sim.devices.readings import corrected, drive_differences, fine_differences, readings
+from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_sim.scene.bend import Array
+from eitskin_sim.scene.family import scaled
+from eitskin_sim.scene.folds import check_bend
+from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.strict_json import SceneError
+from eitskin_sim.surface.measured_cloud import measured_cloud
+
+DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
+"""Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
+
+USABLE: Final = (0.2, 5.0)
+"""A reference over the nominal one, in every row: who sees another looks for the fault, and takes no data."""
+
+
+def device_job(plan: Plan, first: int) -> dict[str, Any]:
+    """Return what a worker needs to draw the device of the deformations that are made together, as plain values."""
+    return {} if plan.spread is None else {"device": first, "spread": asdict(plan.spread)}
+
+
+@dataclass(frozen=True, slots=True)
+class ReferencedDevice:
+    """A device at the moment when its reference was taken."""
+
+    device: Device
+    reference_V: Array
+    """(104,) what it read then."""
+
+
+def drawn_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
+    """Return the device of a job, with electronics that read every row of its reference by the sign that it has.
+
+    Args:
+        job: See :func:`device_job`.
+        nominal: (104,) V of the nominal sheet, flat and untouched.
+    """
+    spread = Uncertainties(**job["spread"])
+    rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
+    drawn = draw_device(spread, rng)
+    before = fine_differences(drawn.device, drawn.reference_bend)
+    while True:
+        device = replace(drawn.device, front_end=draw_front_end(spread, rng))
+        found = readings(device, before)
+        share = found / nominal
+        if USABLE[0] < share.min() and share.max() < USABLE[1]:
+            return ReferencedDevice(device, found)
+
+
+def device_at(job: dict[str, Any], device: Device, number: int) -> Device:
+    """Return a job's device as it is at a deformation."""
+    return device.since(moment_of(job, number).late)
+
+
+def moment_of(job: dict[str, Any], number: int) -> Moment:
+    """Return what is true of a job's device at a deformation."""
+    return draw_moment(Uncertainties(**job["spread"]), np.random.default_rng([job["seed"], MOMENT, number]))
+
+
+def device_file(
+    job: dict[str, Any],
+    number: int,
+    bend: Bend,
+    device: Device,
+    made: tuple[Array, Array],
+    references: tuple[Array, Array],
+) -> dict[str, npt.NDArray[Any]]:
+    """Return what a deformation's file holds beside the numbers of its touch sets.
+
+    Args:
+        job: See :func:`device_job`.
+        number: Of the deformation.
+        bend: The true one.
+        device: The true one at that moment.
+        made: (n, 16, 16) and (16, 16) potentials of its electrodes, touched and not.
+        references: (104,) V, the device's own and the nominal one.
+    """
+    moment = moment_of(job, number)
+    own, nominal = references
+    scale = nominal / own
+    fine, coarse = fine_differences(device, bend), drive_differences(made[1])
+    ratio = np.divide(fine, coarse, out=np.ones_like(fine), where=~np.eye(len(fine), dtype=np.bool_))
+    drift = draw_drift(
+        Uncertainties(**job["spread"]), len(made[0]), np.random.default_rng([job["seed"], DRIFT, number])
+    )
+    touched = drift[:, None, None] * corrected(drive_differences(made[0]), ratio)
+    return {
+        "voltages": (readings(device, touched) * scale).astype(np.float32),
+        "untouched": readings(device, fine) * scale,
+        "cloud": scan(bend, moment, np.random.default_rng([job["seed"], SCAN, number])),
+        "reference": own,
+        "drift": drift.astype(np.float32),
+    }
+
+
+def scan(bend: Bend, moment: Moment, rng: np.random.Generator) -> npt.NDArray[np.float32]:
+    """Return the (3, 30, 45) mm cloud that a scanner gives of a bend at a moment."""
+    shown = scaled(bend, moment.scan_amplitude)
+    try:
+        check_bend(shown, Sheet())
+    except SceneError:  # ahead of a sheet that all but folds
+        shown = scaled(bend, min(moment.scan_amplitude, 1.0))
+    return measured_cloud(shown, rng, moment.scan_noise_mm) * np.float32(moment.scan_factor)

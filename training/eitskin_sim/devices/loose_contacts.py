@@ -1,0 +1,102 @@
+"""Contacts of electrodes whose edges no line of the mesh follows: each element under one adds what of it is covered.
+
+One mesh then serves the electrodes of every device, and a touch's geometry, which depends on the mesh, serves them all.
+A patch passes a finite current per area, so under its edge the potential keeps a continuous slope: elements that the
+edge divides lose little, and their integrals are exact, since Gauss's points lie in the covered part alone.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+
+from eitskin_sim.fem.contacts import FRINGE, Contacts
+from eitskin_sim.fem.forward import System, assemble
+from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
+from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, values
+from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
+from eitskin_sim.scene.electrodes import Piece, place
+from eitskin_sim.scene.parts import Electrodes, Sheet
+
+LEAST_MM = 1e-6
+"""An element that is covered by less along a side is not under the electrode."""
+
+
+def system_on(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric) -> System:
+    """Return the system of a mesh whose lines hold the edges of the nominal electrodes, for any electrodes.
+
+    Args:
+        mesh: Covers the sheet.
+        sheet: The flat layer.
+        electrodes: Where current enters: patches, or the nominal ones.
+        metric: The bent surface's first fundamental form.
+
+    Raises:
+        ValueError: Electrodes beside the mesh's lines are no patches, or two of them meet one element.
+    """
+    nominal = Electrodes()
+    if electrodes == nominal:
+        return assemble(mesh, sheet, electrodes, metric)
+    system = assemble(mesh, sheet, nominal, metric)
+    return replace(system, contacts=loose_contacts(mesh, sheet, electrodes, metric))
+
+
+def loose_contacts(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric) -> Contacts:
+    """Return the contacts of patches anywhere on the border, on any mesh of the sheet.
+
+    Raises:
+        ValueError: Electrodes are no patches, or two of them meet one element.
+    """
+    if electrodes.contact != "patch":
+        raise ValueError(f"contact is {electrodes.contact!r}; expected 'patch': others need lines of the mesh")
+    sizes, impedance = electrodes.sizes_mm(), electrodes.impedances_ohm_m2()
+    parts = [_patch(mesh, sheet, piece, float(sizes[piece.electrode]), metric) for piece in place(sheet, electrodes)]
+    element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
+    if len(np.unique(element)) < len(element):
+        raise ValueError("two electrodes meet one element; expected electrodes further apart, or smaller elements")
+    return Contacts(
+        element=element.astype(np.intp),
+        electrode=electrode.astype(np.intp),
+        mass_m2=mass,
+        load_m2=load,
+        area_m2=load.sum(axis=1),
+        impedance_ohm_m2=impedance[electrode],
+        fringe_m=fringe,
+    )
+
+
+def _covered(lines: Array, low: float, high: float) -> tuple[Index, Array, Array]:
+    """Return which cells of lines an interval covers, and where in each, from 0 to 1."""
+    first = max(int(np.searchsorted(lines, low + LEAST_MM, side="right")) - 1, 0)
+    last = min(int(np.searchsorted(lines, high - LEAST_MM, side="left")), len(lines) - 1)
+    cell = np.arange(first, last)
+    size = lines[cell + 1] - lines[cell]
+    return (
+        cell,
+        (np.maximum(lines[cell], low) - lines[cell]) / size,
+        (np.minimum(lines[cell + 1], high) - lines[cell]) / size,
+    )
+
+
+def _patch(
+    mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric
+) -> tuple[Index, Index, Array, Array, Array]:
+    x0, y0, x1, y1 = piece.patch_mm(sheet, size_mm)
+    columns, left, right = _covered(mesh.x_lines_mm, x0, x1)
+    rows, bottom, top = _covered(mesh.y_lines_mm, y0, y1)
+    element = (rows[:, None] * mesh.shape[1] + columns).ravel()
+    low = np.stack([a.ravel() for a in np.meshgrid(left, bottom)], axis=-1)
+    high = np.stack([a.ravel() for a in np.meshgrid(right, top)], axis=-1)
+    unit = low[:, None, :] + GAUSS * (high - low)[:, None, :]  # (e, 9, 2)
+    sizes = mesh.sizes_mm[element]
+    where = mesh.corners_mm[element][:, None, :] + unit * sizes[:, None, :]
+    first = metric(where.reshape(-1, 2)).reshape(len(element), len(GAUSS), 3)
+    area = np.sqrt(first[..., 0] * first[..., 2] - first[..., 1] ** 2)
+    covered = np.prod(sizes * (high - low), axis=1)
+    weight = WEIGHTS * area * covered[:, None] * MM**2
+    shapes = values(unit.reshape(-1, 2)).reshape(len(element), len(GAUSS), 9)
+    load = np.einsum("eq,eqi->ei", weight, shapes)
+    mass = np.einsum("eq,eqi,eqj->eij", weight, shapes, shapes)
+    fringe = FRINGE * sheet.thickness_mm * MM / (area @ WEIGHTS)
+    if is_uneven(sheet):  # current crosses a layer that conducts so much better or worse
+        fringe = fringe / (relative_conductivity(sheet, where, first) @ WEIGHTS)
+    return element, np.full(len(element), piece.electrode), mass, load, fringe
