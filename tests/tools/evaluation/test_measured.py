@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation.near import true_centres_mm
 from eitskin_sim.measurement.noise import add_noise
@@ -162,6 +163,11 @@ def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
     assert list(evaluated(tmp_path, bare, capsys, "--solver", "tikhonov")["by_kind"]) == ["unknown"]
 
 
+def test_ids_of_this_release_and_its_sheet_are_taken(tmp_path, arrays):
+    ids = {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "skin_digest": PAPER.digest}
+    assert load_measured(written(tmp_path, {**arrays, **ids})).ignored == ()
+
+
 def test_a_table_is_printed_for_people(tmp_path, arrays, capsys):
     assert cli.main(["evaluate", "--measured", written(tmp_path, arrays), "--solver", "tikhonov"]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -195,6 +201,8 @@ NAN = np.full((5, 104), np.nan)
         ({"kind": np.arange(5)}, "expected texts"),
         ({"touch_kind": "both"}, "lowering, raising"),
         ({"grid_id": "0123456789abcdef"}, f"expected {GRID_ID}"),
+        ({"protocol_id": "0123456789abcdef"}, "protocol_id: found 0123456789abcdef"),
+        ({"skin_digest": "0123456789abcdef"}, f"expected {PAPER.digest}"),
     ],
 )
 def test_whatever_is_wrong_is_one_line(tmp_path, arrays, capsys, change, said):
