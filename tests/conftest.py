@@ -4,6 +4,7 @@ Imports of packages stay inside: tests/runtime also runs where torch is absent.
 """
 
 import os
+import signal
 import tempfile
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -22,7 +23,9 @@ for _name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Have every test checked for its CPU time and its processes."""
+    """Have every test checked for its CPU time and its processes, and let what it starts hear Ctrl-C."""
+    if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:  # as behind a shell's "&", and a new program would inherit it
+        signal.signal(signal.SIGINT, lambda *_: None)  # no less deaf here, but a new program starts with the default
     config.pluginmanager.register(CpuLimit(LIMIT_S), "cpu-limit")
     config.pluginmanager.register(StartedProcesses(), "started-processes")
 

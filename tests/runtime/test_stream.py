@@ -268,8 +268,10 @@ def test_of_a_front_end_that_hangs_nothing_is_published_and_the_next_frame_says_
     before = next(index for index, frame in enumerate(frames) if {f"withheld:{reason}", reason} & set(frame.events))
     assert frames[before].device_us - frames[before - 1].device_us >= 350_000
     assert not any(frame.touched for frame in frames)
-    # What is stuck at one count repeats as well
-    assert kind == "failing" or 35 <= withheld["stuck"] + withheld["frozen"] <= 42
+    missing = frames[before].sequence - frames[before - 1].sequence - 1
+    lost = frames[before].counts["lost"] - frames[before - 1].counts["lost"]
+    # What is stuck at one count repeats as well; a busy machine's skin skips scans
+    assert kind == "failing" or withheld["stuck"] + withheld["frozen"] == missing - lost > 0
     assert skin.recoveries == 0
 
 

@@ -12,12 +12,12 @@ A table or key that is left out has the paper's value. Keys and bounds are those
 
 import difflib
 from dataclasses import Field, fields
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from eitskin_proto.files.plain import plain, quoted
-from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
+from eitskin_proto.files.reading import parse_toml
+from eitskin_proto.files.shipped import parse_file, text_named
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Deformations, Doubts, Instrument, Layer, Map, Outline, Ring, Touches
 from eitskin_proto.skin.quantity import LAWS, Law, Quantity
@@ -52,11 +52,7 @@ def load(path: str | Path) -> Skin:
     """
     if str(path) in NAMED and not Path(path).exists():
         return named(str(path))
-    text = read_text(path, LARGEST_TOML)
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return parse_file(path, parse)
 
 
 def named(name: str) -> Skin:
@@ -65,9 +61,7 @@ def named(name: str) -> Skin:
     Raises:
         ValueError: There is none of this name.
     """
-    if name not in NAMED:
-        raise ValueError(f"skin {quoted(name)} does not come with the package; {', '.join(NAMED)} do")
-    return parse(resources.files("eitskin_proto").joinpath("skins", f"{name}.toml").read_text(encoding="utf-8"))
+    return parse(text_named(name, NAMED, "skins", "skin"))
 
 
 def parse(text: str) -> Skin:

@@ -12,12 +12,12 @@
     [idle]      drives = [0, 1, 2, 3]   rate_Hz = 20.0          (the table may be left out)
 """
 
-from importlib import resources
 from pathlib import Path
 from typing import Any, Final
 
 from eitskin_proto.files.plain import plain, quoted
-from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
+from eitskin_proto.files.reading import parse_toml
+from eitskin_proto.files.shipped import parse_file, text_named
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
@@ -162,11 +162,7 @@ def load(path: str | Path) -> Configuration:
     """
     if str(path) in NAMED and not Path(path).exists():
         return named(str(path))
-    text = read_text(path, LARGEST_TOML)
-    try:
-        return parse(text)
-    except ValueError as error:
-        raise ValueError(f"{path}: {error}") from error
+    return parse_file(path, parse)
 
 
 def named(name: str) -> Configuration:
@@ -175,7 +171,4 @@ def named(name: str) -> Configuration:
     Raises:
         ValueError: There is none of this name.
     """
-    if name not in NAMED:
-        raise ValueError(f"configuration {name!r} does not come with the package; {', '.join(NAMED)} do")
-    folder = resources.files("eitskin_proto").joinpath("configurations")
-    return parse(folder.joinpath(f"{name}.toml").read_text(encoding="utf-8"))
+    return parse(text_named(name, NAMED, "configurations", "configuration"))

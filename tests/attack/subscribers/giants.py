@@ -46,7 +46,7 @@ def _one(outcome: Outcome, mode: str, evil: bytes, what: str, *, counted: bool, 
 
     with tempfile.TemporaryDirectory(prefix="a") as folder:
         host = Host(f"{folder}/f", serve, greeting)
-        with closing(host), eitskin.subscribe(f"ipc://{folder}/f", mode, timeout_s=20) as frames:
+        with closing(host), eitskin.subscribe(f"ipc://{folder}/f", mode, timeout_s=60) as frames:
             began_s = time.monotonic()
             try:
                 frames.next_frame()

@@ -191,9 +191,11 @@ def test_whoever_lies_where_a_connection_was_is_not_taken_for_it():
 def test_an_oversized_subscription_never_reaches_the_publisher(publisher):
     with zmq.Context() as context, context.socket(zmq.XSUB) as client:
         client.linger = 0
-        client.connect(publisher.endpoint)
-        client.send(b"\x01" + bytes(1000))
-        time.sleep(0.2)
+        with client.get_monitor_socket(zmq.EVENT_DISCONNECTED) as ended:
+            client.connect(publisher.endpoint)
+            client.send(b"\x01" + bytes(1000))
+            assert ended.poll(60_000)  # it is not read, and who sent it is cut off
+            client.disable_monitor()
         publisher.look()
         assert not publisher.wanted
 

@@ -73,7 +73,7 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
     spans_us = np.diff([frame.device_us for frame in frames[asleep + 1 : awake - 1]])
     assert np.median(spans_us) == 50_000  # 20 scans a second
     waited_us = frames[awake].device_us - frames[awake - 1].device_us
-    assert waited_us < 200_000  # a scan after the request; the rest is how busy this machine is
+    assert waited_us < RETRY_NS / 1000  # a scan after the request, which was made once; the rest is how busy we are
 
 
 def test_a_host_finds_whole_scans_whatever_the_one_before_left(virtual_skin, watchful):

@@ -112,7 +112,7 @@ def test_the_thread_ends_with_its_block_and_leaves_the_terminal_on_a_line_of_its
 
     status = RunStatus(read, RunLog(stream))
     with status:
-        assert looked.wait(10.0)
+        assert looked.wait(60.0)
     assert "run-status" not in {thread.name for thread in threading.enumerate()}
     status.look()  # the second look has something to show
     status._log.end()

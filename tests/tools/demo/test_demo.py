@@ -130,17 +130,11 @@ def test_a_process_that_dies_ends_the_demonstration_with_one_line(place: Path, c
     assert left_in(place) == {"broken.eitskin"}
 
 
-def _hears_ctrl_c() -> None:
-    """Undo what a shell does to commands behind '&': they ignore SIGINT, and so would the demonstration."""
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
-
-
 @pytest.mark.slow
 def test_ctrl_c_ends_it_early_with_its_summary(place: Path, cache: Path) -> None:
     process = subprocess.Popen(
         [*COMMAND, "--seconds=900", "--json", f"--bundle={BUNDLE}"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=environment(place, cache),
-        preexec_fn=_hears_ctrl_c,  # noqa: PLW1509 - no thread runs here
     )  # fmt: skip
     deadline = time.monotonic() + PATIENCE_S
     while not any("first" in path.read_text() for path in place.glob("eitskin-demo-*/subscriber.out")):
