@@ -101,6 +101,8 @@ def _mean(one: dict[str, Any]) -> str:
 
 
 def _touch(one: dict[str, Any]) -> str:
+    if one["missed"] == 1.0:
+        return f"{one['cc']:.3f}, all missed"
     away = one["localisation_rms_mm"]
     cells = [f"{one['cc']:.3f}", "-" if away is None else f"{away:.2f}"]
     if one["missed"]:
