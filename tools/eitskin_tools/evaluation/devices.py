@@ -16,7 +16,7 @@ from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_fo
 KINDS: Final = {
     "mm": "paper_mm, CC mean / worst",
     "units": "paper_units, CC",
-    "single": "single 10 mm, CC, rms mm",
+    "single": "single, CC, rms mm",
     "press04": "press 0.4, CC, rms mm",
     "press06": "press 0.6, CC, rms mm",
 }
