@@ -14,8 +14,8 @@ from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_for, named
 
 KINDS: Final = {
-    "mm": "paper_mm, CC mean / worst",
-    "units": "paper_units, CC",
+    "mm": "paper_mm, mean / worst",
+    "units": "paper_units",
     "single": "single, CC, rms mm",
     "press04": "press 0.4, CC, rms mm",
     "press06": "press 0.6, CC, rms mm",
