@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from eitskin_proto.sensor.cloud import flat_cloud
 
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID

@@ -21,7 +21,6 @@ from typing import Any, Final, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE, align_cloud, check_cloud
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
