@@ -69,8 +69,7 @@ ROOMS: dict[str, Arrows] = {
         "surface": {"fem", "scene"},
         "solvers": {"fem", "scene", "surface"},
         "dataset": {"devices", "fem", "freeform", "scene", "surface", "unit_grid"},
-        "outline": {"fem", "scene"},
-        "tank": {"fem", "outline", "scene", "solvers"},
+        "outline": {"fem", "scene"}, "tank": {"fem", "outline", "scene", "solvers"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
     },
     "eitskin_training": {
@@ -110,7 +109,7 @@ ROOMS: dict[str, Arrows] = {
         "errors": set(),
         "stages": set(),
         "flash": set(),
-        "phantoms": set(),
+        "mismatches": set(), "phantoms": set(),
         "pictures": set(),
         "processes": set(),
         "scans": {"command_line"},
@@ -119,7 +118,7 @@ ROOMS: dict[str, Arrows] = {
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
-        "evaluation": {"pictures"},
+        "evaluation": {"command_line", "pictures"},
         "demo": {"pictures", "processes", "scripted_scene"},
         "fault_injection": {"emulator", "flash", "virtual_skin"},
         "bench": {
