@@ -8,8 +8,8 @@
 
 Drift is a random walk that starts when the reference is taken. A sample comes at a time that is log-uniform, from
 ``FIRST`` of a session to its end, and the skin's spread is what the walk reaches at the end: with one of 3 %, half of
-the samples are off by less than 0.25 % and a tenth by more than 2 %. A few are of a reference from long ago. The
-uneven part goes the same way, as a smooth field or as a tilt.
+the samples are off by less than 0.5 % and a tenth by more than 2.3 %. A few have a reference of long ago: one in a
+hundred is off by 12 % or more. The uneven part walks likewise, as a smooth field and a tilt.
 """
 
 from dataclasses import dataclass, replace
@@ -146,9 +146,9 @@ def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
 
 def draw_drift(skin: Skin, count: int, rng: np.random.Generator) -> Array:
     """Return (count,) common factors of samples' resistances since the reference was taken."""
-    reached = skin.may_be_off.drift.draw(rng, count) * _walked(count, rng)
+    whole, walked = skin.may_be_off.drift.draw(rng, count), _walked(count, rng)
     old = rng.random(count) < OLD
-    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, 1.0) * reached, -MOST_DRIFT, MOST_DRIFT)))
+    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, walked) * whole, -MOST_DRIFT, MOST_DRIFT)))
 
 
 def _walked(count: int, rng: np.random.Generator) -> Array:
