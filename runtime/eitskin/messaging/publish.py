@@ -9,7 +9,7 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
 
     b""                            everything, always
     b"\xde"                        every frame, and then one of each:
-    b"eitskin/region/0/30/0/45"    the rows and columns that are needed
+    b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
     b"eitskin/unchanged"           ... or b"eitskin/always"
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
@@ -27,7 +27,8 @@ from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region, Regions, union
+from eitskin.messaging.regions import ALWAYS, UNCHANGED, Region, Regions, union, whole
+from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
@@ -54,20 +55,23 @@ class Publisher:
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
         keys: CURVE keys, needed for TCP beyond loopback.
+        shape: Rows and columns of the maps that are published.
 
     Raises:
         EndpointError: The endpoint is not allowed like this, or in use.
     """
 
-    def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
+    def __init__(
+        self, endpoint: str, keys: ServerKeys | None = None, shape: tuple[int, int] = PAPER.grid.shape
+    ) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._keys = keys
+        self._keys, self._shape = keys, shape
         self.dropped = 0
         """Frames that the socket did not take."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
-        self.regions: Regions = (WHOLE,)
+        self.regions: Regions = whole(shape)
         """What of the map all subscribers together need."""
         self.takes_short = False
         """Whether every subscriber does without a map that has not changed."""
@@ -122,9 +126,10 @@ class Publisher:
         self._topics.changed = False
         topics = self.topics
         plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
-        declared = [region for topic in topics if (region := Region.from_topic(topic)) is not None]
+        found = (Region.from_topic(topic, self._shape) for topic in topics)
+        declared = [region for region in found if region is not None]
         self.wanted = plain or FIRST_BYTE in topics
-        self.regions = (WHOLE,) if plain else union(declared)
+        self.regions = whole(self._shape) if plain else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.joined = True
 

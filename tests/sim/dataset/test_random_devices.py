@@ -35,27 +35,38 @@ def ideal() -> Arrays:
     return shard(plan_of())
 
 
+@pytest.fixture(scope="module")
+def same() -> Arrays:
+    return shard(plan_of(skin=PAPER))
+
+
 # The untouched sheet is solved with elements of 3 mm in place of 1.5.
-def test_a_skin_without_doubts_gives_the_ideal_data(ideal: Arrays) -> None:
-    found = shard(plan_of(skin=PAPER))
-    assert found["voltages"] == pytest.approx(ideal["voltages"], rel=3e-4)
-    assert found["untouched"] == pytest.approx(ideal["untouched"], rel=3e-4)
-    assert np.all(found["drift"] == 1.0)
+def test_a_skin_without_doubts_gives_the_ideal_data(ideal: Arrays, same: Arrays) -> None:
+    assert same["voltages"] == pytest.approx(ideal["voltages"], rel=3e-4)
+    assert same["untouched"] == pytest.approx(ideal["untouched"], rel=3e-4)
+    assert np.all(same["drift"] == 1.0)
 
 
-def test_drift_multiplies_what_a_sample_reads_and_gains_divide_out(ideal: Arrays) -> None:
-    same = shard(plan_of(skin=PAPER))
+def test_drift_multiplies_what_a_sample_reads(same: Arrays) -> None:
     drifted = shard(plan_of(skin=DRIFTING))
     assert drifted["drift"].std() > 1e-3
     assert drifted["voltages"] == pytest.approx(same["voltages"] * drifted["drift"][:, None], rel=1e-6)
     assert drifted["untouched"] == pytest.approx(same["untouched"], rel=1e-12)
+
+
+def test_gains_divide_out(same: Arrays) -> None:
     gains = shard(plan_of(skin=UNEVEN_GAINS))
     assert gains["voltages"] == pytest.approx(same["voltages"], rel=1e-6)
     assert np.abs(gains["reference"] / reference() - 1.0).max() > 0.1
 
 
-def test_units_have_random_devices_too() -> None:
-    found, plain = shard(plan_of("units", named("lab"))), shard(plan_of("units"))
+@pytest.fixture(scope="module")
+def units() -> tuple[Arrays, Arrays]:
+    return shard(plan_of("units", named("lab"))), shard(plan_of("units"))
+
+
+def test_units_have_random_devices_too(units: tuple[Arrays, Arrays]) -> None:
+    found, plain = units
     assert np.array_equal(found["touch_set"], plain["touch_set"])
     off = np.abs(found["voltages"] / plain["voltages"] - 1.0)
     assert 0.01 < np.median(off) < 0.5

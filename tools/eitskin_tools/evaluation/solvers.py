@@ -122,11 +122,11 @@ def _network(request: Request, labels: str, skin: Skin) -> Named:
     from eitskin.reference.predicted import log_ratio
 
     loaded = bundle_for(request, labels)
-    own = getattr(loaded, "skin", PAPER)
+    own = loaded.skin
     hint = "make a bundle for this skin with 'eitskin export', or name its own with --skin"
     check_made_for(str(loaded.path), skin, grid_id=own.grid_id, skin_digest=own.digest, hint=hint)
     _check_reference(request, str(loaded.path), takes_prediction=loaded.uses_prediction)
-    buffers = Buffers(loaded.bias_width)
+    buffers = Buffers(loaded)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
     if engine is None:
         raise ValueError(f"{loaded.path} holds no network {request.name!r}; export one with 'eitskin export'")
