@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.skin.parts import Doubts, Instrument
+from eitskin_proto.skin.parts import Doubts, Instrument, Outline
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.skin.toml import named
+from eitskin_proto.skin.toml import named, parse
 from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import Plan, make_plan
 from eitskin_sim.dataset.reader import load
@@ -83,7 +83,7 @@ def test_the_index_says_whose_devices_and_the_reader_needs_to_know_nothing(writt
     folder, _ = written
     index = json.loads((folder / "index.json").read_text())
     assert (index["devices"], index["skin_digest"]) == ("random", named("hydrogel").digest)
-    assert index["skin"]["may_be_off"]["layer_rms"] == [0.0, 0.1]
+    assert parse(index["skin"]).may_be_off.layer_rms == (0.0, 0.1)
     data = load(folder)
     assert data.reference_V == pytest.approx(reference())
     assert data.voltages_V.shape == (60, 104)
@@ -114,8 +114,8 @@ def test_what_cannot_be_meant_is_refused() -> None:
         make_plan("free", devices="odd")
     with pytest.raises(ValueError, match="devices: found 'random', expected 'ideal': the paper's set is as"):
         make_plan("paper", devices="random")
-    with pytest.raises(ValueError, match="skin paper: devices are 'ideal'; a skin's uncertainties are drawn"):
-        make_plan("free", skin=PAPER)
+    with pytest.raises(ValueError, match=r"\[outline\] kind is 'disc', expected 'rectangle'"):
+        make_plan("free", skin=replace(PAPER, outline=Outline("disc", (170.0, 170.0))))
     wild = replace(PAPER, front_end=Instrument(gain=Quantity(5.0)))
     with pytest.raises(ValueError, match=r"in 100 draws of its front end none read every row within 0.4 and 2.5 times"):
         shard(plan_of(skin=wild))

@@ -102,7 +102,7 @@ def test_predictions_of_a_data_set_are_computed_once_and_again_for_another(tmp_p
     assert np.array_equal(first, predicted_log(a_data_set("one").clouds))
     assert [path.name for path in tmp_path.iterdir()] == ["predicted.npz"]
     with monkeypatch.context() as patch:
-        patch.setattr(prediction_cache, "predicted_log", lambda clouds: np.full((len(clouds), 104), 7.0))
+        patch.setattr(prediction_cache, "predicted_log", lambda clouds, skin: np.full((len(clouds), 104), 7.0))
         assert np.array_equal(prediction_cache.predicted_log_of(tmp_path, a_data_set("one")), first)
         assert (prediction_cache.predicted_log_of(tmp_path, a_data_set("two")) == 7.0).all()
         patch.setattr(prediction_cache, "model", lambda skin: "another")

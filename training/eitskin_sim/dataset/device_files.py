@@ -11,12 +11,14 @@ would have: a scan that is noisy, off in scale and behind or ahead of the sheet,
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import parse
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
@@ -37,6 +39,16 @@ USABLE: Final = (0.4, 2.5)
 
 ATTEMPTS: Final = 100
 """Draws of a front end."""
+
+
+def job_skin(job: dict[str, Any]) -> Skin:
+    """Return the skin of a job, which has its TOML."""
+    return _parsed(job["skin"])
+
+
+@lru_cache(maxsize=4)
+def _parsed(text: str) -> Skin:
+    return parse(text)
 
 
 def device_job(plan: Plan, first: int) -> dict[str, Any]:
@@ -63,7 +75,7 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     Raises:
         ValueError: The skin's electronics are hardly ever so.
     """
-    skin: Skin = job["skin"]
+    skin = job_skin(job)
     rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
     drawn = draw_device(skin, rng)
     before = fine_differences(drawn.device, drawn.reference_bend)
@@ -91,7 +103,7 @@ def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:
 
 def moment_of(job: dict[str, Any], number: int) -> Moment:
     """Return what is true of a job's device at a deformation."""
-    return draw_moment(job["skin"], np.random.default_rng([job["seed"], MOMENT, number]))
+    return draw_moment(job_skin(job), np.random.default_rng([job["seed"], MOMENT, number]))
 
 
 def device_file(
@@ -117,12 +129,12 @@ def device_file(
     scale = nominal / own
     fine, coarse = fine_differences(device, bend), drive_differences(made[1])
     ratio = np.divide(fine, coarse, out=np.ones_like(fine), where=~np.eye(len(fine), dtype=np.bool_))
-    drift = draw_drift(job["skin"], len(made[0]), np.random.default_rng([job["seed"], DRIFT, number]))
+    drift = draw_drift(job_skin(job), len(made[0]), np.random.default_rng([job["seed"], DRIFT, number]))
     touched = drift[:, None, None] * corrected(drive_differences(made[0]), ratio)
     return {
         "voltages": (readings(device, touched) * scale).astype(np.float32),
         "untouched": readings(device, fine) * scale,
-        "cloud": scan(job["skin"], bend, moment, np.random.default_rng([job["seed"], SCAN, number])),
+        "cloud": scan(job_skin(job), bend, moment, np.random.default_rng([job["seed"], SCAN, number])),
         "reference": own,
         "drift": drift.astype(np.float32),
     }

@@ -13,7 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.dataset.device_files import device_file, device_job, moment_of, referenced_device, true_bend
+from eitskin_proto.skin.toml import to_toml
+from eitskin_sim.dataset.device_files import device_file, device_job, job_skin, moment_of, referenced_device, true_bend
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.devices.device import Device, ideal
@@ -100,7 +101,7 @@ def shard_job(plan: Plan, deformations: list[int]) -> dict[str, Any]:
     together = next(shard for shard in plan.shards() if deformations[0] in shard)
     return {
         "set": plan.set_name,
-        "skin": plan.skin,
+        "skin": to_toml(plan.skin),
         "seed": plan.seed,
         "deformations": deformations,
         "bends": [asdict(plan.bends[number]) for number in deformations],
@@ -120,8 +121,8 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
     generator's says takes the mesh's own error out of every reference.
     """
     bends = [bend_from_json(bend) for bend in job["bends"]]
-    own = referenced_device(job, reference(job["skin"])) if "device" in job else None
-    devices = [ideal(job["skin"])] * len(bends)
+    own = referenced_device(job, reference(job_skin(job))) if "device" in job else None
+    devices = [ideal(job_skin(job))] * len(bends)
     if own is not None:
         devices = [own.drawn.device.since(moment_of(job, number).late) for number in job["deformations"]]
         bends = [true_bend(own.drawn, bend) for bend in bends]
@@ -132,7 +133,7 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
         if own is None:
             file = _ideal_file(job, number, bend, made)
         else:
-            file = device_file(job, number, bend, device, made, (own.reference_V, reference(job["skin"])))
+            file = device_file(job, number, bend, device, made, (own.reference_V, reference(job_skin(job))))
         found.append({"touch_set": shown, **file})
     return found
 
@@ -142,22 +143,22 @@ _Made = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 
 
 def _ideal_file(job: dict[str, Any], number: int, bend: Bend, made: _Made) -> Arrays:
-    fine, coarse = untouched(bend, job["skin"]), to_voltages(made[1][None])[0]
+    fine, coarse = untouched(bend, job_skin(job)), to_voltages(made[1][None])[0]
     voltages = (to_voltages(made[0]) * (fine / coarse)).astype(np.float32)
     if job["set"] != "free" and job["touches"] == "hard":
         voltages = np.ascontiguousarray(voltages)  # these files have always been so, and digests are of their bytes
     return {
         "voltages": voltages,
         "untouched": fine,
-        "cloud": measured_cloud(bend, np.random.default_rng([job["seed"], 3, number]), skin=job["skin"]),
+        "cloud": measured_cloud(bend, np.random.default_rng([job["seed"], 3, number]), skin=job_skin(job)),
     }
 
 
 def _unit_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
-    drawn = (job["set"], job["touch_sets"], job["seed"], job["skin"].grid.units)
+    drawn = (job["set"], job["touch_sets"], job["seed"], job_skin(job).grid.units)
     sets = _unit_sets(*drawn)
     for bend, device, shown in zip(bends, devices, job["shown"], strict=True):
-        generator = UnitGenerator(bend, device=device, skin=job["skin"])
+        generator = UnitGenerator(bend, device=device, skin=job_skin(job))
         contrast = None
         if job["touches"] != "hard":
             contrast = _unit_contrasts(*drawn, job["touches"]).of(shown)
@@ -166,14 +167,14 @@ def _unit_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device
 
 def _pool(job: dict[str, Any]) -> SetPool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return set_pool(job["pool"], job["seed"], job["near"], job["touches"], job["skin"].grid)
+    return set_pool(job["pool"], job["seed"], job["near"], job["touches"], job_skin(job).grid)
 
 
 def _free_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:
-    pool, grid = _pool(job), shared_mesh(electrodes=devices[0].electrodes, skin=job["skin"])
+    pool, grid = _pool(job), shared_mesh(electrodes=devices[0].electrodes, skin=job_skin(job))
     batches = geometry(pool.parts, grid)
     used = None
     for number, bend, device in zip(job["deformations"], bends, devices, strict=True):
-        sheet = inverted_sheet(bend, into=used, device=device, skin=job["skin"])
+        sheet = inverted_sheet(bend, into=used, device=device, skin=job_skin(job))
         yield pool_responses(sheet, grid, pool, batches, number), sheet.at_terminals
         used = sheet.inverse

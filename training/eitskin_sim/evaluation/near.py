@@ -6,7 +6,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.spatial.distance import cdist
 
-from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.metrics import touch_centres_mm
 
 Array = npt.NDArray[np.float64]
@@ -15,17 +16,17 @@ NEAR_MM: Final = 15.0
 """A touch is missed if none is found this near to it."""
 
 
-def true_centres_mm(truth: Array) -> Array:
+def true_centres_mm(truth: Array, grid: Grid = PAPER.grid) -> Array:
     """Return the (touches, 2) places of a truth's touches; one that nowhere covers half a pixel is one all the same."""
-    found = touch_centres_mm(truth)
+    found = touch_centres_mm(truth, grid)
     if len(found) or not truth.any():
         return found
-    return np.asarray((pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
+    return np.asarray((grid.pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
 
 
-def distances_mm(image: Array, truth: Array) -> Array:
-    """Return (true touches,) mm from each to the nearest that a map (30, 45) shows; infinite where it shows none."""
-    true, found = true_centres_mm(truth), touch_centres_mm(image)
+def distances_mm(image: Array, truth: Array, grid: Grid = PAPER.grid) -> Array:
+    """Return (true touches,) mm from each to the nearest that a map shows; infinite where it shows none."""
+    true, found = true_centres_mm(truth, grid), touch_centres_mm(image, grid)
     return np.asarray(cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf))
 
 

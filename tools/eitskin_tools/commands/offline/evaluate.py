@@ -7,6 +7,7 @@ import time
 from dataclasses import asdict, replace
 from typing import Any
 
+from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
@@ -129,6 +130,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     _softness(arguments)
+    if skin != PAPER and (arguments.measured or arguments.devices or arguments.tank):
+        raise UsageError(
+            f"--skin {arguments.skin}: --measured, --devices and --tank are of the paper's sheet; leave it out"
+        )
     if arguments.measured is not None:
         return _measured(arguments, request)
     if arguments.tank is not None:
