@@ -143,7 +143,7 @@ def test_a_run_goes_on_and_starts_with_data_of_its_own_skin_alone(toy_data: Any,
     with pytest.raises(MismatchError, match=f"skin_digest: found {SECOND.digest}, expected {PAPER.digest}"):
         train.train(paper, plain, tmp_path / "run", resume=True)
     with pytest.raises(MismatchError, match=f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}"):
-        train.train(paper, plain, tmp_path / "other", start=tmp_path / "run")
+        train.train(paper, plain, tmp_path / "other", start=Start.of_run(tmp_path / "run"))
 
 
 def test_labels_that_the_recipe_does_not_learn_from_are_refused(toy_data: Any, tmp_path: Path) -> None:
