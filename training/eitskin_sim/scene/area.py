@@ -43,7 +43,9 @@ def area_map(touches: Sequence[Touch], grid: Grid = PAPER.grid) -> Array:
 
 def shape_map(shape: Shape, grid: Grid) -> Array:
     """Return the (rows, columns) share of each pixel that one shape covers."""
-    x, y = (np.arange(n + 1) * side for n, side in zip(grid.shape[::-1], grid.pixel_mm, strict=True))
+    x, y = (
+        np.arange(n + 1, dtype=np.float64) * np.float64(d) for n, d in zip(grid.shape[::-1], grid.pixel_mm, strict=True)
+    )
     match shape:
         case Rect():
             wide = np.diff(np.clip(x, shape.x0_mm, shape.x1_mm))
