@@ -76,8 +76,8 @@ def test_a_true_size_shows_in_every_bend_and_in_the_reference() -> None:
 
 
 def test_skins_that_the_generators_have_no_mesh_for_are_refused() -> None:
-    long = replace(PAPER, outline=Outline(size_mm=(220.0, 100.0)))
-    with pytest.raises(ValueError, match="outline is a rectangle of 220 x 100 mm; data sets of random"):
-        draw_device(long, rng(0))
+    disc = replace(PAPER, outline=Outline("disc", (160.0, 160.0)))
+    with pytest.raises(ValueError, match="kind is 'disc', expected 'rectangle': the forward model solves no other"):
+        draw_device(disc, rng(0))
     with pytest.raises(ValueError, match="contact is 'edge'; random devices have 'patch'"):
         draw_device(replace(PAPER, electrodes=Ring(contact="edge")), rng(0))

@@ -204,7 +204,7 @@ def test_l1_without_an_upper_bound_scales_with_its_data(operators, one, factor):
 def test_a_common_gain_of_frame_and_reference_changes_no_classical_map(operators, noise, gain):
     voltages = operators.untouched_voltages
     touched = voltages * (1.0 + 0.1 * np.tanh(noise))
-    sheet = Sheet(np.zeros((3, 30, 45)), voltages, {"units": operators})
+    sheet = Sheet(np.zeros((3, 30, 45)), voltages, _operators={"units": operators})
     plain, amplified = (
         solve_tikhonov(Case(g * touched, g * voltages, g * voltages, sheet, "units")) for g in (1.0, gain)
     )
