@@ -40,13 +40,9 @@ QUEUE_SUBSCRIPTIONS: Final = 2
 """Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps
 it reading within one call for a quarter of a second. With 1, CURVE's handshake does not end (libzmq 4.3.5)."""
 
-BUFFER_BYTES: Final = 1024
-"""Of subscriptions that the kernel keeps for one connection until they are read (Linux takes 2304). What lies there is
-read even after the connection was ended, and every message of it waits within libzmq to be taken: left to itself the
-buffer grows to megabytes, and a flood of connections left 15 MiB more in memory every 10 s; so it is 4.5 in all."""
-
-MOST_AT_ONCE: Final = 512
-"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400."""
+MOST_AT_ONCE: Final = 256
+"""Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400, and waits for a second
+one. Each that is taken lets libzmq read more: with 512 a flood over TCP left twice as much in memory."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 
@@ -94,7 +90,6 @@ class Publisher:
         self._send = super(zmq.Socket, self._socket).send  # without the wrapper, which is for other kinds of sockets
         self._socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_SUBSCRIPTIONS)
-        self._socket.setsockopt(zmq.RCVBUF, BUFFER_BYTES)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)

@@ -24,9 +24,6 @@ MEANWHILE: Final = 64
 MANY: Final = 65536
 """What counts as no limit."""
 
-_AT_ONCE: Final = struct.pack("ii", 1, 0)
-"""``struct linger``: a close waits for nothing."""
-
 Connection = tuple[int, int]
 """A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
 
@@ -43,8 +40,8 @@ def connection_at(descriptor: int) -> Connection | None:
 def end(connection: Connection) -> None:
     """End a connection, if it still lives: libzmq finds it ended by the other side and cleans up.
 
-    Its close resets a TCP connection: whoever sends without end, and found the window shut, would otherwise wait for a
-    minute for it to open.
+    It is not reset: who sends without end, and finds the window shut, may wait a minute for it to open, and cannot come
+    again at once.
     """
     try:
         copy = socket.socket(fileno=os.dup(connection[0]))
@@ -53,7 +50,6 @@ def end(connection: Connection) -> None:
     with copy:
         if os.fstat(copy.fileno()).st_ino == connection[1]:  # of the copy: what lies there may change at any time
             try:
-                copy.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, _AT_ONCE)
                 copy.shutdown(socket.SHUT_RDWR)
             except OSError:
                 return  # the other side was faster
