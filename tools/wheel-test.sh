@@ -52,7 +52,7 @@ PY
 away=$(mktemp -d)
 trap 'rm -rf "$away"' EXIT
 mkdir "$away/tests" "$away/firmware_proto"
-cp -r tests/runtime tests/proto tests/golden tests/checks tests/conftest.py "$away/tests/"
+cp -r tests/runtime tests/proto tests/golden tests/checks tests/conftest.py tests/second_skin.py "$away/tests/"
 rm "$away/tests/proto/test_generated.py" # compares files of the repository, not of the wheel
 cp firmware_proto/SPEC.md "$away/firmware_proto/"
 cp pyproject.toml "$away/"
