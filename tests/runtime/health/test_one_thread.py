@@ -24,8 +24,10 @@ def test_a_new_reference_and_a_failing_electrode_wake_no_thread_of_blas():
     ).stdout.splitlines()  # fmt: skip
     if int(found[0].split()[-1]) == 0:
         pytest.skip("this numpy computes with one thread in any case")
-    assert found[1] == "detached\t0\t5:detached:imputed"
-    assert found[2] == "swapped\t0\t4:swapped with 5:rearranged\t5:swapped with 4:rearranged"
+    if int(found[1].split()[-1]) > 0:
+        pytest.skip("this numpy's OpenBLAS, older than 0.3.27, has its pool compute 104 rows times a vector")
+    assert found[2] == "detached\t0\t5:detached:imputed"
+    assert found[3] == "swapped\t0\t4:swapped with 5:rearranged\t5:swapped with 4:rearranged"
 
 
 @pytest.mark.parametrize(("rows", "inner", "columns"), [(1350, 26, 104), (3, 400, 400), (1, 104, 104), (0, 5, 3)])
