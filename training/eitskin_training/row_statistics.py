@@ -43,4 +43,6 @@ def row_statistics(data: TrainingData, recipe: Recipe, bends: Bends) -> dict[str
 
 def unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:
     """Return (n, 104) what of l of untouched deformations their predicted reference does not explain."""
-    return np.asarray(np.log(data.untouched[deformations] / data.reference) - data.log_predicted[deformations])
+    # A front end's offset may turn the sign of a weak row of a bent sheet.
+    ratio = np.clip(data.untouched[deformations] / data.reference, *RATIO_RANGE)
+    return np.asarray(np.log(ratio) - data.log_predicted[deformations])

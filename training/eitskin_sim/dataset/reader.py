@@ -34,6 +34,8 @@ from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
+from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
@@ -86,6 +88,11 @@ class DataSet:
     """Touches anywhere; empty on the unit grid."""
     unit_contrasts: UnitContrasts | None = None
     """Of touches on the unit grid, where they are not the paper's of 50."""
+    touch_kind: TouchKind = "hard"
+    spread: Uncertainties | None = None
+    """What random devices were drawn from; None of the nominal device."""
+    drift: npt.NDArray[np.float32] | None = None
+    """(N,) by which each sample's voltages had changed since the reference, of random devices."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:
@@ -182,7 +189,25 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         units=units,
         free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
+        touch_kind=_touch_kind(index),
+        **_of_devices(index, shards),
     )
+
+
+def _touch_kind(index: dict[str, Any]) -> TouchKind:
+    kind = index.get("touch_kind", "hard")
+    if kind not in TOUCH_KINDS:
+        raise ValueError(f"touches are {quoted(kind)}")
+    return kind
+
+
+def _of_devices(index: dict[str, Any], shards: list[Arrays]) -> dict[str, Any]:
+    """Return what a set of random devices has besides."""
+    if index.get("devices", "ideal") == "ideal":
+        return {}
+    spread = {name: tuple(v) if isinstance(v, list) else v for name, v in index["device_spread"].items()}
+    drift = [_of(shard["drift"], "f", (len(shard["touch_set"]),)) for shard in shards]
+    return {"spread": Uncertainties(**spread), "drift": np.concatenate(drift)}
 
 
 def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:

@@ -3,7 +3,7 @@
 A drawn bend is a solved one, or lies between two of them or between one and flat: the voltages of a partial bend are
 close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
 which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the four mirror
-images, since the image of a sheet is a sheet.
+images, since the image of a sheet is a sheet. Where devices drift, each frame has a common factor of its own besides.
 """
 
 from dataclasses import dataclass
@@ -13,6 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.devices.draws import draw_drift
+from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import MIRRORS
@@ -49,12 +51,14 @@ class Material:
         bends: (n, 104) log(V / V0) untouched.
         touches: (t, 104) log(V touched / V untouched).
         upto: (t,) ascending chances that a drawn touch is this one or one before it.
+        spread: Whose drift frames have; None for none.
     """
 
     reference: Array
     bends: Array
     touches: Array
     upto: Array
+    spread: Uncertainties | None = None
 
     @classmethod
     def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
@@ -62,6 +66,8 @@ class Material:
         rows = data.train[data.labels[data.touch_set[data.train]].any(axis=1)]
         rows = rng.permutation(rows)[:MOST_TOUCHES]
         ratio = data.voltages[rows] / data.untouched[data.deformation[rows]]
+        if data.drift is not None:
+            ratio = ratio / data.drift[rows, None]
         usable = ((ratio > 1e-4) & (ratio < 1e4)).all(axis=1)
         touches = np.concatenate([np.log(ratio[usable]), bends.touches])
         strength = np.abs(touches).mean(axis=1)
@@ -70,7 +76,7 @@ class Material:
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
             weights[own] *= weights[~own].sum() / weights[own].sum()
-        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum())
+        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), bends.spread)
 
     def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
         """Return (count, 104) noisy dV and (count,) 1 where touched.
@@ -84,6 +90,7 @@ class Material:
         logs = self._bends(count, rng)
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
         logs[:first] += _image(self.touches[chosen], rng)
+        logs = drifted(logs, self.spread, rng)
         labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
         return noisy_change(logs, self.reference, rng), labels
 
@@ -98,20 +105,28 @@ def _image(logs: Array, rng: np.random.Generator) -> Array:
     return np.take_along_axis(logs, IMAGES[rng.integers(len(IMAGES), size=len(logs))], axis=1)
 
 
-def noisy_change(logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None) -> Array:
-    """Return (n, 104) dV of (n, 104) log(V / V0) with noise at 50 dB.
+def drifted(logs: Array, spread: Uncertainties | None, rng: np.random.Generator) -> Array:
+    """Return (n, 104) log(V / V0) with a common factor drawn for each; as they are where nothing drifts."""
+    return logs if spread is None else logs + np.log(draw_drift(spread, len(logs), rng))[:, None]
+
+
+def noisy_change(
+    logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None, snr_db: float = SNR_DB
+) -> Array:
+    """Return (n, 104) dV of (n, 104) log(V / V0) with noise.
 
     Args:
         logs: Free of noise.
         reference: (104,) V0.
         rng: Source of the noise.
         kind: Of noise; any of the three for each frame by default.
+        snr_db: Of the noise.
     """
     voltages = reference * np.exp(logs)
     if kind is not None:
-        return relative_change(add_noise(voltages, reference, kind, SNR_DB, rng), reference)
+        return relative_change(add_noise(voltages, reference, kind, snr_db, rng), reference)
     which = rng.integers(len(NOISES), size=len(voltages))
     noisy = np.empty_like(voltages)
     for index, name in enumerate(NOISES):
-        noisy[which == index] = add_noise(voltages[which == index], reference, name, SNR_DB, rng)
+        noisy[which == index] = add_noise(voltages[which == index], reference, name, snr_db, rng)
     return relative_change(noisy, reference)

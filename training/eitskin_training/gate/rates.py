@@ -11,7 +11,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_training.gate.material import IMAGES, NOISES, noisy_change
+from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_training.gate.material import IMAGES, NOISES, drifted, noisy_change
+from eitskin_training.gate.observer import FRAMES, SNR_DB
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import PIXELS_PER_UNIT, TrainingData
 
@@ -21,12 +23,20 @@ SMALL_TOUCH_PIXELS: Final = 12.0
 DRAWS: Final = 4
 """Noise draws of a bend in each of its four mirror images, for each noise."""
 
+DRIFT: Final = 0.01
+"""Standard deviation of the common log factor of presses that are to be found: that of a hundred presses."""
+
+DEVICES: Final = 200
+"""Presses on random devices."""
+
 Array = npt.NDArray[np.float64]
 Judge = Callable[[Array], Array]
 """(n, 104) dV -> (n,) logits."""
 
 
-def untouched_logits(judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> dict[str, Array]:
+def untouched_logits(
+    judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, spread: Uncertainties | None = None
+) -> dict[str, Array]:
     """Return by noise the (bends, 4 images x draws) logits of untouched sheets.
 
     Args:
@@ -34,15 +44,23 @@ def untouched_logits(judge: Judge, logs: Array, reference: Array, rng: np.random
         logs: (bends, 104) log(V / V0).
         reference: (104,) V0.
         rng: Source of the noise.
+        spread: Whose drift every frame has; None for none.
     """
     shown = np.repeat(np.concatenate([logs[:, rows][:, None] for rows in IMAGES], axis=1), DRAWS, axis=1)
-    flat = shown.reshape(-1, logs.shape[1])
+    flat = drifted(shown.reshape(-1, logs.shape[1]), spread, rng)
     return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
 
 
-def threshold_at(rate: float, judge: Judge, logs: Array, reference: Array, rng: np.random.Generator) -> float:
+def threshold_at(
+    rate: float,
+    judge: Judge,
+    logs: Array,
+    reference: Array,
+    rng: np.random.Generator,
+    spread: Uncertainties | None = None,
+) -> float:
     """Return the logit above which a share ``rate`` of untouched frames lies, over bends, images and noises."""
-    found = untouched_logits(judge, logs, reference, rng)
+    found = untouched_logits(judge, logs, reference, rng, spread)
     return float(np.quantile(np.concatenate([logits.ravel() for logits in found.values()]), 1.0 - rate))
 
 
@@ -63,7 +81,7 @@ def measured(
     judge: Judge, threshold: float, data: TrainingData, bends: Bends, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return what a gate's manifest entry states."""
-    found = untouched_logits(judge, bends.measure, data.reference, rng)
+    found = untouched_logits(judge, bends.measure, data.reference, rng, bends.spread)
     tripped = {kind: (logits > threshold).mean(axis=1) for kind, logits in found.items()}
     rate, interval = rate_and_interval(np.mean(list(tripped.values()), axis=0))
     missed, small = _missed_samples(judge, threshold, data, rng)
@@ -76,6 +94,31 @@ def measured(
         "missed_small_rate": small,
         "missed_by_touch": missed_probes(judge, threshold, bends, data.reference, rng),
     }
+
+
+def found_presses(
+    judge: Judge, threshold: float, bends: Bends, reference: Array, rng: np.random.Generator, draws: int = 10
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return by touch and bends the share that the first, and any of ``FRAMES`` frames with noise of their own, finds.
+
+    Noise is N2 of ``SNR_DB``, and all voltages have drifted by ``DRIFT`` since the reference, the same in all frames of
+    one press. Bends are those of a family, of the nominal device, or "devices": the sheets that measure false alarms.
+    """
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name in dict.fromkeys(probe.name for probe in bends.probes):
+        own = [probe for probe in bends.probes if probe.name == name]
+        alone = np.concatenate([probe.logs - probe.before for probe in own])
+        members = {probe.family: probe.logs for probe in own}
+        if bends.spread is not None:
+            some = bends.measure[rng.integers(len(bends.measure), size=DEVICES)]
+            members["devices"] = some + alone[rng.integers(len(alone), size=DEVICES)]
+        found[name] = {}
+        for family, logs in members.items():
+            still = np.repeat(logs, draws, axis=0)
+            still = np.repeat(still + DRIFT * rng.standard_normal((len(still), 1)), FRAMES, axis=0)
+            seen = judge(noisy_change(still, reference, rng, "N2", SNR_DB)).reshape(-1, FRAMES) > threshold
+            found[name][family] = {"1": float(seen[:, 0].mean()), f"{FRAMES}": float(seen.any(axis=1).mean())}
+    return found
 
 
 def missed_probes(

@@ -7,6 +7,10 @@ the mesh's own error is the same in both and cancels. Rates are measured on draw
 from.
 
 A touch is kept as log(V touched / V untouched), which hardly depends on the bend, and so can be put on any of them.
+
+Where a data set is of random devices, its untouched moments are those devices' own, and the sheets that are solved
+besides are of other devices of the same kind (:mod:`eitskin_training.gate.moments`). Where it has presses, presses are
+what is learned from and what measures.
 """
 
 from collections.abc import Iterable, Sequence
@@ -19,15 +23,19 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.freeform.patterns import CONTRAST
+from eitskin_sim.freeform.presses import TouchKind
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene import bend as surfaces
 from eitskin_sim.scene.family import BOUNDS, FLAT, SCALED, draw, scaled
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
+from eitskin_training.gate.moments import LEAST_RATIO, moments
+from eitskin_training.gate.presses import drawn_presses, probe_presses
 from eitskin_training.samples.batches import TrainingData
 
 COARSE_MM: Final = 4.5
@@ -78,6 +86,8 @@ class Bends:
         measure: (m, 104) that measure what it does.
         touches: (t, 104) log(V touched / V untouched) of small touches, to learn from.
         probes: Touches that measure what is missed.
+        spread: What devices, and the common factor of every frame, are drawn from; None of the nominal device, which
+            does not drift.
     """
 
     train: Array
@@ -85,14 +95,16 @@ class Bends:
     measure: Array
     touches: Array = field(default_factory=lambda: np.empty((0, N_ROWS)))
     probes: tuple[Probe, ...] = ()
+    spread: Uncertainties | None = None
 
 
 def bends_of(data: TrainingData) -> Bends:
     """Return the bends of a data set alone: trained ones teach, held-out ones choose and measure in turn."""
-    logs = np.log(data.untouched / data.reference)
+    logs = np.log(np.maximum(data.untouched / data.reference, LEAST_RATIO))
     held_out = np.concatenate(list(data.held_out.values())) if data.held_out else np.array([], dtype=np.intp)
     apart = np.unique(data.deformation[held_out])
-    return Bends(logs[np.unique(data.deformation[data.train])], logs[apart[::2]], logs[apart[1::2]])
+    train = logs[np.unique(data.deformation[data.train])]
+    return Bends(train, logs[apart[::2]], logs[apart[1::2]], spread=data.spread)
 
 
 def solved_bends(
@@ -107,11 +119,12 @@ def solved_bends(
         touched_bends: Bends at which small touches are solved for learning.
         probed_bends: Bends of A, and as many of B, at which touches measure what is missed.
     """
+    sheets = solved(train, held_out) if data.spread is None else solved_devices(data.spread, train // 2, held_out)
     return replace(
-        solved(train, held_out),
-        train=np.concatenate([bends_of(data).train, solved(train, held_out).train]),
-        touches=small_touches(touched_bends),
-        probes=probes(probed_bends, PROBE_SEED),
+        sheets,
+        train=np.concatenate([bends_of(data).train, sheets.train]),
+        touches=small_touches(touched_bends, kind=data.touches),
+        probes=probes(probed_bends, PROBE_SEED, data.touches),
     )
 
 
@@ -123,6 +136,22 @@ def solved(train: int, held_out: int) -> Bends:
         untouched_logs(wide_bends(train, TRAIN_SEED)),
         np.concatenate([logs[::2] for logs in apart]),
         np.concatenate([logs[1::2] for logs in apart]),
+    )
+
+
+@cache
+def solved_devices(spread: Uncertainties, train: int, held_out: int) -> Bends:
+    """Return what :func:`solved` does, each two sheets of a random device; four, of those to learn from."""
+    apart = [
+        moments(draw(family, held_out, HELD_OUT_SEED), spread, HELD_OUT_SEED + number)
+        for number, family in enumerate(("A", "B"), start=10)
+    ]
+    return Bends(
+        moments(wide_bends(train, TRAIN_SEED), spread, TRAIN_SEED, together=4),
+        # Halves are of whole devices: what chooses has no device in common with what measures.
+        np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 0] for logs in apart]),
+        np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 1] for logs in apart]),
+        spread=spread,
     )
 
 
@@ -159,11 +188,23 @@ def _dent(rng: np.random.Generator) -> tuple[float, float, float, float]:
 
 
 @cache
-def small_touches(bends: int, each: int = 400, seed: int = TOUCH_SEED) -> Array:
-    """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends."""
+def small_touches(bends: int, each: int = 400, seed: int = TOUCH_SEED, kind: TouchKind = "hard") -> Array:
+    """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
+
+    Args:
+        bends: How many.
+        each: Touches at each.
+        seed: Of both.
+        kind: Faint presses instead, or every second one.
+    """
     rng = np.random.default_rng(seed)
     members = [Bend(), *wide_bends(bends - 1, seed)]
-    return np.concatenate([touch_logs(bend, _drawn_touches(each, rng)) for bend in members])
+    hard = {"hard": each, "press": 0, "both": each // 2}[kind]
+    found = []
+    for bend in members:
+        sets = [_drawn_touches(hard, rng), drawn_presses(each - hard, rng)]
+        found += [touch_logs(bend, some) for some in sets if some]
+    return np.concatenate(found)
 
 
 def touch_logs(bend: Bend, sets: Sequence[Array]) -> Array:
@@ -207,10 +248,15 @@ def probe_sets(seed: int, each: int = 20) -> dict[str, list[Array]]:
     return found
 
 
+def probes(bends: int, seed: int, kind: TouchKind = "hard") -> tuple[Probe, ...]:
+    """Return touches of a kind at the flat sheet, at ``bends`` bends of A and at as many of B."""
+    hard = _probes(bends, seed, False) if kind != "press" else ()
+    return hard + (_probes(bends, seed, True) if kind != "hard" else ())
+
+
 @cache
-def probes(bends: int, seed: int) -> tuple[Probe, ...]:
-    """Return touches at the flat sheet, at ``bends`` bends of A and at as many of B."""
-    sets = probe_sets(seed)
+def _probes(bends: int, seed: int, presses: bool) -> tuple[Probe, ...]:
+    sets = probe_presses(seed) if presses else probe_sets(seed)
     table = gather([pieces for group in sets.values() for pieces in group])
     ends = np.cumsum([len(group) for group in sets.values()])
     flat_V = inverted_sheet(Bend()).untouched_V

@@ -25,6 +25,8 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
+from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_sim.freeform.presses import TouchKind
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.mirror import MIRRORS, Mirror
@@ -58,6 +60,9 @@ class TrainingData:
         held_out: Rows of other touch sets at bends never trained on, by family; for the metrics card.
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
+        touches: Which touches it has.
+        spread: What its random devices were drawn from; None of the nominal device.
+        drift: (N,) by which each sample's voltages had changed since the reference; None where none had.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -76,6 +81,9 @@ class TrainingData:
     seed: int
     protocol_id: str = PROTOCOL_ID
     grid_id: str = GRID_ID
+    touches: TouchKind = "hard"
+    spread: Uncertainties | None = None
+    drift: npt.NDArray[np.float32] | None = None
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
@@ -277,4 +285,7 @@ def load(directory: str) -> TrainingData:
         held_out={family: rows for family, rows in held_out.items() if len(rows)},
         digest=found.digest,
         seed=found.seed,
+        touches=found.touch_kind,
+        spread=found.spread,
+        drift=found.drift,
     )

@@ -1,6 +1,7 @@
 """Several data sets as one: more touches and deformations than one run of ``eitskin dataset`` made.
 
-Each set keeps its own splits, so what one holds out stays held out; deformations and touch sets are numbered on.
+Each set keeps its own splits, so what one holds out stays held out; deformations and touch sets are numbered on. Of
+several spreads of devices the first is named.
 """
 
 from collections.abc import Sequence
@@ -66,4 +67,15 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests))
+    return replace(first, **whole, **numbered_on, **_kinds(sets), held_out=held_out, digest="+".join(digests))
+
+
+def _kinds(sets: Sequence[TrainingData]) -> dict[str, Any]:
+    """Return the touches, the devices and the drift of the samples of several sets."""
+    touches = {one.touches for one in sets}
+    drifts = [np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets]
+    return {
+        "touches": touches.pop() if len(touches) == 1 else "both",
+        "spread": next((one.spread for one in sets if one.spread is not None), None),
+        "drift": None if all(one.drift is None for one in sets) else np.concatenate(drifts),
+    }

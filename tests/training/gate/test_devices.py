@@ -1,0 +1,186 @@
+"""The gate of random devices: what it takes for untouched, that no drift trips it, and what an observer could see."""
+
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.grid import SHEET_MM
+from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend, Scene, Touch
+from eitskin_sim.scene.shapes import Disc
+from eitskin_training.gate import fit, material, observer, presses, rates, untouched
+from eitskin_training.gate.moments import COARSE_MM, LEAST_RATIO, moments
+from eitskin_training.gate.untouched import Bends, Probe
+from eitskin_training.samples.batches import TrainingData
+
+pytestmark = pytest.mark.heavy
+
+IDEAL = Uncertainties(
+    electrode_mm=(0.0, 0.0),
+    electrode_size=(1.0, 1.0),
+    electrode_size_each=0.0,
+    impedance=(1.0, 1.0),
+    impedance_each=(0.0, 0.0),
+    layer_rms=(0.0, 0.0),
+    gauge_factor=(0.0, 0.0),
+    reference_flat=1.0,
+    late_even=1.0,
+    front_end=0.0,
+    gain=0.0,
+)
+"""Devices that are all the nominal one."""
+
+
+@pytest.fixture(scope="module")
+def data(toy_data: Any) -> TrainingData:
+    made: TrainingData = toy_data("area", bends=12, samples=2400)
+    return replace(made, spread=Uncertainties(), touches="press")
+
+
+@pytest.fixture(scope="module")
+def bends() -> Bends:
+    """Return a toy's bends: what a common factor leaves of them is one pattern, of any strength."""
+    rng = np.random.default_rng(1)
+    logs = 0.05 * rng.standard_normal((120, 1)) * rng.standard_normal(104)
+    return Bends(logs[:40], logs[40:80], logs[80:], spread=Uncertainties())
+
+
+@pytest.fixture(scope="module")
+def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
+    return fit.fit(data, bends, steps=200, batch=256)
+
+
+def test_devices_that_are_the_nominal_one_move_as_its_bends_do() -> None:
+    members = draw("A", 2, 5)
+    np.testing.assert_allclose(moments(members, IDEAL, 3), untouched.untouched_logs(members), atol=1e-9)
+
+
+def test_a_device_is_compared_with_its_own_reference() -> None:
+    """A device of uneven layer and other electrodes, flat and just referenced, has changed by nothing."""
+    still = replace(Uncertainties(), reference_flat=1.0, late_even=1.0)
+    np.testing.assert_allclose(moments([Bend()], still, 4), 0.0, atol=1e-12)
+    late = replace(still, late_even=0.0, late_gradient_rms=(0.02, 0.02))
+    assert 0.002 < np.abs(moments([Bend()], late, 4)).mean() < 0.2
+
+
+def test_a_row_whose_sign_turns_is_held_at_the_floor() -> None:
+    wild = replace(Uncertainties(), front_end=1.0, offset_V=(0.2, 0.2))
+    logs = moments(untouched.wide_bends(3, 1), wild, 1)
+    assert np.isfinite(logs).all()
+    assert logs.min() >= np.log(LEAST_RATIO)
+
+
+@pytest.mark.parametrize("prefix", ["", "idle_"])
+def test_no_common_factor_moves_a_gate_of_devices_that_drift(fitted: fit.Gate, prefix: str) -> None:
+    rng = np.random.default_rng(0)
+    rows = len(fitted.arrays[f"{prefix}mean"]) // 2
+    logs = 0.02 * rng.standard_normal((20, rows))
+    usual = fit.logits(fitted.arrays, np.expm1(logs), prefix)
+    for drift in (-0.3, 0.01, 0.3):
+        found = fit.logits(fitted.arrays, np.expm1(logs + drift), prefix)
+        np.testing.assert_allclose(found, usual, atol=1e-3 * np.abs(usual).max())
+
+
+def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data: TrainingData, bends: Bends) -> None:
+    found = fit.fit(replace(data, spread=None), replace(bends, spread=None), steps=50, batch=128)
+    logs = np.zeros((1, 104))
+    usual, moved = (fit.logits(found.arrays, np.expm1(logs + drift)) for drift in (0.0, 0.3))
+    assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
+
+
+def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) -> None:
+    rng = np.random.default_rng(0)
+    flat = replace(bends, train=np.zeros((2, 104)))
+    drawn, _ = material.Material.of(data, flat, rng).draw(3000, rng, touched=0.0)
+    factors = np.log1p(drawn).mean(axis=1)
+    # Log-uniform from 0.2 to 2.3 %, and 3 % of them 12 %: the median size is about that of half a per cent.
+    assert 0.002 < np.median(np.abs(factors)) < 0.01
+    assert 0.01 < np.mean(np.abs(factors) > 0.05) < 0.04
+
+
+def test_a_samples_own_drift_is_no_part_of_its_touch(data: TrainingData, bends: Bends) -> None:
+    drift = np.random.default_rng(2).uniform(0.9, 1.1, len(data.voltages)).astype(np.float32)
+    moved = replace(data, drift=drift, voltages=data.voltages * drift[:, None])
+    plain, found = (material.Material.of(one, bends, np.random.default_rng(0)) for one in (data, moved))
+    np.testing.assert_allclose(found.touches, plain.touches, atol=1e-5)
+
+
+def test_presses_to_learn_from_are_faint_and_lie_on_the_sheet() -> None:
+    pieces = np.concatenate(presses.drawn_presses(200, np.random.default_rng(0)))
+    strength = (1.0 - pieces[:, 6]) * np.pi / 4 * pieces[:, 3] ** 2
+    low, high = presses.STRENGTHS_MM2
+    assert low <= strength.min() < 1.3 * low
+    assert 0.8 * high < strength.max() <= high
+    assert (pieces[:, 1:3] >= pieces[:, 3:4] / 2).all()
+    assert (pieces[:, 1:3] <= np.array(SHEET_MM) - pieces[:, 3:4] / 2).all()
+    with pytest.raises(ValueError, match="cannot lose 60"):
+        presses.contrast_of(60.0, 8.0)
+
+
+def test_the_signal_of_a_press_is_that_of_a_solved_one() -> None:
+    """A tenth of the strength, in the middle of the grid of places, by central differences."""
+    strength, diameter = 5.0, 20.0
+    half = diameter / 2
+    x, y = (np.linspace(half, side - half, count) for side, count in zip(SHEET_MM, observer.PLACES, strict=True))
+    signal = observer.press_signals(observer.flat_jacobian(), strength, diameter)[4 * observer.PLACES[1] + 3]
+    less = presses.contrast_of(strength, diameter)
+    disc = (Disc(float(x[4]), float(y[3]), half),)
+    # Both are solved on one mesh, whose error is then no difference of theirs.
+    lower, higher = (
+        solve_scene(Scene(touches=(Touch(disc, contrast=contrast),), element_size_mm=COARSE_MM)).voltages
+        for contrast in (less, 2.0 - less)
+    )
+    solved = np.log(lower / higher) / 2
+    assert signal @ solved / np.linalg.norm(signal) / np.linalg.norm(solved) > 0.995
+    assert np.linalg.norm(signal) / np.linalg.norm(solved) == pytest.approx(1.0, abs=0.05)
+
+
+def test_an_observer_is_as_good_as_its_closed_forms() -> None:
+    rng = np.random.default_rng(0)
+    signals = rng.standard_normal((4, 10))
+    alone = observer.detectability(signals, None, 0.5, common=False)
+    np.testing.assert_allclose(alone, np.linalg.norm(signals, axis=1) / 0.5)
+    assert observer.detectability(np.ones((1, 10)), None, 0.5) == pytest.approx(0.0, abs=1e-6)
+    # To take a factor out is the limit of not knowing it at all.
+    unknown = observer.detectability(signals, 1e8 * np.ones((10, 10)), 0.5, common=False)
+    np.testing.assert_allclose(observer.detectability(signals, None, 0.5), unknown, rtol=1e-5)
+    # A nuisance along the signal bounds d' however many frames there are.
+    along = np.outer(signals[0], signals[0])
+    assert observer.detectability(signals[:1], along, 1e-6, common=False) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_shares_found_are_those_of_drawn_frames() -> None:
+    found = observer.Bound.of(np.full(3, 3.0), 0.01).found
+    drawn = np.random.default_rng(1).standard_normal(200_000)
+    assert found == pytest.approx(float(np.mean(drawn + 3.0 > NormalDist().inv_cdf(0.99))), abs=3e-3)
+
+
+def test_frames_of_a_press_are_counted_once_it_is_found_in_any_of_them(data: TrainingData, bends: Bends) -> None:
+    logs = np.zeros((60, 104))
+    probed = replace(bends, probes=(Probe("none", "flat", logs, logs),))
+    coin = np.random.default_rng(3)
+
+    def judge(dv: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return coin.random(len(dv))
+
+    found = rates.found_presses(judge, 0.8, probed, data.reference, np.random.default_rng(0), draws=15)["none"]
+    for family in ("flat", "devices"):
+        assert found[family]["1"] == pytest.approx(0.2, abs=0.06)
+        assert found[family]["5"] == pytest.approx(1.0 - 0.8**5, abs=0.07)
+
+
+def test_the_card_states_what_is_found_and_what_could_be(data: TrainingData, bends: Bends) -> None:
+    logs = 0.1 * np.random.default_rng(4).standard_normal((5, 104))
+    probed = replace(bends, probes=(Probe("press of 50 mm2", "flat", logs, 0.0 * logs),))
+    facts = fit.fit(data, probed, steps=20, batch=64).facts()
+    assert set(facts["found_presses"]["press of 50 mm2"]) == {"flat", "devices"}
+    bound = facts["ideal_observer"]["d_prime"]
+    assert bound["drift"]["5"]["median"] == pytest.approx(5**0.5 * bound["drift"]["1"]["median"], rel=0.01)
+    assert bound["drift, bend and device"]["1"]["median"] < bound["drift"]["1"]["median"]
+    assert "ideal observer of a press of 50 mm2" in observer.line(facts["ideal_observer"])
+    assert "found_presses" not in facts["idle"]
