@@ -30,7 +30,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
 from eitskin_training.gate.idle import idle_choice
-from eitskin_training.gate.material import IMAGES, Array, Material
+from eitskin_training.gate.material import Array, Material
 from eitskin_training.gate.observer import ideal_observer, without_common
 from eitskin_training.gate.rates import found_presses, measured, threshold_at
 from eitskin_training.gate.untouched import Bends
@@ -50,6 +50,9 @@ FALSE_ALARM_RATE: Final = 0.003
 
 IDLE_FALSE_ALARM_RATE: Final = 0.01
 """The same of idle frames: one costs half a second of whole scans."""
+
+FRAMES: Final = 16_384
+"""Untouched frames whose covariance is taken."""
 
 STEPS: Final = 5500
 """Steps of AdamW; the idle gate takes half as many."""
@@ -150,7 +153,7 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
         if not prefix and bends.probes and (bends.spread is not None or data.touches != "hard"):
             measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data.reference, rng)
-            measures[prefix]["ideal_observer"] = ideal_observer(_images(bends.train), rate)
+            measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
     idle = {"drives": drives_to_list(drives), **measures["idle_"]}
     return Gate(found, {**measures[""], "idle": idle})
@@ -169,8 +172,8 @@ def _trained(
     def logarithms(dv: Array) -> Array:
         return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
 
-    without = None if material.spread is None else without_common(len(rows))
-    mean, whitening = _whitening(logarithms(material.draw(16_384, rng, touched=0.0)[0]), without)
+    without = None if material.fields is None else without_common(len(rows))
+    mean, whitening = _whitening(logarithms(material.draw(FRAMES, rng, touched=0.0)[0]), without)
     layers = [nn.Linear(whitening.shape[1], hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
@@ -199,11 +202,6 @@ def _trained(
         "b3": biases[2][0],
     }
     return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
-
-
-def _images(logs: Array) -> Array:
-    """Return (4 n, 104) sheets in all of their mirror images."""
-    return np.concatenate([logs[:, rows] for rows in IMAGES])
 
 
 def _whitening(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:

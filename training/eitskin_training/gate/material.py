@@ -16,6 +16,7 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.devices.draws import draw_drift
 from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_training.gate.moments import Fields, fields_of
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import MIRRORS
 from eitskin_training.samples.batches import TrainingData
@@ -51,14 +52,14 @@ class Material:
         bends: (n, 104) log(V / V0) untouched.
         touches: (t, 104) log(V touched / V untouched).
         upto: (t,) ascending chances that a drawn touch is this one or one before it.
-        spread: Whose drift frames have; None for none.
+        fields: The uneven drift of devices, which also drift alike; None for neither.
     """
 
     reference: Array
     bends: Array
     touches: Array
     upto: Array
-    spread: Uncertainties | None = None
+    fields: Fields | None = None
 
     @classmethod
     def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
@@ -76,7 +77,8 @@ class Material:
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
             weights[own] *= weights[~own].sum() / weights[own].sum()
-        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), bends.spread)
+        fields = None if bends.spread is None else fields_of(bends.spread)
+        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), fields)
 
     def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
         """Return (count, 104) noisy dV and (count,) 1 where touched.
@@ -87,12 +89,18 @@ class Material:
             touched: Share of touched ones.
         """
         first = round(count * touched)
-        logs = self._bends(count, rng)
+        logs = self.untouched(count, rng)
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
         logs[:first] += _image(self.touches[chosen], rng)
-        logs = drifted(logs, self.spread, rng)
         labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
         return noisy_change(logs, self.reference, rng), labels
+
+    def untouched(self, count: int, rng: np.random.Generator) -> Array:
+        """Return (count, 104) log(V / V0) of untouched sheets, free of noise."""
+        logs = self._bends(count, rng)
+        if self.fields is None:
+            return logs
+        return drifted(logs + self.fields.draw(count, rng), self.fields.spread, rng)
 
     def _bends(self, count: int, rng: np.random.Generator) -> Array:
         one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]

@@ -141,13 +141,13 @@ def solved(train: int, held_out: int) -> Bends:
 
 @cache
 def solved_devices(spread: Uncertainties, train: int, held_out: int) -> Bends:
-    """Return what :func:`solved` does, each two sheets of a random device; four, of those to learn from."""
+    """Return what :func:`solved` does, each two sheets of a random device; three, of those to learn from."""
     apart = [
         moments(draw(family, held_out, HELD_OUT_SEED), spread, HELD_OUT_SEED + number)
         for number, family in enumerate(("A", "B"), start=10)
     ]
     return Bends(
-        moments(wide_bends(train, TRAIN_SEED), spread, TRAIN_SEED, together=4),
+        moments(wide_bends(train, TRAIN_SEED), replace(spread, late_even=1.0), TRAIN_SEED, together=3),
         # Halves are of whole devices: what chooses has no device in common with what measures.
         np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 0] for logs in apart]),
         np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 1] for logs in apart]),
