@@ -189,17 +189,20 @@ class FrameSource:
             self._pipeline.clock.anchor(self._device.time_sample)
 
     def _newest(self, payloads: list[bytes]) -> list[bytes]:
-        """Return what to compute when time is short: of all frames that wait, the newest."""
+        """Return what to compute when time is short: of all frames that wait, the newest, if there is any."""
         while more := self._device.payloads(0.0):
             payloads += more
             if len(payloads) > MOST_AT_ONCE:
                 break
-        for payload in payloads[:-1]:
-            if payload[0] == FRAME_TYPE:
-                self._pipeline.intake.discard(payload)
-            else:
+        newest: list[bytes] = []
+        for payload in payloads:
+            if payload[0] != FRAME_TYPE:
                 self._take_note(payload)
-        return payloads[-1:]
+                continue
+            for stale in newest:
+                self._pipeline.intake.discard(stale)
+            newest = [payload]
+        return newest
 
     def _recover(self) -> None:
         """Greet the device anew, and let it start anew.

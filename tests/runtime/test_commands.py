@@ -4,6 +4,7 @@ import json
 import os
 import signal
 import time
+from functools import partial
 
 import pytest
 
@@ -136,7 +137,8 @@ def test_ctrl_c_ends_subscribe_without_a_traceback_before_and_after_the_first_fr
     from eitskin.messaging.publish import Publisher
 
     silent = Publisher(f"ipc://{tmp_path}/silent")
-    process = command("subscribe", silent.endpoint, "--timeout-s", 60)
+    behind_ampersand = partial(signal.signal, signal.SIGINT, signal.SIG_IGN)  # which a shell's script does to it
+    process = command("subscribe", silent.endpoint, "--timeout-s", 60, preexec_fn=behind_ampersand)
     while not silent.wanted and process.poll() is None:  # it waits for its first frame as soon as it has subscribed
         silent.look()
         time.sleep(0.01)

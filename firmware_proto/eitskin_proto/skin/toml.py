@@ -34,7 +34,7 @@ TABLES: Final[dict[str, type]] = {
 
 HEAD: Final = ("format", "version", "name", "calibrated_from")
 
-NAMED: Final = ("paper", "hydrogel")
+NAMED: Final = ("paper", "hydrogel", "lab")
 """Descriptions that come with the package."""
 
 LONGEST_NAME: Final = 60
@@ -56,7 +56,7 @@ def load(path: str | Path) -> Skin:
 
 
 def named(name: str) -> Skin:
-    """Return a skin that comes with the package: paper or hydrogel.
+    """Return a skin that comes with the package: paper, hydrogel or lab.
 
     Raises:
         ValueError: There is none of this name.

@@ -30,6 +30,7 @@ command        fields                                                answer
 
 import os
 import threading
+from collections import deque
 from collections.abc import Callable
 from queue import Empty, SimpleQueue
 from typing import Any, Final
@@ -37,6 +38,7 @@ from typing import Any, Final
 import zmq
 
 from eitskin.errors import ControlError
+from eitskin.messaging.admission.descriptors import Connection
 from eitskin.messaging.admission.door import Door
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
 from eitskin.messaging.control_fields import LARGEST_REQUEST
@@ -47,6 +49,12 @@ MOST_CONNECTIONS: Final = 64
 
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
+
+MOST_UNFINISHED: Final = 16 * LARGEST_REQUEST
+"""Bytes of a client on TCP that were read and are no whole message yet: more is one of parts without end."""
+
+LAST_ANSWERED: Final = 8
+"""Clients that are not ended for the sake of others: their answers may be on the way."""
 
 FAREWELL_S: Final = 0.1
 """How long ``close`` waits for the answer to a request that was ended by it."""
@@ -75,6 +83,7 @@ class ControlServer:
         """Requests that were answered with an error."""
         self._closing = False
         self._slow = _SlowRequest()
+        self._answered: deque[Connection] = deque(maxlen=LAST_ANSWERED)
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         try:
             self._open(endpoint)
@@ -92,7 +101,14 @@ class ControlServer:
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 100)
         try:
-            self._door = Door(self._socket, endpoint, keys=self._keys, control=True, most=MOST_CONNECTIONS)
+            self._door = Door(
+                self._socket,
+                endpoint,
+                keys=self._keys,
+                control=True,
+                most=MOST_CONNECTIONS,
+                allowance_bytes=MOST_UNFINISHED,
+            )
         except BaseException:
             self._socket.close(0)
             raise
@@ -104,10 +120,12 @@ class ControlServer:
             try:
                 zmq.select([self._socket, self._slow.wake, *self._door.waits_on], [], [], self._door.look_again_s)
                 self._answer_finished()
-                self._door.look()
-                self._door.count()
+                keep = [one for one in (self._slow.asker, *self._answered) if one is not None]
+                self._door.look(keep)
+                self._door.count(keep)
+                self._door.end_endless()
                 if self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-                    self._take(self._socket.recv_multipart())
+                    self._take(self._socket.recv_multipart(copy=False))
             except zmq.ContextTerminated:
                 break
             except zmq.ZMQError:
@@ -116,8 +134,14 @@ class ControlServer:
         self._door.close()
         self._socket.close()
 
-    def _take(self, parts: list[bytes]) -> None:
+    def _take(self, frames: list[Any]) -> None:
         """Answer a message, or have it answered later."""
+        parts = [frame.bytes for frame in frames]
+        asker = self._asker(frames[-1])
+        if asker is not None:
+            self._door.took(asker, sum(map(len, parts[1:])), len(parts))
+            if asker not in self._answered:
+                self._answered.append(asker)
         if b"" not in parts[1:MOST_PARTS]:
             route, body = [parts[0], b""], None
         else:
@@ -131,12 +155,19 @@ class ControlServer:
                 )
             perform, slow = self._commands.prepare(body)
             if slow:
-                self._slow.start(route, perform)
+                self._slow.start(route, perform, asker)
                 return
         except ControlError as error:
             self._send(route, False, refusal(str(error)))
         else:
             self._send(route, *answer_of(perform))
+
+    def _asker(self, frame: Any) -> Connection | None:
+        """Return over which connection a message came; None if it has gone."""
+        try:
+            return self._door.connection_at(frame.get(zmq.SRCFD))
+        except zmq.ZMQError:  # libzmq does not know: its client left before they had greeted each other
+            return None
 
     def _send(self, route: Route, granted: bool, answer: bytes) -> None:
         """Send an answer; it is dropped if its client has vanished or reads none."""
@@ -186,10 +217,12 @@ class _SlowRequest:
         """To wait on: something is finished, or ``ring`` was called."""
         self.waiting: Route | None = None
         """Who waits for an answer."""
+        self.asker: Connection | None = None
+        """Over which connection who asked last."""
         self._done: SimpleQueue[tuple[bool, bytes]] = SimpleQueue()
         self._lock = threading.Lock()
 
-    def start(self, route: Route, perform: Callable[[], Answer]) -> None:
+    def start(self, route: Route, perform: Callable[[], Answer], asker: Connection | None) -> None:
         """Begin; ``finished`` will have the answer.
 
         Raises:
@@ -197,7 +230,7 @@ class _SlowRequest:
         """
         if self.waiting is not None:
             raise ControlError("a reference is being captured already; ask again once it is done")
-        self.waiting = route
+        self.waiting, self.asker = route, asker
         threading.Thread(target=self._run, args=(perform,), name="eitskin-reference", daemon=True).start()
 
     def _run(self, perform: Callable[[], Answer]) -> None:

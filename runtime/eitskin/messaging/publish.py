@@ -23,6 +23,7 @@ import zmq
 
 from eitskin.messaging.admission.descriptors import end
 from eitskin.messaging.admission.door import Door
+from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE
@@ -90,11 +91,19 @@ class Publisher:
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
         self._door = Door(self._socket, endpoint, keys=self._keys, control=False, most=MOST_SUBSCRIBERS)
         self._topics = Topics(self._door.connection_at)
+        self._patrol = Patrol(self._look_meanwhile)
+        if self._door.open_to_all:
+            self._patrol.start()
         self.endpoint = self._door.endpoint
         """Where frames are published, with the port that a ``*`` became."""
 
     def look(self) -> None:
         """Take note of who came and went since the last time; never waits."""
+        with self._patrol.lock:
+            self._patrol.seen = True
+            self._look()
+
+    def _look(self) -> None:
         topics, left = self._topics, MOST_AT_ONCE
         topics.begin()
         self._greedy = self._door.end_greedy()
@@ -136,7 +145,13 @@ class Publisher:
 
     def look_at_connections(self) -> None:
         """End who is too many; cheap enough for a few times a second, not for each frame."""
-        self._topics.sweep()
+        with self._patrol.lock:
+            self._topics.sweep()
+            self._door.count(self._topics.of)
+
+    def _look_meanwhile(self) -> None:
+        """End who is too many, or sends without end, while nobody looks for subscriptions."""
+        self._door.end_endless()
         self._door.count(self._topics.of)
 
     @property
@@ -162,5 +177,6 @@ class Publisher:
         """Release the address; closing twice is fine."""
         if self._context.closed:
             return
+        self._patrol.close()
         self._door.close()
         self._end()

@@ -119,6 +119,11 @@ class Subscription:
             self._socket.setsockopt(zmq.CONFLATE, 1)
         if keys is not None:
             keys.apply(self._socket)
+        # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
+        # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
+        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
+        for topic in declared:
+            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         try:
             self._socket.connect(self.endpoint)
         except zmq.ZMQError as error:
@@ -126,9 +131,6 @@ class Subscription:
             raise EndpointError(
                 f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
             ) from error
-        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
-        for topic in declared:
-            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
 
     def next_frame(self) -> Frame:
         """Return the next frame, waiting for it.

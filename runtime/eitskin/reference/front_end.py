@@ -18,6 +18,7 @@ nothing, and there a front end that hangs cannot be told from a sheet at rest.
 """
 
 import math
+from collections import Counter
 from typing import Final
 
 import numpy as np
@@ -104,16 +105,15 @@ def stuck(
             if strange > MOST_CUT_OFF:
                 return f"{strange} rows are cut off at {limit:g} counts, of which the reference has an eighth at most"
         counts = np.where(marked, 0, counts)
-    ordered = np.sort(counts)
-    again = ordered[1:] == ordered[:-1]
-    if np.count_nonzero(again) > 1:
-        found = _alike(counts, ordered[1:][again], reference, symmetric)
+    values = counts.tolist()  # what every frame far from its reference comes through: no numpy, whose calls are cold
+    if len(values) - len(set(values)) > 1:
+        found = _alike(counts, values, reference, symmetric)
         if found:
             return found
-    if len(counts) == N_ROWS:
-        weak = FEW_FOLD * abs(float(counts[_ACROSS]))
+    if len(values) == N_ROWS:
+        weak = FEW_FOLD * abs(values[_ACROSS])
         for strong, depart, weights, what in _WIRES:
-            if abs(float(counts[strong])) < weak and counts.all():
+            if abs(values[strong]) < weak and counts.all():
                 logs = np.abs(counts, dtype=np.float64)
                 apart = depart @ np.log(logs, out=logs)
                 if float(np.abs(apart, out=apart) @ weights) < LEAST_ALIKE:
@@ -123,13 +123,13 @@ def stuck(
 
 def _alike(
     counts: npt.NDArray[np.number],
-    again: npt.NDArray[np.number],
+    values: list[float],
     reference: npt.NDArray[np.number] | None,
     symmetric: int,
 ) -> str:
-    """Return whether rows share counts as no sheet's do; ``again`` are the counts that come more than once."""
+    """Return whether rows share counts as no sheet's do; ``values`` are the counts once more, as numbers."""
     chance, same, most, which, total = 0.0, 0, 0, 0.0, len(counts)
-    for value in set(again.tolist()) - {0}:
+    for value in [value for value, times in Counter(values).items() if value and times > 1]:
         group = np.flatnonzero(counts == value)
         many = _different(group, reference, symmetric)
         if len(group) >= 0.75 * total:

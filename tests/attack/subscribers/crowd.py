@@ -3,8 +3,8 @@
     python -m tests.attack.subscribers.crowd ENDPOINT NUMBER
 
 Prints ``subscribed`` once every one has a frame; at SIGTERM one JSON object: members, fewest and most frames of a
-member, lost (gaps in the frames' numbers, of all), ended (connections that the other side ended), the span in seconds
-over which frames were counted and the longest silence of any.
+member since then, lost (gaps in the frames' numbers, of all), ended (connections that the other side ended), the span
+in seconds over which frames were counted and the longest silence of any.
 """
 
 import json
@@ -27,7 +27,7 @@ class Member:
     def __init__(self, endpoint: str) -> None:
         self.peer = Peer(endpoint, patience_s=60)
         self.peer.subscribe(b"")
-        self.frames = self.lost = self.last = 0
+        self.frames = self.before = self.lost = self.last = 0
         self.heard_s = 0.0
         self.silent_s = 0.0
 
@@ -56,24 +56,26 @@ def main() -> None:
     signal.signal(signal.SIGTERM, stop)
     began_s = time.monotonic()
     members: list[Member] = []
-    while len(members) < number and not stopping:
-        members.append(Member(endpoint))
-    joined_s = time.monotonic() - began_s
+    joined_s = 0.0
     with selectors.DefaultSelector() as waiting:
-        for member in members:
-            waiting.register(member.peer, selectors.EVENT_READ, member)
         while not stopping:
-            for key, _ in waiting.select(0.1):
+            if len(members) < number:  # those who are there go on reading meanwhile, as processes of their own would
+                members.append(Member(endpoint))
+                waiting.register(members[-1].peer, selectors.EVENT_READ, members[-1])
+                joined_s = time.monotonic() - began_s
+            for key, _ in waiting.select(0.0 if len(members) < number else 0.1):
                 try:
                     key.data.take()
                 except OSError:
                     ended += 1
                     waiting.unregister(key.fileobj)
-            if not told and all(member.frames for member in members):
+            if not told and len(members) == number and all(member.frames for member in members):
                 told, began_s = True, time.monotonic()
+                for member in members:
+                    member.before = member.frames
                 print("subscribed", flush=True)
     span_s = time.monotonic() - began_s
-    counts = [member.frames for member in members]
+    counts = [member.frames - member.before for member in members]
     print(
         json.dumps(
             {

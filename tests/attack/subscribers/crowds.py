@@ -8,9 +8,11 @@ import time
 from collections.abc import Iterator
 from typing import Any
 
+import eitskin
+
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, attacked
-from ..zmtp.peer import GREETING, Peer, connected
+from ..zmtp.peer import GREETING, attempt, connected, packed, ready
 from .ground import TOUCHED, defended, everywhere, status
 
 PROMISED = 128
@@ -48,23 +50,50 @@ def honest_crowds(effort: Effort) -> Outcome:
     rates = outcome.figures["frames_per_s_of_each"] = {}
     for number in (1, 8, 32, 64, 100, PROMISED) if effort.long else (8, PROMISED):
         with attacked(**TOUCHED) as stream, crowd(stream.frames, number) as found:
-            late = []
-            if number == PROMISED:
-                for _ in range(effort.count(3, 20)):
-                    with contextlib.suppress(OSError):
-                        newcomer = Peer(stream.frames, patience_s=0.2)
-                        newcomer.subscribe(b"")
-                        late.append(newcomer)
+            late = [Late(stream.frames) for _ in range(effort.count(3, 20))] if number == PROMISED else []
+            if late:
+                outcome.note(*_told(stream.frames))
             first = status(stream)["frames"]
             while status(stream)["frames"] < first + effort.count(400, 4000):
                 time.sleep(0.05)
             for newcomer in late:
-                newcomer.close()
+                served = newcomer.served()
+                outcome.note(not served, f"{served} bytes came to who was beyond {number} subscribers")
         outcome.frames_lost += found["lost"]
         rates[number] = [round(found[name] / found["span_s"], 1) for name in ("fewest", "most")]
+        outcome.figures.setdefault("lost_of_all", {})[number] = found["lost"]
+        outcome.figures.setdefault("longest_silence_s", {})[number] = found["longest_silence_s"]
         whole = found["lost"] == 0 and found["ended"] == 0 and found["behind"] < 100
         outcome.note(whole, f"{number} subscribers: {found}")
     return outcome
+
+
+class Late:
+    """Who comes by ipc when there are enough: greets and subscribes without waiting for an answer."""
+
+    def __init__(self, endpoint: str) -> None:
+        self._stream = attempt(endpoint)  # None where so many wait that nobody else may
+        if self._stream is not None:
+            self._stream.sendall(GREETING + ready("SUB") + packed(b"\x01"))
+
+    def served(self) -> int:
+        """Leave, and return how many bytes came: whoever is not let in is not even greeted."""
+        if self._stream is None:
+            return 0
+        with self._stream:
+            try:
+                return len(self._stream.recv(1 << 20))
+            except OSError:  # nothing came, or it was ended
+                return 0
+
+
+def _told(endpoint: str) -> tuple[bool, str]:
+    """Return whether a subscriber beyond the promise hears why it gets nothing, and what it heard."""
+    try:
+        with eitskin.subscribe(endpoint, timeout_s=2.0) as frames:
+            return False, f"frame {next(frames).number} came to who was too many"
+    except eitskin.NoFrame as error:
+        return "as many subscribers as it may" in str(error), f"who is too many hears: {error}"
 
 
 def silent_crowds(effort: Effort) -> Outcome:

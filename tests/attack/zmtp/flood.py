@@ -6,8 +6,8 @@ import socket
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 
 from .peer import GREETING, MORE, Peer, attempt, packed, ready
 
@@ -107,4 +107,11 @@ def meanwhile(work: Callable[[], object]) -> Iterator[None]:
         raise failed[0]
 
 
-__all__ = ["HELD", "MORE", "ask", "connect", "meanwhile"]
+def side_by_side(works: Sequence[Callable[[], object]]) -> None:
+    """Do several things at once, each in a thread; what one of them raises is raised."""
+    with ExitStack() as stack:
+        for work in works:
+            stack.enter_context(meanwhile(work))
+
+
+__all__ = ["HELD", "MORE", "ask", "connect", "meanwhile", "side_by_side"]

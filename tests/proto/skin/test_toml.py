@@ -59,5 +59,5 @@ def test_an_error_names_the_file(tmp_path):
 
 
 def test_a_skin_that_does_not_come_with_the_package_is_refused():
-    with pytest.raises(ValueError, match="skin 'gel' does not come with the package; paper, hydrogel do"):
+    with pytest.raises(ValueError, match="skin 'gel' does not come with the package; paper, hydrogel, lab do"):
         named("gel")

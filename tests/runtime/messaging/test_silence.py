@@ -5,6 +5,7 @@ import os
 import socket
 
 import pytest
+import zmq
 
 import eitskin
 from eitskin.errors import EndpointError, NoFrame
@@ -100,3 +101,26 @@ def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):
 def test_an_endpoint_that_is_none_says_what_one_looks_like():
     with pytest.raises(EndpointError, match=r"expected ipc:///path or tcp://address:port"):
         eitskin.subscribe("here")
+
+
+@pytest.mark.parametrize("wish", [{}, {"mode": "all"}, {"skip_unchanged": True}])
+def test_it_has_subscribed_before_it_connects(session, monkeypatch, wish):
+    """With CONFLATE libzmq loses a subscription that is sent while its own thread looks for one."""
+    connect, at_connect = zmq.Socket.connect, []
+
+    def connected(socket, address):
+        at_connect.append(list(topics))
+        return connect(socket, address)
+
+    topics, setsockopt = [], zmq.Socket.setsockopt
+
+    def noted(socket, option, value):
+        if option == zmq.SUBSCRIBE:
+            topics.append(value)
+        return setsockopt(socket, option, value)
+
+    monkeypatch.setattr(zmq.Socket, "connect", connected)
+    monkeypatch.setattr(zmq.Socket, "setsockopt", noted)
+    eitskin.subscribe(**wish).close()
+    assert at_connect == [topics]
+    assert topics

@@ -11,9 +11,11 @@ import numpy as np
 import pytest
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.cloud import flat_cloud
-from eitskin_proto.sensor.ids import GRID_ID
+from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness
+from eitskin_sim.evaluation.near import true_centres_mm
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
@@ -147,8 +149,8 @@ def test_a_touch_is_missed_by_its_own_distance_and_localised_over_those_found():
 def test_a_truth_that_covers_no_pixel_by_half_is_a_touch_all_the_same():
     truth = np.zeros((30, 45))
     truth[10, 20:22] = 0.3
-    assert measuring.true_centres_mm(truth) == pytest.approx(np.array([[70.0, 35.0]]))
-    assert len(measuring.true_centres_mm(np.zeros((30, 45)))) == 0
+    assert true_centres_mm(truth) == pytest.approx(np.array([[70.0, 35.0]]))
+    assert len(true_centres_mm(np.zeros((30, 45)))) == 0
 
 
 def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
@@ -159,6 +161,11 @@ def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
     assert found["by_kind"]["single"]["cc"] is None
     del bare["kind"]
     assert list(evaluated(tmp_path, bare, capsys, "--solver", "tikhonov")["by_kind"]) == ["unknown"]
+
+
+def test_ids_of_this_release_and_its_sheet_are_taken(tmp_path, arrays):
+    ids = {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "skin_digest": PAPER.digest}
+    assert load_measured(written(tmp_path, {**arrays, **ids})).ignored == ()
 
 
 def test_a_table_is_printed_for_people(tmp_path, arrays, capsys):
@@ -194,6 +201,8 @@ NAN = np.full((5, 104), np.nan)
         ({"kind": np.arange(5)}, "expected texts"),
         ({"touch_kind": "both"}, "lowering, raising"),
         ({"grid_id": "0123456789abcdef"}, f"expected {GRID_ID}"),
+        ({"protocol_id": "0123456789abcdef"}, "protocol_id: found 0123456789abcdef"),
+        ({"skin_digest": "0123456789abcdef"}, f"expected {PAPER.digest}"),
     ],
 )
 def test_whatever_is_wrong_is_one_line(tmp_path, arrays, capsys, change, said):

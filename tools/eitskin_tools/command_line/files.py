@@ -43,6 +43,7 @@ POINTS: Final = Kind("measured points of the surface in mm, as .ply, .xyz or .np
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V")
 MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md")
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
+MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json")
 BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 

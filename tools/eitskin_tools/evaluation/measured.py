@@ -9,30 +9,24 @@ the sheet was as that scan shows when it was taken. What a flat one would have r
 and stands for the reference: both inputs of a network are shifted by it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Literal
+from typing import Any, Literal
 
 import numpy as np
 import numpy.typing as npt
-from scipy.spatial.distance import cdist
 
-from eitskin.model.bundle import Bundle, default_path, load_bundle
-from eitskin.model.gate import Gate
 from eitskin_proto.files.plain import plain
-from eitskin_proto.sensor.cloud import flat_cloud
-from eitskin_proto.sensor.grid import pixel_centres_mm
-from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
-from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm, touch_centres_mm
+from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
+from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
-from eitskin_tools.evaluation.measured_file import Measured, TouchKind
-from eitskin_tools.evaluation.solvers import Progress, Request, named
+from eitskin_tools.evaluation.gate_judge import judge_of
+from eitskin_tools.evaluation.measured_file import Measured
+from eitskin_tools.evaluation.solvers import Progress, Request, bundle_for, named
 
 Array = npt.NDArray[np.float64]
-
-NEAR_MM: Final = 15.0
-"""A touch is missed if none is found this near to it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,15 +48,6 @@ class SampleScore:
     """From every true touch to the nearest found one; infinite where there is none."""
 
 
-def bundle_for(request: Request, touch_kind: TouchKind | None) -> Bundle:
-    """Return the bundle that a request names, or the shipped one of area labels, whatever the touches.
-
-    Raises:
-        BundleError: It cannot be read.
-    """
-    return load_bundle(request.bundle or default_path("area"))
-
-
 def evaluate_measured(measured: Measured, request: Request, progress: Progress | None = None) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --measured --json`` prints.
 
@@ -80,9 +65,9 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
     classical = request.name in SOLVERS
     reference: Reference = request.reference or ("predicted" if classical else "pre")
-    bundle = bundle_for(request, measured.touch_kind)
+    bundle = bundle_for(request, "area", measured.touch_kind)
     solver = named(Request(request.name, reference, bundle.path, request.prediction), bundle.labels)
-    judge = _judge(bundle)
+    judge = judge_of(bundle)
     flat = _flat_reference(measured)
     labels: Literal["units", "area"] = "units" if bundle.labels == "units" else "area"
     sheets: dict[int, Sheet] = {}
@@ -125,40 +110,15 @@ def _flat_reference(measured: Measured) -> Array:
     return measured.reference_V * flat_voltages() / predict(measured.reference_cloud_mm)
 
 
-def _judge(bundle: Bundle) -> Callable[[Array, Array], bool]:
-    """Return what a stream's gate says of one frame after the other: its state goes on from sample to sample."""
-    arrays = bundle.gate_arrays()
-    if arrays is None:
-        return lambda volts, reference: True
-    gate = Gate(arrays)
-
-    def touched(volts: Array, reference: Array) -> bool:
-        gate.change[:] = relative_change(volts, reference)
-        return gate.touched()
-
-    return touched
-
-
 def _score(image: Array, truth: Array | None, kind: str, touched: bool) -> SampleScore:
     peak = float(image.max())
     if truth is None:
         return SampleScore(kind, touched, peak, None)
-    true = true_centres_mm(truth)
-    if not len(true):
+    nearest = distances_mm(image, truth)
+    if not nearest.size:
         return SampleScore(kind, touched, peak, 0)
-    found = touch_centres_mm(image)
-    nearest = cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf)
-    return SampleScore(
-        kind, touched, peak, len(true), correlation(image, truth), localisation_error_mm(image, truth), tuple(nearest)
-    )
-
-
-def true_centres_mm(truth: Array) -> Array:
-    """Return the (touches, 2) places of a truth's touches; one that nowhere covers half a pixel is one all the same."""
-    found = touch_centres_mm(truth)
-    if len(found) or not truth.any():
-        return found
-    return np.asarray((pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
+    cc, away = correlation(image, truth), localisation_error_mm(image, truth)
+    return SampleScore(kind, touched, peak, len(nearest), cc, away, tuple(nearest))
 
 
 def _sample(one: SampleScore) -> dict[str, Any]:
@@ -181,13 +141,13 @@ def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
     bare = [one for one in scores if one.true_touches == 0 or (one.true_touches is None and one.kind == "untouched")]
     cc = [one.cc for one in with_touches if one.cc is not None]
     distance = np.array([each for one in with_touches for each in one.distances_mm])
-    found = distance[distance <= NEAR_MM]
+    missed, rms = missed_and_rms(distance)
     return {
         "samples": len(scores),
         "cc": float(np.mean(cc)) if cc else None,
         "cc_worst": min(cc) if cc else None,
-        "localisation_rms_mm": float(np.sqrt(np.mean(found**2))) if found.size else None,
-        "missed": float(np.mean(distance > NEAR_MM)) if distance.size else None,
+        "localisation_rms_mm": rms,
+        "missed": missed,
         "gate_missed": float(np.mean([not one.touched for one in with_touches])) if with_touches else None,
         "false_touch": float(np.mean([one.touched for one in bare])) if bare else None,
     }

@@ -10,14 +10,14 @@
                   truth (n, 30, 45)            touched share of every pixel (optional)
                   kind (n,) text               "single", "untouched", anything; figures are by it (optional)
                   touch_kind text              "lowering" or "raising": which way touches change conductance (optional)
-                  protocol_id, grid_id text    as 'eitskin --version' prints them, held against this release (optional)
+                  protocol_id, grid_id, skin_digest text   held against this release and its sheet (optional)
 
 Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
 """
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast, get_args
+from typing import Any, Final, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -25,16 +25,16 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.cloud import CLOUD_SHAPE, align_cloud, check_cloud
 from eitskin_proto.sensor.grid import GRID_SHAPE
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.evaluation.solvers import TouchKind
 
 Array = npt.NDArray[np.float64]
-
-TouchKind = Literal["lowering", "raising"]
-"""Which way a skin's touches change its conductance."""
 
 TOUCH_KINDS: Final[tuple[str, ...]] = get_args(TouchKind)
 """The kinds of touch."""
@@ -50,7 +50,7 @@ ROUNDING: Final = 1e-6
 
 KNOWN: Final = (
     "reference_V", "reference_cloud_mm", "voltages_V", "cloud_mm", "cloud_index", "truth", "kind", "touch_kind",
-    "protocol_id", "grid_id",
+    "protocol_id", "grid_id", "skin_digest",
 )  # fmt: skip
 """Arrays that are read."""
 
@@ -114,7 +114,9 @@ def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
     if not n:
         raise ValueError("voltages_V holds no sample; expected at least one")
     clouds, index = _clouds(arrays, n)
-    at_reference = _numbers(arrays, "reference_cloud_mm", CLOUD_SHAPE) if "reference_cloud_mm" in arrays else None
+    at_reference = (
+        _numbers(arrays, "reference_cloud_mm", PAPER.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
+    )
     if at_reference is not None:
         _check_cloud(at_reference, "reference_cloud_mm")
     truth = _truth(arrays, n) if "truth" in arrays else None
@@ -156,10 +158,10 @@ def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | 
 def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int) -> tuple[Array, npt.NDArray[np.intp]]:
     given = [name for name in ("cloud_mm", "cloud_index") if name in arrays]
     if not given:
-        return np.zeros((0, *CLOUD_SHAPE)), np.full(n, -1)
+        return np.zeros((0, *PAPER.grid.cloud_shape)), np.full(n, -1)
     if len(given) == 1:
         raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
-    clouds = _numbers(arrays, "cloud_mm", (None, *CLOUD_SHAPE))
+    clouds = _numbers(arrays, "cloud_mm", (None, *PAPER.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
         _check_cloud(cloud, f"cloud_mm[{number}]")
     index = arrays["cloud_index"]
@@ -223,11 +225,10 @@ def _touch_kind(arrays: dict[str, npt.NDArray[Any]]) -> TouchKind | None:
 
 
 def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path) -> None:
-    for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
-        if name in arrays and (found := _text(arrays, name)) != expected:
-            raise MismatchError(
-                f"{path}: {name}",
-                found=stated(found),
-                expected=expected,
-                hint="write it again with the rows and the grid that 'eitskin --version' names",
-            )
+    hint = "write it again with the rows and the grid that 'eitskin --version' names"
+    if "protocol_id" in arrays and (found := _text(arrays, "protocol_id")) != PROTOCOL_ID:
+        raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
+    given = {name: _text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
+    check_made_for(
+        str(path), PAPER, grid_id=given.get("grid_id", PAPER.grid_id), skin_digest=given.get("skin_digest"), hint=hint
+    )

@@ -9,7 +9,7 @@ match the phantoms, unless one is named.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +31,9 @@ from eitskin_sim.evaluation.report import report
 from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.surface.predict import flat_voltages
 
+if TYPE_CHECKING:
+    from eitskin.model.bundle import Bundle
+
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
 
@@ -42,6 +45,9 @@ NETWORKS: Final = ("vd2t", "vd2t-int8")
 
 NAMES: Final = (*SOLVERS, *NETWORKS)
 """Every name that ``eitskin evaluate --solver`` takes."""
+
+TouchKind = Literal["lowering", "raising"]
+"""Which way a skin's touches change its conductance."""
 
 Progress = Callable[[int, int], None]
 
@@ -88,6 +94,22 @@ def named(request: Request, labels: str) -> Named:
     if request.name not in NETWORKS:
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
     return _network(request, labels)
+
+
+def bundle_for(request: Request, labels: str, touch_kind: TouchKind | None = None) -> "Bundle":
+    """Return the bundle that a request names, or the shipped one of some labels.
+
+    Args:
+        request: May name a file.
+        labels: ``"units"`` or ``"area"``.
+        touch_kind: Which way touches change conductance; one shipped bundle serves both.
+
+    Raises:
+        BundleError: It cannot be read.
+    """
+    from eitskin.model.bundle import default_path, load_bundle
+
+    return load_bundle(request.bundle or default_path(labels))
 
 
 def _network(request: Request, labels: str) -> Named:

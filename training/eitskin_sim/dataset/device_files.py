@@ -10,17 +10,17 @@ whose relative change is that of the device's own reading against its own refere
 would have: a scan that is noisy, off in scale and behind or ahead of the sheet, and nothing that tells of the device.
 """
 
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
-from eitskin_sim.devices.draws import Moment, draw_device, draw_drift, draw_front_end, draw_moment
+from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
 from eitskin_sim.devices.readings import corrected, drive_differences, fine_differences, readings
-from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
@@ -31,51 +31,66 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 DEVICE, MOMENT, DRIFT, SCAN = 7, 8, 9, 10
 """Seeds of a plan's draws, beside those of :mod:`eitskin_sim.dataset.plan` and others."""
 
-USABLE: Final = (0.2, 5.0)
+USABLE: Final = (0.4, 2.5)
 """A reference over the nominal one, in every row: who sees another looks for the fault, and takes no data."""
+
+ATTEMPTS: Final = 100
+"""Draws of a front end."""
 
 
 def device_job(plan: Plan, first: int) -> dict[str, Any]:
-    """Return what a worker needs to draw the device of the deformations that are made together, as plain values."""
-    return {} if plan.spread is None else {"device": first, "spread": asdict(plan.spread)}
+    """Return what a worker needs to draw the device of the deformations that are made together."""
+    return {} if plan.skin is None else {"device": first, "skin": plan.skin}
 
 
 @dataclass(frozen=True, slots=True)
 class ReferencedDevice:
-    """A device at the moment when its reference was taken."""
+    """A device and what it read when its reference was taken."""
 
-    device: Device
+    drawn: DrawnDevice
     reference_V: Array
-    """(104,) what it read then."""
+    """(104,)"""
 
 
-def drawn_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
+def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     """Return the device of a job, with electronics that read every row of its reference by the sign that it has.
 
     Args:
         job: See :func:`device_job`.
         nominal: (104,) V of the nominal sheet, flat and untouched.
+
+    Raises:
+        ValueError: The skin's electronics are hardly ever so.
     """
-    spread = Uncertainties(**job["spread"])
+    skin: Skin = job["skin"]
     rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
-    drawn = draw_device(spread, rng)
+    drawn = draw_device(skin, rng)
     before = fine_differences(drawn.device, drawn.reference_bend)
-    while True:
-        device = replace(drawn.device, front_end=draw_front_end(spread, rng))
-        found = readings(device, before)
+    for _ in range(ATTEMPTS):
+        found = readings(drawn.device, before)
         share = found / nominal
         if USABLE[0] < share.min() and share.max() < USABLE[1]:
-            return ReferencedDevice(device, found)
+            return ReferencedDevice(drawn, found)
+        drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
+    raise ValueError(
+        f"skin {skin.name}: in {ATTEMPTS} draws of its front end none read every row within {USABLE[0]:g} and "
+        f"{USABLE[1]:g} times the nominal reference; make what is off in [front_end] smaller"
+    )
 
 
-def device_at(job: dict[str, Any], device: Device, number: int) -> Device:
-    """Return a job's device as it is at a deformation."""
-    return device.since(moment_of(job, number).late)
+def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:
+    """Return the bend of a device of its true size, or of the stated one where that would fold."""
+    found = drawn.bent(bend)
+    try:
+        check_bend(found, drawn.device.sheet)
+    except SceneError:
+        return bend
+    return found
 
 
 def moment_of(job: dict[str, Any], number: int) -> Moment:
     """Return what is true of a job's device at a deformation."""
-    return draw_moment(Uncertainties(**job["spread"]), np.random.default_rng([job["seed"], MOMENT, number]))
+    return draw_moment(job["skin"], np.random.default_rng([job["seed"], MOMENT, number]))
 
 
 def device_file(
@@ -101,9 +116,7 @@ def device_file(
     scale = nominal / own
     fine, coarse = fine_differences(device, bend), drive_differences(made[1])
     ratio = np.divide(fine, coarse, out=np.ones_like(fine), where=~np.eye(len(fine), dtype=np.bool_))
-    drift = draw_drift(
-        Uncertainties(**job["spread"]), len(made[0]), np.random.default_rng([job["seed"], DRIFT, number])
-    )
+    drift = draw_drift(job["skin"], len(made[0]), np.random.default_rng([job["seed"], DRIFT, number]))
     touched = drift[:, None, None] * corrected(drive_differences(made[0]), ratio)
     return {
         "voltages": (readings(device, touched) * scale).astype(np.float32),

@@ -186,6 +186,6 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
     }
     if plan.touches != "hard":
         found["touch_kind"] = plan.touches
-    if plan.spread is not None:
-        found.update(devices=plan.devices, device_spread=content["spread"], skin=None)
+    if plan.skin is not None:
+        found.update(devices=plan.devices, skin=content["skin"], skin_digest=plan.skin.digest)
     return found

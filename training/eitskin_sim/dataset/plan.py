@@ -20,7 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.digest import id_of_values
-from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.draws import check_outline
 from eitskin_sim.freeform.draws import CLUSTERED
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.family import draw, paper_bends
@@ -73,7 +75,7 @@ class Plan:
         splits: "train", "kept" or "other" for each.
         near: Share of the free sets that are drawn with touches near to each other; others have none.
         touches: Which touches; a plan of hard ones says nothing of it, as before there were others.
-        spread: What random devices are drawn from; None is the ideal device, of which a plan says nothing either.
+        skin: Whose uncertainties random devices are drawn from; None is the ideal device, of which a plan says nothing.
     """
 
     set_name: SetName
@@ -84,20 +86,20 @@ class Plan:
     splits: tuple[str, ...]
     near: float | None = None
     touches: TouchKind = "hard"
-    spread: Uncertainties | None = None
+    skin: Skin | None = None
 
     @property
     def devices(self) -> DeviceKind:
         """Which devices."""
-        return "ideal" if self.spread is None else "random"
+        return "ideal" if self.skin is None else "random"
 
     def to_json(self) -> dict[str, Any]:
         """Return the plan as JSON can hold it."""
         found = {**asdict(self), "recipe": RECIPES[self.set_name]}
         if self.touches == "hard":
             del found["touches"]
-        if self.spread is None:
-            del found["spread"]
+        if self.skin is None:
+            del found["skin"]
         return found
 
     @property
@@ -169,6 +171,7 @@ def make_plan(
     near: float | None = None,
     touches: str = "hard",
     devices: str = "ideal",
+    skin: Skin | None = None,
 ) -> Plan:
     """Return a plan; what is left out takes the recipe's own size.
 
@@ -182,6 +185,7 @@ def make_plan(
         near: Share of the sets drawn with touches near to each other; for "free" alone.
         touches: "hard", the paper's; "press", that lower conductance; "both"; "paper" has hard ones alone.
         devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
+        skin: Whose uncertainties random devices are drawn from; None is the shipped skin "lab".
 
     Raises:
         ValueError: A number is outside its bounds.
@@ -205,8 +209,12 @@ def make_plan(
         raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
     if set_name == "paper" and devices != "ideal":
         raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
+    if skin is not None and devices != "random":
+        raise ValueError(f"skin {skin.name}: devices are {devices!r}; a skin's uncertainties are drawn for 'random'")
+    if devices == "random":
+        skin = named("lab") if skin is None else skin
+        check_outline(skin)
     kind: TouchKind = touches
-    spread = Uncertainties() if devices == "random" else None
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -227,7 +235,7 @@ def make_plan(
         return Plan("paper", seed, n_sets, n_sets, bends, splits)
     bends = draw("A", n_bends + apart, seed) + draw("B", apart, seed)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
-    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, spread)
+    return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, skin)
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

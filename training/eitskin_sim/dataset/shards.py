@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.dataset.device_files import device_at, device_file, device_job, drawn_device
+from eitskin_sim.dataset.device_files import device_file, device_job, moment_of, referenced_device, true_bend
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.devices.device import IDEAL, Device
@@ -116,17 +116,20 @@ def make_shard(job: dict[str, Any]) -> list[Arrays]:
     generator's says takes the mesh's own error out of every reference.
     """
     bends = [bend_from_json(bend) for bend in job["bends"]]
-    drawn = drawn_device(job, reference()) if "device" in job else None
-    devices = [IDEAL if drawn is None else device_at(job, drawn.device, number) for number in job["deformations"]]
+    own = referenced_device(job, reference()) if "device" in job else None
+    devices = [IDEAL] * len(bends)
+    if own is not None:
+        devices = [own.drawn.device.since(moment_of(job, number).late) for number in job["deformations"]]
+        bends = [true_bend(own.drawn, bend) for bend in bends]
     make = _free_responses if job["set"] == "free" else _unit_responses
     cases = zip(job["deformations"], bends, job["shown"], make(job, bends, devices), strict=True)
     found: list[Arrays] = []
     for (number, bend, shown, made), device in zip(cases, devices, strict=True):
-        if drawn is None:
-            own = _ideal_file(job, number, bend, made)
+        if own is None:
+            file = _ideal_file(job, number, bend, made)
         else:
-            own = device_file(job, number, bend, device, made, (drawn.reference_V, reference()))
-        found.append({"touch_set": shown, **own})
+            file = device_file(job, number, bend, device, made, (own.reference_V, reference()))
+        found.append({"touch_set": shown, **file})
     return found
 
 

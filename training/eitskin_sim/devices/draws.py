@@ -1,10 +1,15 @@
-"""Draws of devices, and of what happens to them: one seed, one device, wherever it is drawn.
+"""Draws of true devices from a skin's description: one seed, one device, wherever it is drawn.
 
 ::
 
-    device      sheet, electrodes, front end, and the shape in which its reference was taken
-    moment      of one deformation: uneven drift since then, and the scan that is at hand
-    drift       of each sample: a common factor of all voltages
+    device      sheet, electrodes, front end; its true size, and the stretch at which its reference was taken
+    moment      of one deformation: the uneven drift since then, and the scan that is at hand
+    drift       of each sample: a common factor of all resistances
+
+Drift is a random walk that starts when the reference is taken. A sample comes at a time that is log-uniform, from
+``FIRST`` of a session to its end, and the skin's spread is what the walk reaches at the end: with one of 3 %, half of
+the samples are off by less than 0.5 % and a tenth by more than 2.3 %. A few have a reference of long ago: one in a
+hundred is off by 12 % or more. The uneven part walks likewise, as a smooth field and a tilt.
 """
 
 from dataclasses import dataclass, replace
@@ -13,9 +18,12 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.parts import Range
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.devices.device import Device
-from eitskin_sim.devices.uncertainties import Bounds, Uncertainties
-from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.parts import Bend, Electrodes, Late, Sheet, SmoothField
 
 Array = npt.NDArray[np.float64]
@@ -23,21 +31,51 @@ Array = npt.NDArray[np.float64]
 SEEDS: Final = 2**31
 """Seeds of smooth fields are below."""
 
+FIRST: Final = 1.0 / 300.0
+"""The earliest sample, as a share of a session of 300 presses."""
+
+OLD: Final = 0.03
+"""Share of samples whose reference is of another day."""
+
+OLD_FACTOR: Final = 4.0
+"""Their drift is so many times what a session's is at its end."""
+
+MOST_DRIFT: Final = 0.3
+"""No sample's logarithm of the common factor is further from 0."""
+
+MOST_MM: Final = 2.0
+"""No electrode is further from its stated place: it would be seen."""
+
+SMALLEST: Final = 0.5
+"""No electrode is smaller than this share of its stated size, nor larger than its inverse."""
+
 
 @dataclass(frozen=True, slots=True)
 class DrawnDevice:
-    """A true device and how its reference was taken."""
+    """A true device, its true size, and how its reference was taken."""
 
     device: Device
-    reference_bend: Bend
-    """The sheet's shape when its reference was taken, which everybody believes to be flat."""
+    scale: tuple[float, float]
+    """True length along x, and width along y, over the stated ones."""
+    reference_stretch: tuple[float, float]
+    """Factors of them when the reference was taken, which everybody believes to be flat."""
+
+    @property
+    def reference_bend(self) -> Bend:
+        """The sheet's shape when its reference was taken, from the stated size."""
+        return self.bent(Bend(stretch_along=self.reference_stretch[0], stretch_across=self.reference_stretch[1]))
+
+    def bent(self, bend: Bend) -> Bend:
+        """Return what a bend of the stated sheet is of the true one, which is a little longer or wider."""
+        along, across = self.scale
+        return replace(bend, stretch_along=bend.stretch_along * along, stretch_across=bend.stretch_across * across)
 
 
 @dataclass(frozen=True, slots=True)
 class Moment:
     """What is true of a device at one deformation, and how it is scanned there."""
 
-    late: Late | None
+    late: Late
     """What came to the layer since the reference was taken."""
     scan_noise_mm: float
     scan_factor: float
@@ -46,86 +84,105 @@ class Moment:
     """The scan shows the deformation multiplied by this."""
 
 
-def draw_device(spread: Uncertainties, rng: np.random.Generator) -> DrawnDevice:
-    """Return a random device."""
+def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
+    """Return a random device of a skin.
+
+    Raises:
+        ValueError: The skin is no sheet of the paper's size with patches as contacts.
+    """
+    check_outline(skin)
+    doubts, layer = skin.may_be_off, skin.layer
     sheet = Sheet(
-        gauge_factor=float(rng.uniform(*spread.gauge_factor)),
-        field=_field(float(rng.uniform(*spread.layer_rms)), spread, rng),
+        thickness_mm=max(_one(layer.thickness_mm, rng), 0.1),
+        gauge_factor=_one(layer.gauge_factor, rng),
+        field=_field(float(rng.uniform(*doubts.layer_rms)), doubts.layer_correlation_mm, rng),
     )
-    electrodes = _electrodes(spread, rng)
-    along, across = rng.uniform(*spread.reference_stretch, 2)
-    bend = Bend(stretch_along=1.0 + float(along), stretch_across=1.0 + float(across))
-    flat = rng.random() < spread.reference_flat
-    return DrawnDevice(Device(sheet, electrodes), Bend() if flat else bend)
+    scale = _one(layer.length_scale, rng), _one(layer.width_scale, rng)
+    stretch = 1.0 + doubts.reference_stretch.draw(rng, 2)
+    device = Device(sheet, _electrodes(skin, rng), draw_front_end(skin, rng))
+    return DrawnDevice(device, scale, (float(stretch[0]), float(stretch[1])))
 
 
-def draw_moment(spread: Uncertainties, rng: np.random.Generator) -> Moment:
+def check_outline(skin: Skin) -> None:
+    """Raise ValueError if devices of a skin cannot be computed on the generators' meshes."""
+    nominal, outline = Sheet().size_mm, skin.outline
+    if outline.kind != "rectangle" or outline.size_mm != nominal:
+        length, width = outline.size_mm
+        raise ValueError(
+            f"skin {skin.name}: outline is a {outline.kind} of {length:g} x {width:g} mm; data sets of random devices "
+            f"are made of rectangles of {nominal[0]:g} x {nominal[1]:g} mm"
+        )
+    if skin.electrodes.contact != "patch":
+        raise ValueError(f"skin {skin.name}: contact is {skin.electrodes.contact!r}; random devices have 'patch'")
+
+
+def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
+    """Return random electronics of a skin."""
+    own = skin.front_end
+    stray = np.maximum(own.stray_pF.draw(rng, N_ELECTRODES), 0.0)
+    return FrontEnd(
+        gain=tuple(own.gain.draw(rng, N_ELECTRODES).tolist()),
+        offset_per_pair_V=tuple(own.offset_V.draw(rng, N_ELECTRODES).tolist()),
+        stray_S=capacitance(tuple(stray.tolist()), own.frequency_Hz),
+        minus_gain=_one(own.minus_gain, rng),
+        sink_share=_one(own.sink_share, rng),
+        normalised=own.normalised,
+    )
+
+
+def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
     """Return what is true of a device at a random moment after its reference was taken."""
+    doubts = skin.may_be_off
+    rms = float(rng.uniform(*doubts.late_rms) * _walked(1, rng)[0])
+    turn = float(rng.uniform(0.0, np.pi / 2))
     late = Late(
-        gradient_rms=_log_uniform(spread.late_gradient_rms, rng),
-        field=_field(_log_uniform(spread.late_field_rms, rng), spread, rng),
+        gradient_rms=rms * float(np.sin(turn)),
+        field=_field(rms * float(np.cos(turn)), doubts.late_correlation_mm, rng),
         seed=int(rng.integers(SEEDS)),
     )
-    even = rng.random() < spread.late_even
+    stale = float(rng.uniform(*doubts.scan_stale) * rng.choice((-1.0, 1.0)))
     return Moment(
-        late=None if even else late,
-        scan_noise_mm=_log_uniform(spread.scan_noise_mm, rng),
-        scan_factor=float(1.0 + spread.scan_scale * rng.standard_normal()),
-        scan_amplitude=float(1.0 - rng.uniform(*spread.scan_stale)),
+        late=late,
+        scan_noise_mm=_log_uniform(doubts.scan_noise_mm, rng),
+        scan_factor=_one(doubts.scan_scale, rng),
+        scan_amplitude=1.0 - stale,
     )
 
 
-def draw_drift(spread: Uncertainties, count: int, rng: np.random.Generator) -> Array:
-    """Return (count,) common factors of samples' voltages since the reference was taken."""
-    low, high = np.log(spread.drift)
-    own = np.exp(rng.uniform(low, high, count))
-    wild = rng.random(count) < spread.drift_wild
-    found = np.where(wild, spread.drift_wild_sd, own) * rng.standard_normal(count)
-    return np.exp(np.clip(found, -spread.drift_most, spread.drift_most))
+def draw_drift(skin: Skin, count: int, rng: np.random.Generator) -> Array:
+    """Return (count,) common factors of samples' resistances since the reference was taken."""
+    whole, walked = skin.may_be_off.drift.draw(rng, count), _walked(count, rng)
+    old = rng.random(count) < OLD
+    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, walked) * whole, -MOST_DRIFT, MOST_DRIFT)))
 
 
-def _electrodes(spread: Uncertainties, rng: np.random.Generator) -> Electrodes:
-    nominal = Electrodes()
-    deviation = rng.uniform(*spread.electrode_mm)
-    most = spread.electrode_most_mm
-    moved = np.array(nominal.arc_length_mm) + np.clip(deviation * rng.standard_normal(16), -most, most)
-    each = np.exp(spread.electrode_size_each * np.clip(rng.standard_normal(16), -2.0, 2.0))
-    sizes = nominal.sizes_mm() * rng.uniform(*spread.electrode_size) * each
-    common, uneven = _log_uniform(spread.impedance, rng), rng.uniform(*spread.impedance_each)
-    impedances = nominal.impedances_ohm_m2() * common * np.exp(uneven * rng.standard_normal(16))
-    return replace(
-        nominal,
-        size_mm=tuple(sizes.tolist()),
-        contact_impedance_ohm_m2=tuple(impedances.tolist()),
+def _walked(count: int, rng: np.random.Generator) -> Array:
+    """Return (count,) how far random walks have come, as shares of a session's."""
+    return np.sqrt(np.exp(rng.uniform(np.log(FIRST), 0.0, count)))
+
+
+def _electrodes(skin: Skin, rng: np.random.Generator) -> Electrodes:
+    ring, count = skin.electrodes, N_ELECTRODES
+    stated, sizes = ring.arc_length_mm.nominal(count), ring.size_mm.nominal(count)
+    moved = np.clip(ring.arc_length_mm.draw(rng, count), stated - MOST_MM, stated + MOST_MM)
+    own = np.clip(ring.size_mm.draw(rng, count), SMALLEST * sizes, sizes / SMALLEST)
+    impedance = np.maximum(ring.contact_impedance_ohm_m2.draw(rng, count), 1e-9)
+    return Electrodes(
+        size_mm=tuple(own.tolist()),
+        contact_impedance_ohm_m2=tuple(impedance.tolist()),
         arc_length_mm=tuple(moved.tolist()),
     )
 
 
-def draw_front_end(spread: Uncertainties, rng: np.random.Generator) -> FrontEnd:
-    """Return random electronics."""
-    gain = 1.0 + spread.gain * rng.standard_normal(16)
-    if rng.random() >= spread.front_end:
-        return FrontEnd(gain=tuple(gain.tolist()))
-    each = np.exp(spread.stray_each * rng.standard_normal((2, 16)))
-    stray = _log_uniform(spread.leak_S, rng) * each[0] + 1j * _log_uniform(spread.stray_S, rng) * each[1]
-    plus, minus, common = rng.standard_normal(3)
-    sink = 1.0 + spread.sink * common + spread.sink_each * rng.standard_normal(16)
-    offset = _log_uniform(spread.offset_V, rng) * rng.standard_normal((2, 16))
-    return FrontEnd(
-        gain=tuple(gain.tolist()),
-        offset_per_drive_V=tuple(offset[0].tolist()),
-        offset_per_pair_V=tuple(offset[1].tolist()),
-        stray_S=tuple(stray.tolist()),
-        plus_gain=float(1.0 + spread.paths * plus),
-        minus_gain=float(1.0 + spread.paths * minus),
-        sink_share=tuple(sink.tolist()),
-        normalised=bool(rng.random() < spread.divided),
-    )
+def _field(rms: float, correlation_mm: Range, rng: np.random.Generator) -> SmoothField:
+    return SmoothField(rms, float(rng.uniform(*correlation_mm)), int(rng.integers(SEEDS)))
 
 
-def _field(rms: float, spread: Uncertainties, rng: np.random.Generator) -> SmoothField:
-    return SmoothField(rms, float(rng.uniform(*spread.correlation_mm)), int(rng.integers(SEEDS)))
+def _one(quantity: Quantity, rng: np.random.Generator) -> float:
+    return float(quantity.draw(rng, 1)[0])
 
 
-def _log_uniform(bounds: Bounds, rng: np.random.Generator) -> float:
+def _log_uniform(bounds: Range, rng: np.random.Generator) -> float:
+    if bounds[0] <= 0.0:
+        return float(rng.uniform(*bounds))
     return float(np.exp(rng.uniform(*np.log(bounds))))

@@ -25,7 +25,7 @@ ROUNDS: Final = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FrontEnd:
+class OffsetAndGains:
     """What was fitted to one frame of water."""
 
     offset_V: complex
@@ -43,7 +43,7 @@ class FrontEnd:
         return np.asarray((full[ROW_IN_FULL] + full[RECIPROCAL_IN_FULL]) / 2)
 
 
-def fit_front_end(water_V: Complex, model_V: Array) -> FrontEnd:
+def fit_front_end(water_V: Complex, model_V: Array) -> OffsetAndGains:
     """Return the front end that explains a frame of water.
 
     Args:
@@ -66,7 +66,7 @@ def fit_front_end(water_V: Complex, model_V: Array) -> FrontEnd:
         weight = 1.0 / np.abs(explained)
     ratio = (water_V - found[0]) / explained
     apart = ratio[ROW_IN_FULL] - ratio[RECIPROCAL_IN_FULL]
-    return FrontEnd(
+    return OffsetAndGains(
         offset_V=complex(found[0]),
         gains=np.asarray(found[1:], dtype=np.complex128),
         residual=float(np.sqrt(np.mean(np.abs(ratio - 1.0) ** 2))),

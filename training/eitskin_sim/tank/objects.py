@@ -19,8 +19,8 @@ from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.outline.disc import EVEN_DEG, SIDE_MM, Disc, assemble_disc
 from eitskin_sim.scene.parts import Scene
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
-from eitskin_sim.tank.front_end import FrontEnd, best_model, fit_front_end
-from eitskin_sim.tank.recording import Material, Object, TankFrame
+from eitskin_sim.tank.front_end import OffsetAndGains, best_model, fit_front_end
+from eitskin_sim.tank.recording import Material, Object, TankError, TankFrame
 
 Array = npt.NDArray[np.float64]
 
@@ -182,10 +182,13 @@ def angle_error_deg(one: Object, other: Found) -> float:
     return abs(float(np.remainder(apart + 180.0, 360.0)) - 180.0)
 
 
-def front_end_of(model: TankModel, frame: TankFrame) -> FrontEnd:
+def front_end_of(model: TankModel, frame: TankFrame) -> OffsetAndGains:
     """Return the front end that explains a frame's water in the model.
 
     Raises:
-        ValueError: It cannot be told.
+        TankError: It cannot be told.
     """
-    return fit_front_end(frame.water_V, model.water_V)
+    try:
+        return fit_front_end(frame.water_V, model.water_V)
+    except ValueError as error:
+        raise TankError(f"{frame.name}: {error}") from error

@@ -4,18 +4,14 @@ A monitor of libzmq tells of connections too, but its I/O thread waits for whoev
 monitor waits for the I/O thread: a flood of connections and a process that does something else for a moment never end.
 """
 
-import fcntl
-import os
 import select
 import socket
-import struct
-import termios
 import time
 from collections.abc import Callable, Container, Iterable
 from typing import Final
 
-from eitskin.messaging.admission.descriptors import Connection, connection_at, end, limit, open_files, room
-from eitskin.messaging.admission.traffic import Traffic
+from eitskin.messaging.admission.descriptors import Connection, connection_at, end, limit, open_files, room, unread
+from eitskin.messaging.admission.traffic import ALLOWANCE, Traffic
 
 GRACE_S: Final = 0.5
 """How long a newcomer has to say what it wants before it must make room for others."""
@@ -43,11 +39,12 @@ class Connections:
     Args:
         most: How many are served at once.
         ours: Whether a name is that of one of the socket's listeners.
+        allowance_bytes: See :class:`~.traffic.Traffic`.
     """
 
     __slots__ = ("_all", "_most", "_ours", "_poll", "_polled", "_traffic", "ended", "greedy", "room")
 
-    def __init__(self, most: int, ours: Callable[[Name], bool]) -> None:
+    def __init__(self, most: int, ours: Callable[[Name], bool], allowance_bytes: int = ALLOWANCE) -> None:
         self._most, self._ours = most, ours
         self._all: dict[Connection, tuple[Name | None, float]] = {}
         """Name and when it was seen first, of every socket of the process, in that order; None for what is not ours."""
@@ -58,7 +55,7 @@ class Connections:
         self._poll = select.poll()
         self._polled = 0
         """Descriptors below this one are looked at for what waits to be read."""
-        self._traffic = Traffic()
+        self._traffic = Traffic(allowance_bytes)
         self.room = 0
         """Descriptors that were left for others at the last ``look``; see :func:`~.descriptors.room`."""
 
@@ -82,12 +79,20 @@ class Connections:
     def end_greedy(self) -> None:
         """End who sends without end; one system call while nobody sends, and a few for each TCP connection in turn."""
         for number, event in self._poll.poll(0):
-            if event & select.POLLIN and _unread(number) > MOST_UNREAD:
+            if event & select.POLLIN and unread(number) > MOST_UNREAD:
                 connection = self.at(number)
                 if connection is not None:
                     self._end_one(connection)
+        self.end_endless()
+
+    def end_endless(self) -> None:
+        """End who sends messages without end by TCP; of ipc only the lines are looked at, by ``end_greedy``."""
         for connection in self._traffic.greedy([one for one, (name, _) in self._all.items() if isinstance(name, int)]):
             self._end_one(connection)
+
+    def took(self, connection: Connection, size: int, parts: int) -> None:
+        """Take note of a whole message of a connection that was taken out of the socket."""
+        self._traffic.took(connection, size, parts)
 
     def _end_one(self, connection: Connection) -> None:
         end(connection)
@@ -137,30 +142,25 @@ class Connections:
         return min(places - present, self._most - len(served)) if len(served) < self._most else 0
 
 
-def _unread(descriptor: int) -> int:
-    """Return how many bytes wait at a descriptor; 0 where that cannot be said."""
-    try:
-        answer = fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))
-    except OSError:
-        return 0
-    return int(struct.unpack("=i", answer)[0])
-
-
 def _own_name(connection: Connection) -> Name | None:
-    """Return what a connected socket's own end is called; None for a listener, or one that is gone."""
+    """Return what a connected socket's own end is called; None for a listener, or one that is gone.
+
+    Needs no descriptor: where none is left, a connection whose name could not be had would never be served.
+    """
     try:
-        copy = socket.socket(fileno=os.dup(connection[0]))
+        looked_through = socket.socket(fileno=connection[0])
     except OSError:
         return None
-    with copy:
-        try:
-            if os.fstat(copy.fileno()).st_ino != connection[1]:
-                return None
-            if copy.type != socket.SOCK_STREAM or copy.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN):
-                return None
-            name = copy.getsockname()
-        except OSError:
-            return None
-    if copy.family == socket.AF_UNIX:
+    try:
+        family, kind = looked_through.family, looked_through.type
+        listens = looked_through.getsockopt(socket.SOL_SOCKET, socket.SO_ACCEPTCONN)
+        name = looked_through.getsockname()
+    except OSError:
+        return None
+    finally:
+        looked_through.detach()
+    if connection_at(connection[0]) != connection or kind != socket.SOCK_STREAM or listens:
+        return None  # inodes do not come back: what lies there now lay there all the while
+    if family == socket.AF_UNIX:
         return name if isinstance(name, str) and name else None
-    return int(name[1]) if copy.family in (socket.AF_INET, socket.AF_INET6) else None
+    return int(name[1]) if family in (socket.AF_INET, socket.AF_INET6) else None

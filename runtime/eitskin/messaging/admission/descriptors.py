@@ -4,16 +4,22 @@ libzmq 4.3.5 aborts the whole process when its ipc listener finds no descriptor 
 a tcp listener survives). So whoever lets somebody in asks here first, and one at a time in the whole process.
 """
 
+import fcntl
 import os
 import resource
 import select
 import socket
 import stat
+import struct
+import termios
 import threading
 from typing import Final
 
 RESERVE: Final = 12
 """Descriptors that stay free for whatever the process opens itself: a port that comes back, a file."""
+
+MEANWHILE: Final = 64
+"""Connections that a TCP address may take in between a promise and its being kept; a quarter of few descriptors."""
 
 MANY: Final = 65536
 """What counts as no limit."""
@@ -76,6 +82,15 @@ def room(used: int | None = None) -> int:
     return limit() - (len(open_files()) if used is None else used) - RESERVE
 
 
+def unread(descriptor: int) -> int:
+    """Return how many bytes wait at a descriptor; 0 where that cannot be said."""
+    try:
+        answer = fcntl.ioctl(descriptor, termios.FIONREAD, bytes(4))
+    except OSError:
+        return 0
+    return int(struct.unpack("=i", answer)[0])
+
+
 def somebody_waits(listener: int) -> bool:
     """Return whether a connection to a listening socket waits to be accepted."""
     poll = select.poll()
@@ -93,6 +108,7 @@ class Promises:
         self._lock = threading.Lock()
         self._listeners: set[Connection | None] = set()
         """From which libzmq accepts."""
+        self._strangers = 0
 
     def give(self, listener: int, connections: int) -> bool:
         """Promise descriptors to a listener's connections; False if there is no room, or another is served now."""
@@ -102,10 +118,21 @@ class Promises:
                 for other in self._listeners
                 if other is not None and connection_at(other[0]) == other and somebody_waits(other[0])
             }
-            if self._listeners or room() < connections:
+            taken_meanwhile = min(MEANWHILE, limit() // 4) if self._strangers else 0
+            if self._listeners or room() < connections + taken_meanwhile:
                 return False
             self._listeners.add(connection_at(listener))
             return True
+
+    def stranger_came(self) -> None:
+        """Take note of a TCP address, where libzmq accepts without asking."""
+        with self._lock:
+            self._strangers += 1
+
+    def stranger_left(self) -> None:
+        """Take note that it is closed."""
+        with self._lock:
+            self._strangers -= 1
 
     def withdraw(self, listener: int) -> None:
         """Take note that a listener is closed."""

@@ -16,8 +16,9 @@ import zmq
 
 from eitskin.errors import EndpointError
 from eitskin.messaging.admission.connections import MANY_SPARE, Connections, Name
-from eitskin.messaging.admission.descriptors import RESERVE, Connection, limit, room
+from eitskin.messaging.admission.descriptors import PROMISES, RESERVE, Connection, limit, room
 from eitskin.messaging.admission.gate import Gate
+from eitskin.messaging.admission.traffic import ALLOWANCE
 from eitskin.messaging.curve_keys import ServerKeys
 from eitskin.messaging.endpoints import bind_problem, check_allowed, clear_path
 
@@ -26,6 +27,9 @@ PAUSE_S: Final = 0.05
 
 COUNT_S: Final = 1.0
 """How often it is looked at an ipc address who has left, if nobody comes."""
+
+LOOK_S: Final = 0.05
+"""How often it is looked at a TCP address, where whoever comes is accepted, and may send without end."""
 
 FEWEST: Final = 4
 """Descriptors that must be left for anybody to come in at all."""
@@ -40,6 +44,7 @@ class Door:
         keys: CURVE keys; they are used wherever they are given on TCP.
         control: See :func:`eitskin.messaging.endpoints.needs_keys`.
         most: How many are served at once.
+        allowance_bytes: What of one TCP connection may be read that is no whole message yet, or was not ``took``.
 
     Raises:
         EndpointError: The endpoint is not allowed like this, or in use, or cannot be bound; or the process may open so
@@ -47,7 +52,14 @@ class Door:
     """
 
     def __init__(
-        self, socket_: Any, endpoint: str, *, keys: ServerKeys | None = None, control: bool, most: int
+        self,
+        socket_: Any,
+        endpoint: str,
+        *,
+        keys: ServerKeys | None = None,
+        control: bool,
+        most: int,
+        allowance_bytes: int = ALLOWANCE,
     ) -> None:
         check_allowed(endpoint, keys, control=control)
         self._socket = socket_
@@ -69,7 +81,9 @@ class Door:
         except (zmq.ZMQError, OSError) as error:
             raise EndpointError(bind_problem(endpoint, error)) from error
         self._port = -1 if self._gate is not None else int(self.endpoint.rpartition(":")[2])
-        self._connections = Connections(most, self._ours)
+        self._connections = Connections(most, self._ours, allowance_bytes)
+        if self._gate is None:
+            PROMISES.stranger_came()
         left = room()
         if left < FEWEST:
             self.close()
@@ -92,6 +106,11 @@ class Door:
         return poll
 
     @property
+    def open_to_all(self) -> bool:
+        """Whether libzmq accepts whoever comes, at any time."""
+        return self._gate is None
+
+    @property
     def ended(self) -> int:
         """Connections that were ended because there were too many."""
         return self._connections.ended
@@ -108,7 +127,7 @@ class Door:
         """How long to wait on them at most."""
         if time.monotonic() < self._next_s:
             return PAUSE_S
-        return COUNT_S / 5 if self._gate is None else COUNT_S
+        return LOOK_S if self._gate is None else COUNT_S
 
     def look(self, keep: Container[Connection] = ()) -> None:
         """Let in who waits; never waits itself, and takes microseconds while nobody comes.
@@ -135,6 +154,16 @@ class Door:
         self._connections.end_greedy()
         return self._connections.greedy
 
+    def end_endless(self) -> None:
+        """End who sends messages without end by TCP, and nobody whose messages wait for long."""
+        if self._gate is None:
+            self._connections.end_endless()
+
+    def took(self, connection: Connection, size: int, parts: int) -> None:
+        """Take note of a whole message that was taken out of the socket: so many bytes in so many parts."""
+        if self._gate is None:
+            self._connections.took(connection, size, parts)
+
     def count(self, keep: Container[Connection] = ()) -> None:
         """End who is too many, a few times a second."""
         now_s = time.monotonic()
@@ -159,7 +188,10 @@ class Door:
         return number >= self._many
 
     def close(self) -> None:
-        """Let nobody in any more."""
+        """Let nobody in any more; closing twice is fine."""
         if self._gate is not None:
             self._gate.close()
             self._gate = None
+        elif self._port >= 0:
+            self._port = -1
+            PROMISES.stranger_left()

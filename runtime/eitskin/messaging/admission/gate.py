@@ -58,12 +58,14 @@ class Gate:
         OSError: The path cannot be bound.
     """
 
-    __slots__ = ("_batches", "_listener", "_mine", "_path", "_socket", "size")
+    __slots__ = ("_batches", "_empty", "_listener", "_mine", "_path", "_socket", "size")
 
     def __init__(self, socket_: Any, path: Path, most: int) -> None:
         self._socket, self._path = socket_, path
         self._batches: dict[str, _Batch] = {}
         """By the path at which the listener was bound."""
+        self._empty: set[str] = set()
+        """Of those, which looked empty at the last look."""
         self.size = 1
         """How many may wait at the path."""
         self._listener = self._listen(most, first=True)
@@ -141,8 +143,17 @@ class Gate:
         return True
 
     def forget(self, names: Iterable[str]) -> None:
-        """Give listeners back whose connections have all left."""
-        for name in names:
+        """Give listeners back whose connections have all left.
+
+        One that looks empty for the first time is kept: whoever is being accepted just now waits no more, and has no
+        descriptor yet.
+
+        Args:
+            names: Of those that nobody waits at and nobody came through who is still here.
+        """
+        empty = set(names)
+        gone, self._empty = empty & self._empty, empty - self._empty
+        for name in gone:
             batch = self._batches.pop(name)
             PROMISES.withdraw(batch.descriptor)
             with suppress(zmq.ZMQError):

@@ -1,6 +1,7 @@
 """What a TCP connection has sent, by the kernel's count: libzmq bounds the parts of a message, but not their number.
 
-An ipc connection is not counted, the kernel keeps no sum there; only the runtime's own user and root can make one.
+What was taken out of the socket as whole messages may be taken off; the rest lies in libzmq's memory. An ipc connection
+is not counted, the kernel keeps no sum there; only the runtime's own user and root can make one.
 """
 
 import os
@@ -11,10 +12,13 @@ from collections import deque
 from collections.abc import Collection
 from typing import Final
 
-from eitskin.messaging.admission.descriptors import Connection
+from eitskin.messaging.admission.descriptors import Connection, unread
 
 ALLOWANCE: Final = 65536
-"""Bytes that may come at once; a subscriber sends a few hundred when it comes, with CURVE a kilobyte."""
+"""Bytes of a subscriber that may come at once; it sends a few hundred when it comes, with CURVE a kilobyte."""
+
+OVERHEAD: Final = 64
+"""Bytes of a part on the wire beside its own: ZMTP has up to 9, CURVE 34 more."""
 
 PER_S: Final = 8192.0
 """Bytes a second that may come for ever: a region declared anew a hundred times a second."""
@@ -28,11 +32,16 @@ _RECEIVED_AT: Final = 128
 
 
 class Traffic:
-    """Bytes of connections, as a bucket that leaks: what is above ``ALLOWANCE`` is too much."""
+    """Bytes of connections, as a bucket that leaks.
 
-    __slots__ = ("_levels", "_turn")
+    Args:
+        allowance: Bytes above which it is too much.
+    """
 
-    def __init__(self) -> None:
+    __slots__ = ("_allowance", "_levels", "_turn")
+
+    def __init__(self, allowance: int) -> None:
+        self._allowance = allowance
         self._levels: dict[Connection, tuple[int, float, float]] = {}
         """Bytes so far, level of the bucket, and when."""
         self._turn: deque[Connection] = deque()
@@ -50,13 +59,19 @@ class Traffic:
         return [
             one
             for one in (self._turn.popleft() for _ in range(min(AT_A_TIME, len(self._turn))))
-            if self._rise(one, now_s) > ALLOWANCE
+            if self._rise(one, now_s) > self._allowance
         ]
 
+    def took(self, one: Connection, size: int, parts: int) -> None:
+        """Take note that a whole message was taken, so many bytes in so many parts: it lies nowhere any more."""
+        received, level, then_s = self._levels.get(one, (0, 0.0, time.monotonic()))
+        self._levels[one] = (received, level - size - OVERHEAD * parts, then_s)
+
     def _rise(self, one: Connection, now_s: float) -> float:
-        received = _received(one)
+        received = _received(one) - unread(one[0])
         before, level, then_s = self._levels.get(one, (0, 0.0, now_s))
-        level = max(0.0, level - PER_S * (now_s - then_s)) + max(0, received - before)
+        leaked = min(max(0.0, level), PER_S * (now_s - then_s))
+        level = max(level - leaked + received - before, -self._allowance)
         self._levels[one] = (received, level, now_s)
         return level
 

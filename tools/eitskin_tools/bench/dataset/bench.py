@@ -52,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     one_blas_thread()
     rows = [*_paper(arguments), *_free(arguments)]
     rows += [row for kind in ("press", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
+    rows += [_files(arguments, devices) for devices in ("ideal", "random")]
     rows.append(_pyeit())
     errors = [*error_rows(arguments.scenes), *gap_rows(), *rule_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
@@ -192,6 +193,19 @@ def _free(arguments: argparse.Namespace, kind: Any = "hard") -> list[dict[str, A
     row["largest_error"] = float(np.abs(made[-1][pick] / solved - 1.0).max())
     nodes = sheet.system.mesh.n_nodes
     return [row, _row(what, "naive", len(pick), seconds, f"one factorisation a sample, {nodes} nodes")]
+
+
+def _files(arguments: argparse.Namespace, devices: str) -> dict[str, Any]:
+    from eitskin_sim.dataset.plan import GROUP, make_plan
+    from eitskin_sim.dataset.shards import make_shard, reference, shard_job
+
+    plan = make_plan(
+        "free", deformations=GROUP, kept=0, per_deformation=arguments.free, touches="press", devices=devices
+    )
+    reference()
+    _, seconds = _timed(lambda: make_shard(shard_job(plan, list(range(GROUP)))))
+    note = "whole files: untouched sheets, references and clouds included"
+    return _row(f"free, press, {devices} device", "ours", GROUP * arguments.free, seconds, note)
 
 
 def _pyeit() -> dict[str, Any]:

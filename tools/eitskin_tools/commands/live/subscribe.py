@@ -7,7 +7,9 @@ line a frame.
 import argparse
 import contextlib
 import json
+import signal
 import sys
+import threading
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -53,6 +55,8 @@ def run(arguments: argparse.Namespace) -> int:
         except ValueError as error:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    if threading.current_thread() is threading.main_thread():  # a script's "&" has it ignore Ctrl-C, which ends it
+        signal.signal(signal.SIGINT, signal.default_int_handler)
     subscription = subscribe(
         arguments.endpoint,
         arguments.mode,

@@ -12,6 +12,7 @@ from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
+    from eitskin_proto.skin.skin import Skin
     from eitskin_sim.dataset.cluster import Certificates
 
 
@@ -53,6 +54,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="the nominal sheet, or one as a lab builds it for every few deformations: electrodes, layer, front end, "
         "drift and scans that are off (default ideal)",
     )
+    parser.add_argument(
+        "--skin",
+        metavar="FILE",
+        help="the skin.toml whose uncertainties random devices are drawn from, or the name of a shipped one: lab, "
+        "hydrogel (default lab)",
+    )
     parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes on this machine (default 1)")
     parser.add_argument("--scheduler", metavar="ADDRESS", help="a Dask scheduler, as tls://HOST:8786, instead")
     parser.add_argument("--tls-ca", type=Path, metavar="FILE", help="certificate of the cluster's own authority")
@@ -82,6 +89,7 @@ def run(arguments: argparse.Namespace) -> int:
         near=arguments.near,
         touches=arguments.touches,
         devices=arguments.devices,
+        skin=None if arguments.skin is None else _skin(arguments.skin),
     )
     start = time.perf_counter()
     with Progress(arguments.set_name) as progress:
@@ -99,6 +107,7 @@ def run(arguments: argparse.Namespace) -> int:
         "set": plan.set_name,
         "touches": plan.touches,
         "devices": plan.devices,
+        "skin_digest": None if plan.skin is None else plan.skin.digest,
         "samples": index["samples"],
         "made": progress.made,
         "deformations": {split: plan.splits.count(split) for split in ("train", "kept", "other")},
@@ -111,6 +120,17 @@ def run(arguments: argparse.Namespace) -> int:
     }
     print(json.dumps(report) if arguments.json else _text(report))
     return 0
+
+
+def _skin(path: str) -> "Skin":
+    from eitskin_proto.skin.toml import load
+
+    try:
+        return load(path)
+    except OSError as error:
+        raise UsageError(
+            f"--skin: {path} cannot be read: {error.strerror}; give a file, or one of lab, hydrogel"
+        ) from error
 
 
 def _check_scheduler(scheduler: str | None, certificates: "Certificates") -> None:

@@ -24,6 +24,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
     what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
     what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
+    what.add_argument(
+        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single or a JSON file"
+    )
     parser.add_argument(
         "--solver",
         default="vd2t",
@@ -86,6 +89,12 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
         help="of --random and --untouched: touches on the unit grid or anywhere (default: area)",
     )
 
+    devices = parser.add_argument_group("devices")
+    devices.add_argument("--draws", type=int, default=3, metavar="N", help="devices of each mismatch (default: 3)")
+    devices.add_argument("--seed", type=int, default=0, metavar="S", help="names the devices drawn (default: 0)")
+    devices.add_argument(
+        "--trials", default="mm,units,single,press04,press06", metavar="A,B", help="which trials (default: all five)"
+    )
     group.add_argument(
         "--contrast",
         type=float,
@@ -118,6 +127,8 @@ def run(arguments: argparse.Namespace) -> int:
         return _measured(arguments, request)
     if arguments.tank is not None:
         return _tank(arguments)
+    if arguments.devices is not None:
+        return _devices(arguments, request)
     if arguments.phantoms is None:
         return _trial(arguments, request, conditions)
     return _phantoms(arguments, request, conditions)
@@ -130,6 +141,21 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     if arguments.shift_px or arguments.cloud != "scan":
         raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
     found = evaluate_measured(load_measured(files.find(arguments.measured, files.MEASURED)), request, _progress())
+    print(json.dumps(found) if arguments.json else table(found))
+    return 0
+
+
+def _devices(arguments: argparse.Namespace, request: Any) -> int:
+    from eitskin_sim.evaluation.devices import mismatch, runs
+    from eitskin_tools.evaluation.devices import evaluate_devices, table, trials_of
+
+    if arguments.draws < 1 or arguments.seed < 0:
+        raise UsageError(f"--draws {arguments.draws} --seed {arguments.seed}: expected at least 1, and at least 0")
+    drawn = {"lab": mismatch.lab_rows, "random": mismatch.random_rows}.get(arguments.devices)
+    rows = drawn() if drawn else mismatch.load_rows(files.find(arguments.devices, files.MISMATCHES))
+    kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
+    plan = runs.Plan(arguments.draws, arguments.seed, arguments.noise, arguments.snr_db)
+    found = evaluate_devices(rows, kinds, request, plan, _progress())
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 

@@ -1,0 +1,83 @@
+"""Draws of devices: as a skin says, the same from the same seed, and nothing where nothing is uncertain."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.parts import Outline, Ring
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.device import IDEAL
+from eitskin_sim.devices.draws import MOST_DRIFT, MOST_MM, draw_device, draw_drift, draw_moment
+from eitskin_sim.devices.readings import fine_differences, readings
+from eitskin_sim.scene.parts import Bend, Electrodes
+
+LAB = named("lab")
+
+
+def rng(seed: int) -> np.random.Generator:
+    return np.random.default_rng(seed)
+
+
+def test_a_seed_names_a_device() -> None:
+    one, same, other = (draw_device(LAB, rng(seed)) for seed in (3, 3, 4))
+    assert one == same
+    assert one != other
+    assert draw_moment(LAB, rng(3)) == draw_moment(LAB, rng(3))
+
+
+def test_a_skin_without_doubts_has_the_ideal_device_alone() -> None:
+    drawn, moment = draw_device(PAPER, rng(0)), draw_moment(PAPER, rng(0))
+    bend = Bend(stretch_along=1.1, twist_deg=5.0)
+    assert drawn.bent(bend) == bend
+    assert drawn.reference_bend == Bend()
+    found = fine_differences(drawn.device.since(moment.late), bend)
+    assert found == pytest.approx(fine_differences(IDEAL, bend), rel=1e-12)
+    assert readings(drawn.device, found) == pytest.approx(readings(IDEAL, found), rel=1e-9)
+    assert np.all(draw_drift(PAPER, 50, rng(0)) == 1.0)
+    assert (moment.scan_factor, moment.scan_amplitude) == (1.0, 1.0)
+    assert moment.scan_noise_mm == pytest.approx(0.1)
+
+
+def test_electrodes_are_off_as_the_skin_says_and_never_beyond_what_is_seen() -> None:
+    nominal = Electrodes()
+    drawn = [draw_device(LAB, rng(seed)).device.electrodes for seed in range(200)]
+    off = np.array([one.arc_length_mm for one in drawn]) - np.array(nominal.arc_length_mm)
+    assert off.std() == pytest.approx(0.7, rel=0.05)
+    assert np.abs(off).max() <= MOST_MM
+    impedance = np.log([one.impedances_ohm_m2() for one in drawn])
+    assert impedance.std() == pytest.approx(1.2, rel=0.05)
+
+
+def test_drift_walks_from_little_to_the_skins_spread_with_a_few_far_beyond() -> None:
+    drift = np.abs(np.log(draw_drift(LAB, 50_000, rng(1))))
+    assert 0.001 < np.median(drift) < 0.006
+    assert 0.01 < np.quantile(drift, 0.9) < 0.03
+    assert 0.005 < np.mean(drift > 0.1) < 0.02
+    assert drift.max() <= MOST_DRIFT + 1e-12
+
+
+def test_a_scan_is_behind_or_ahead_and_as_noisy_as_the_skin_says() -> None:
+    moments = [draw_moment(LAB, rng(seed)) for seed in range(300)]
+    noise = np.array([one.scan_noise_mm for one in moments])
+    assert 0.1 <= noise.min() < 0.15
+    assert 1.7 < noise.max() <= 2.0
+    amplitude = np.array([one.scan_amplitude for one in moments])
+    assert 0.95 <= amplitude.min() < 0.96
+    assert 1.04 < amplitude.max() <= 1.05
+
+
+def test_a_true_size_shows_in_every_bend_and_in_the_reference() -> None:
+    drawn = replace(draw_device(LAB, rng(5)), scale=(1.02, 0.99), reference_stretch=(1.0, 1.01))
+    assert drawn.bent(Bend(stretch_along=1.1)).stretch_along == pytest.approx(1.122)
+    assert drawn.reference_bend.stretch_along == pytest.approx(1.02)
+    assert drawn.reference_bend.stretch_across == pytest.approx(0.99 * 1.01)
+
+
+def test_skins_that_the_generators_have_no_mesh_for_are_refused() -> None:
+    long = replace(PAPER, outline=Outline(size_mm=(220.0, 100.0)))
+    with pytest.raises(ValueError, match="outline is a rectangle of 220 x 100 mm; data sets of random"):
+        draw_device(long, rng(0))
+    with pytest.raises(ValueError, match="contact is 'edge'; random devices have 'patch'"):
+        draw_device(replace(PAPER, electrodes=Ring(contact="edge")), rng(0))

@@ -1,0 +1,60 @@
+"""Contacts beside the mesh's lines: those on lines are as before, and others cover what they should."""
+
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from eitskin_sim.devices.device import IDEAL, Device
+from eitskin_sim.devices.loose_contacts import loose_contacts
+from eitskin_sim.devices.readings import fine_differences, readings
+from eitskin_sim.fem.forward import flat_metric
+from eitskin_sim.fem.mesh import TensorMesh
+from eitskin_sim.freeform.mesh import shared_mesh, shared_system
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
+
+BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
+NOMINAL = Electrodes()
+SIZES = tuple(np.linspace(3.1, 5.7, 16).tolist())
+MOVED = tuple((np.array(NOMINAL.arc_length_mm) + np.linspace(-2.0, 2.0, 16)[np.arange(16) * 7 % 16]).tolist())
+LOOSE = Electrodes(size_mm=SIZES, contact_impedance_ohm_m2=tuple(np.geomspace(1e-5, 1e-3, 16)), arc_length_mm=MOVED)
+
+
+def test_contacts_on_lines_are_those_that_follow_them() -> None:
+    on_lines = shared_system(BEND).contacts
+    loose = loose_contacts(shared_mesh().mesh, Sheet(), NOMINAL, bend_metric(BEND, Sheet()))
+    for name in (own.name for own in fields(loose)):
+        expected, found = getattr(on_lines, name), getattr(loose, name)
+        assert found == pytest.approx(expected, rel=1e-12, abs=1e-13 * np.abs(expected).max()), name
+
+
+def test_a_contact_covers_its_square_wherever_it_lies() -> None:
+    found = loose_contacts(shared_mesh().mesh, Sheet(), LOOSE, flat_metric)
+    area = np.bincount(found.electrode, found.area_m2)
+    assert area == pytest.approx(1e-6 * np.array(SIZES) ** 2, rel=1e-12)
+    assert found.mass_m2.sum(axis=(1, 2)) == pytest.approx(found.area_m2, rel=1e-12)
+    assert found.impedance_ohm_m2 == pytest.approx(LOOSE.impedances_ohm_m2()[found.electrode])
+
+
+# On lines it is 0.06 %, here 0.6.
+def test_untouched_voltages_are_near_those_of_a_mesh_that_follows_the_contacts() -> None:
+    device = replace(IDEAL, electrodes=LOOSE)
+    fine = readings(device, fine_differences(device, BEND))
+    coarse = shared_system(BEND, device=device).factorise().voltages()
+    assert coarse == pytest.approx(fine, rel=1e-2)
+    assert np.abs(fine / readings(IDEAL, fine_differences(IDEAL, BEND)) - 1.0).max() > 0.05
+
+
+def test_what_needs_lines_is_refused() -> None:
+    mesh = shared_mesh().mesh
+    with pytest.raises(ValueError, match="contact is 'edge'; expected 'patch'"):
+        loose_contacts(mesh, Sheet(), replace(NOMINAL, contact="edge"), flat_metric)
+    coarse = TensorMesh(np.array([0.0, 75.0, 150.0]), np.array([0.0, 50.0, 100.0]))
+    with pytest.raises(ValueError, match="two electrodes meet one element"):
+        loose_contacts(coarse, Sheet(), LOOSE, flat_metric)
+
+
+def test_the_ideal_device_has_the_contacts_of_the_lines() -> None:
+    assert Device() == IDEAL
+    assert np.array_equal(shared_system(BEND, device=Device()).contacts.mass_m2, shared_system(BEND).contacts.mass_m2)

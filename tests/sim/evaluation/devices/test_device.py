@@ -1,0 +1,155 @@
+"""Mismatches say how far, devices which way: the ideal one is the nominal sheet, and no solver is told of another."""
+
+import json
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.cloud import align_cloud
+from eitskin_sim.evaluation.devices.device import draw_device
+from eitskin_sim.evaluation.devices.mismatch import (
+    BOUNDS,
+    IDEAL,
+    LAB,
+    Mismatch,
+    deviations,
+    lab_rows,
+    load_rows,
+    random_mismatch,
+    random_rows,
+)
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.scene import SceneError, check_scene
+from eitskin_sim.scene.shapes import Disc, Rect
+from eitskin_sim.surface.measured_cloud import measured_cloud
+
+BENT = draw("A", 1, 0)[0]
+SCENE = Scene(bend=BENT, touches=(Touch((Rect(60.0, 40.0, 75.0, 55.0),)), Touch((Disc(30.0, 30.0, 6.0),))))
+ALL = Mismatch(
+    1.0, 3.0, 10.0, 0.5, 1.5, 148.0, 0.05, 30.0, 1.0, 5.0, 0.02, 10.0, 2.0, 1.0, 0.05, 0.3, 5.0, 1.01, True, 0.01, 60.0
+)  # fmt: skip
+
+
+def rng():
+    return np.random.default_rng(3)
+
+
+def test_without_a_mismatch_the_device_is_the_nominal_one():
+    device = draw_device(IDEAL, 0, 0)
+    scene = device.scene(SCENE, as_it_is=False)
+    assert scene.sheet == Sheet()
+    assert np.allclose(scene.electrodes.impedances_ohm_m2(), 1e-4, rtol=1e-15)
+    assert scene.electrodes.arc_length_mm == Electrodes().arc_length_mm
+    assert (scene.bend, scene.touches) == (SCENE.bend, SCENE.touches)
+    assert device.reference().bend == Bend()
+    assert np.array_equal(device.cloud(BENT, rng()), measured_cloud(BENT, rng()).astype(np.float64))
+
+
+def test_every_deviation_is_there_and_the_scene_can_be_solved():
+    assert len(deviations(ALL)) == len(fields(Mismatch)) - 1  # scan is as it should be
+    device = draw_device(ALL, 0, 1)
+    scene = device.scene(SCENE, as_it_is=False)
+    check_scene(scene)
+    assert scene.sheet.size_mm == (148.0, 100.0)
+    assert (scene.sheet.thickness_mm, scene.sheet.gauge_factor) == (1.5, 1.0)
+    assert (scene.sheet.field.rms, scene.sheet.field.correlation_mm) == (0.05, 30.0)
+    assert (scene.sheet.late.factor, scene.sheet.late.gradient_rms) == (1.05, 0.02)
+    assert scene.electrodes.size_mm == 3.0
+    assert all((one.contrast, one.border_mm, one.dent_mm) == (10.0, 2.0, 1.0) for one in scene.touches)
+    assert scene.bend.nonuniformity == BENT.nonuniformity + 0.05
+    as_they_are = device.scene(SCENE, as_it_is=True).touches
+    assert [one.contrast for one in as_they_are] == [None, None]
+    assert as_they_are[0].shapes[0].x1_mm == pytest.approx(75.0 * 148 / 150)
+
+
+def test_the_reference_is_of_the_same_device_flat_and_before_what_came_late():
+    device = draw_device(ALL, 0, 1)
+    taken = device.reference()
+    assert taken.sheet == replace(device.sheet, late=None)
+    assert taken.electrodes == device.electrodes
+    assert taken.touches == ()
+    assert taken.bend == Bend(stretch_along=1.01)
+
+
+def test_draws_keep_their_direction_whatever_their_size_and_differ_between_devices():
+    def off(size, number=0, seed=0):
+        return np.subtract(
+            draw_device(Mismatch(electrodes_mm=size), seed, number).electrodes.arc_length_mm, Electrodes().arc_length_mm
+        )
+
+    assert np.allclose(off(2.0), 2 * off(1.0))
+    assert 0.5 < off(1.0).std() < 1.5
+    assert np.abs(off(1.0) - off(1.0, number=1)).max() > 0.1
+    assert np.abs(off(1.0) - off(1.0, seed=1)).max() > 0.1
+    spread = draw_device(Mismatch(impedance_factor=10.0, impedance_spread=0.5), 0, 0).electrodes.impedances_ohm_m2()
+    assert 0.25 < np.log(spread / 1e-3).std() < 0.8
+
+
+def test_electrodes_of_a_longer_sheet_move_with_it():
+    arc = np.array(draw_device(Mismatch(length_mm=153.0), 0, 0).electrodes.arc_length_mm)
+    nominal = np.array(Electrodes().arc_length_mm)
+    below, right = nominal < 150.0, (nominal > 150.0) & (nominal < 250.0)
+    assert np.allclose(arc[below], nominal[below] * 1.02)
+    assert np.allclose(arc[right], nominal[right] + 3.0)
+    assert np.allclose(506.0 - arc[nominal > 400.0], 500.0 - nominal[nominal > 400.0])
+
+
+def test_a_scan_shows_what_the_scanner_does():
+    def cloud(**off):
+        return draw_device(Mismatch(**off), 0, 0).cloud(BENT, rng())
+
+    exact = measured_cloud(BENT)
+    assert (cloud(scan_noise_mm=1.0) - exact).std() == pytest.approx(1.0, rel=0.1)
+    assert np.allclose(cloud(scan_scale=1.01), 1.01 * cloud(), atol=1e-3)
+    assert cloud(scan=False) is None
+    stale = cloud(scan_noise_mm=0.0, scan_stale_deg=90.0)
+    assert np.abs(align_cloud(stale) - exact).max() > 1.0
+    flat = align_cloud(draw_device(Mismatch(scan_noise_mm=0.0, length_mm=153.0), 0, 0).cloud(Bend(), rng()))
+    assert np.ptp(flat[0]) == pytest.approx(1.02 * np.ptp(measured_cloud(Bend())[0]), rel=1e-4)
+    unseen = cloud(unseen_stretch=0.2, scan_noise_mm=0.0)
+    assert np.array_equal(unseen, cloud(scan_noise_mm=0.0))
+
+
+def test_random_devices_lie_within_the_bounds_and_leave_touches_as_they_are():
+    for number in range(50):
+        off = random_mismatch(np.random.default_rng(number))
+        for name, (low, high) in BOUNDS.items():
+            value = getattr(off, name)
+            assert value is None or low <= value <= high, name
+        assert off.contrast is None
+        if number < 3:
+            check_scene(draw_device(off, 0, number).scene(SCENE, as_it_is=False))
+    assert [name for name, _ in random_rows()] == ["none", "random"]
+    assert dict(lab_rows())["lab mix"] == LAB
+
+
+def written(tmp_path, value):
+    path = tmp_path / "devices.json"
+    path.write_text(json.dumps(value))
+    return path
+
+
+def test_rows_come_from_json(tmp_path):
+    rows = load_rows(written(tmp_path, [{"name": "a", "gauge_factor": 1}, {"scan": False, "contrast": 0.5}]))
+    assert rows[0] == ("a", Mismatch(gauge_factor=1.0))
+    assert rows[1][1] == Mismatch(scan=False, contrast=0.5)
+
+
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ([{"gauge": 1}], "unknown key 'gauge'"),
+        ([{"gauge_factor": 9}], "devices[0].gauge_factor"),
+        ([{"gauge_factor": "1"}], "devices[0].gauge_factor"),
+        ([{"scan": 1}], "true or false"),
+        ([{"name": 3}], "expected a text"),
+        ([], "no mismatch"),
+        ({}, "list"),
+    ],
+)
+def test_rows_that_cannot_be_are_refused(tmp_path, value, said):
+    with pytest.raises(SceneError) as caught:
+        load_rows(written(tmp_path, value))
+    assert said in str(caught.value)

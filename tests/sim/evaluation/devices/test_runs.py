@@ -1,0 +1,123 @@
+"""Trials on mismatched devices: solvers are held to the nominal truth, and rows differ by the mismatch alone."""
+
+import numpy as np
+import pytest
+
+from eitskin_sim.evaluation.devices import runs
+from eitskin_sim.evaluation.devices.mismatch import IDEAL, Mismatch
+from eitskin_sim.evaluation.harness import Run, truth_map
+from eitskin_sim.scene.parts import Phantom, Scene, Touch
+from eitskin_sim.scene.shapes import Rect
+
+SQUARE = Phantom("square", Scene(touches=(Touch((Rect(60.0, 40.0, 70.0, 50.0),)),)), "area")
+HARD = runs.Trial("hard", (SQUARE,))
+PRESS = runs.Trial(
+    "press", (Phantom("press", Scene(touches=(Touch(SQUARE.scene.touches[0].shapes, contrast=0.5),)), "area"),), True
+)
+UNITS = runs.Trial("units", (Phantom("units", SQUARE.scene, "units"),))
+QUIET = runs.Plan(noise="none")
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    monkeypatch.setattr(runs, "ELEMENT_MM", 4.5)
+    runs.voltages_of.cache_clear()
+    yield
+    runs.voltages_of.cache_clear()
+
+
+def seen(rows, kinds, plan=QUIET, reference="pre"):
+    """The cases that a solver is given, and the rows."""
+    cases = []
+
+    def solve(case):
+        cases.append(case)
+        return truth_map(SQUARE)
+
+    names = {kind.name: Run(solve, reference) for kind in kinds}
+    found = runs.run_rows(rows, kinds, names, {kind.name: lambda volts, reference: True for kind in kinds}, plan)
+    return cases, found
+
+
+def test_a_solver_that_knows_the_nominal_truth_is_right_whatever_the_device():
+    rows = [("none", IDEAL), ("gauge", Mismatch(gauge_factor=1.0)), ("long", Mismatch(length_mm=153.0))]
+    _, found = seen(rows, [HARD])
+    assert [row["name"] for row in found] == ["none", "gauge", "long"]
+    for row in found:
+        assert row["hard"]["cc"] == pytest.approx(1.0)
+        assert (row["hard"]["missed"], row["hard"]["gate_missed"]) == (0.0, 0.0)
+    assert found[1]["devices"] == [{"gauge_factor": 1.0}]
+
+
+def test_drift_is_in_the_voltages_and_not_in_the_reference():
+    (still, drifted), _ = seen([("none", IDEAL), ("drift", Mismatch(drift_percent=10.0))], [HARD])
+    assert np.allclose(drifted.flat_reference, still.flat_reference, rtol=1e-6)
+    ratio = drifted.voltages / still.voltages
+    assert 0.88 < np.median(ratio) < 0.95  # by a tenth less, but for the touch, whose conductivity stays
+    assert drifted.reference is drifted.flat_reference
+
+
+def test_a_reference_may_be_noisy_or_stretched():
+    rows = [("none", IDEAL), ("noisy", Mismatch(reference_snr_db=40.0)), ("long", Mismatch(reference_stretch=0.03))]
+    (ideal, noisy, stretched), _ = seen(rows, [HARD])
+    assert np.std(noisy.flat_reference / ideal.flat_reference - 1.0) == pytest.approx(0.01, rel=0.3)
+    assert np.array_equal(noisy.voltages, ideal.voltages)
+    assert np.abs(stretched.flat_reference / ideal.flat_reference - 1.0).max() > 0.02
+
+
+def test_a_press_keeps_its_contrast_and_tells_the_solver_that_it_lowers():
+    (hard, press), _ = seen([("contrast", Mismatch(contrast=10.0, border_mm=2.0))], [HARD, PRESS])
+    (_, plain), _ = seen([("none", IDEAL)], [HARD, PRESS])
+    assert np.array_equal(press.voltages, plain.voltages)
+    assert (hard.lowering, press.lowering) == (False, True)
+
+
+def test_touches_on_the_unit_grid_have_no_borders():
+    _, found = seen([("soft", Mismatch(border_mm=2.0)), ("none", IDEAL)], [HARD, UNITS])
+    assert found[0]["units"] is None
+    assert found[0]["hard"] is not None
+    assert found[1]["units"]["maps"] == 1
+
+
+def test_draws_are_of_the_devices_and_an_ideal_one_needs_no_second():
+    plan = runs.Plan(draws=2, noise="none")
+    cases, found = seen([("none", IDEAL), ("off", Mismatch(electrodes_mm=1.0)), ("random", None)], [HARD], plan)
+    assert [row["hard"]["maps"] for row in found] == [1, 2, 2]
+    assert len({case.voltages.tobytes() for case in cases}) == 5
+    assert len(found[2]["devices"]) == 2
+    again, _ = seen([("random", None)], [HARD], plan)
+    assert np.array_equal(again[0].voltages, cases[3].voltages)
+    other, _ = seen([("random", None)], [HARD], runs.Plan(draws=1, seed=1, noise="none"))
+    assert not np.array_equal(other[0].voltages, cases[3].voltages)
+
+
+def test_rows_see_the_same_noise():
+    plan = runs.Plan(noise="N2", snr_db=50.0)
+    rows = [("none", IDEAL), ("scan", Mismatch(scan_noise_mm=1.0)), ("none again", IDEAL)]
+    (one, scan, two), _ = seen(rows, [HARD], plan)
+    assert np.array_equal(one.voltages, two.voltages)
+    assert np.array_equal(one.voltages, scan.voltages)
+    assert not np.array_equal(one.sheet.cloud_mm, scan.sheet.cloud_mm)
+
+
+def test_the_predicted_reference_is_of_the_nominal_model_and_the_true_reference():
+    (case,), _ = seen([("none", IDEAL)], [HARD], reference="predicted")
+    assert np.abs(case.reference / case.flat_reference - 1.0).max() < 0.02
+    assert not np.array_equal(case.reference, case.flat_reference)
+
+
+def test_touches_of_the_drawn_trials_are_presses_of_both_outlines():
+    single, press04, press06 = runs.drawn_trials(2, 2)
+    assert (single.lowering, press04.lowering, press06.lowering) == (False, True, True)
+    touches = [phantom.scene.touches[0] for phantom in press04.phantoms]
+    assert [type(one.shapes[0]).__name__ for one in touches] == ["Rect", "Disc"] * 2
+    assert {(one.contrast, one.border_mm) for one in touches} == {(0.4, 4.0)}
+    assert {phantom.scene.touches[0].contrast for phantom in press06.phantoms} == {0.6}
+
+
+def test_a_touch_is_missed_beyond_15_mm():
+    outcomes = [runs.Outcome(0.9, np.array([3.0, 20.0]), True), runs.Outcome(0.1, np.array([np.inf]), False)]
+    found = runs.figures(outcomes)
+    assert found["missed"] == pytest.approx(2 / 3)
+    assert found["localisation_rms_mm"] == pytest.approx(3.0)
+    assert (found["cc"], found["cc_worst"], found["gate_missed"]) == (0.5, 0.1, 0.5)

@@ -1,0 +1,77 @@
+"""``eitskin evaluate --devices``: a table by mismatch, and one line for whatever is wrong."""
+
+import json
+
+import pytest
+
+from eitskin_sim.evaluation.devices import runs
+from eitskin_sim.evaluation.devices.mismatch import load_rows
+from eitskin_tools import cli
+from eitskin_tools.command_line import files
+from eitskin_tools.evaluation.devices import KINDS, table
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    monkeypatch.setattr(runs, "ELEMENT_MM", 4.5)
+
+
+def words(tmp_path, *more):
+    (tmp_path / "devices.json").write_text(json.dumps([{"name": "none"}, {"name": "gauge", "gauge_factor": 1}]))
+    few = ["--deformations", "1", "--each", "1", "--draws", "2"]
+    return ["evaluate", "--devices", str(tmp_path / "devices.json"), *few, *more]
+
+
+def test_the_command_prints_one_object(tmp_path, capsys):
+    assert cli.main(words(tmp_path, "--trials", "single,press04", "--json")) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert [row["name"] for row in found["rows"]] == ["none", "gauge"]
+    assert [row["single"]["maps"] for row in found["rows"]] == [1, 2]
+    assert set(found["bundles"]) == {"single", "press04"}
+    assert found["rows"][0]["single"]["cc"] > 0.9
+    assert found["rows"][0]["press04"]["gate_missed"] == 0.0
+
+
+def test_classical_solvers_find_presses(tmp_path, capsys):
+    assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov", "--json")) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["reference"] == "predicted"
+    assert found["rows"][0]["press04"]["missed"] == 0.0
+
+
+def test_people_read_a_table(tmp_path, capsys):
+    assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov-units")) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "| mismatch | press 0.4, CC, rms mm |"
+    assert [line.split("|")[1].strip() for line in lines[2:]] == ["none", "gauge"]
+
+
+def test_the_table_says_what_was_missed_and_what_was_not_run():
+    one = {"cc": 0.5, "cc_worst": 0.1, "localisation_rms_mm": None, "missed": 0.999, "gate_missed": 0.0, "maps": 3}
+    found = {"rows": [{"name": "x", "devices": [], "single": one, "units": None, "mm": one}]}
+    assert table(found).splitlines()[2] == "| x | 0.500 / 0.100 | - | 0.500, -, missed 100 % |"
+
+
+def test_the_shipped_list_is_one():
+    rows = load_rows(files.find("single", files.MISMATCHES))
+    assert rows[0][0] == "none"
+    assert rows[-1][0] == "lab mix"
+    assert len(rows) > 30
+    assert len(KINDS) == 5
+
+
+@pytest.mark.parametrize(
+    ("more", "status", "said"),
+    [
+        (["--trials", "double"], 1, "press06"),
+        (["--draws", "0"], 2, "at least 1"),
+        (["--seed", "-1"], 2, "at least 0"),
+        (["--reference", "post"], 1, "--reference post"),
+        (["--prediction", "true"], 1, "untouched voltages"),
+    ],
+)
+def test_what_cannot_be_run_is_one_line(tmp_path, capsys, more, status, said):
+    assert cli.main(words(tmp_path, *more)) == status
+    line = capsys.readouterr().err
+    assert said in line
+    assert line.count("\n") == 1

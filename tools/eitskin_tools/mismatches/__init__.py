@@ -1,0 +1,1 @@
+"""Lists of mismatches that are shipped: ``eitskin evaluate --devices NAME``."""

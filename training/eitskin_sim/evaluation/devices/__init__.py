@@ -1,0 +1,1 @@
+"""Trials on devices that are not what solvers take them for."""

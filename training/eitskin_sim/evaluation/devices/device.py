@@ -1,0 +1,127 @@
+"""One true device, drawn: its scenes, its reference, and the scans that its robot takes.
+
+The same draws serve every size of a deviation: an electrode that is off by z standard deviations is off by z times 1
+mm, or 2 mm. Solvers see none of it: they know the nominal sheet.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.evaluation.devices.mismatch import Mismatch
+from eitskin_sim.scene.family import scaled
+from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
+from eitskin_sim.surface.measured_cloud import measured_cloud
+
+Array = npt.NDArray[np.float64]
+
+FARTHEST_SD = 2.5
+"""An electrode is off by at most so many standard deviations: it stays on its side of the border."""
+
+DRAW_SEED = 31_007
+"""Devices have seeds of their own, apart from those of any data set."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Device:
+    """A true device."""
+
+    mismatch: Mismatch
+    sheet: Sheet
+    electrodes: Electrodes
+
+    def scene(self, nominal: Scene, *, as_it_is: bool) -> Scene:
+        """Return the true scene of a nominal one.
+
+        Args:
+            nominal: Bend and touches, in the nominal sheet's coordinates.
+            as_it_is: Leave the touches their own contrast and border.
+        """
+        off = self.mismatch
+        stretch = off.length_mm / Sheet().size_mm[0]
+        touches = tuple(_touch(one, None if as_it_is else off, stretch) for one in nominal.touches)
+        bend = replace(nominal.bend, nonuniformity=nominal.bend.nonuniformity + off.unseen_stretch)
+        return replace(nominal, sheet=self.sheet, electrodes=self.electrodes, bend=bend, touches=touches)
+
+    def reference(self) -> Scene:
+        """Return the true scene when the one reference was taken."""
+        bend = Bend(stretch_along=1.0 + self.mismatch.reference_stretch)
+        return replace(Scene(self.sheet, self.electrodes).reference(), bend=bend)
+
+    def cloud(self, bend: Bend, rng: np.random.Generator) -> Array | None:
+        """Return the (3, 30, 45) mm scan of a nominal bend; None where there is none."""
+        off = self.mismatch
+        if not off.scan:
+            return None
+        shown = bend if not off.scan_stale_deg else scaled(bend, 1.0 - off.scan_stale_deg / 180.0)
+        longer = off.length_mm / Sheet().size_mm[0]
+        shown = replace(shown, stretch_along=shown.stretch_along * longer)
+        return off.scan_scale * measured_cloud(shown, rng, off.scan_noise_mm).astype(np.float64)
+
+
+def draw_device(mismatch: Mismatch, seed: int, number: int) -> Device:
+    """Return one device of a mismatch.
+
+    Args:
+        mismatch: How large deviations are.
+        seed: Names the sequence of devices.
+        number: Which of them.
+    """
+    rng = np.random.default_rng([DRAW_SEED, seed, number])
+    places = np.clip(rng.standard_normal(N_ELECTRODES), -FARTHEST_SD, FARTHEST_SD)
+    contacts = rng.standard_normal(N_ELECTRODES)
+    field_seed, late_seed = (int(one) for one in rng.integers(2**31, size=2))
+    off, nominal = mismatch, Electrodes()
+    arc = _along(np.array(nominal.arc_length_mm), off.length_mm) + off.electrodes_mm * places
+    impedance = nominal.impedances_ohm_m2() * off.impedance_factor * np.exp(off.impedance_spread * contacts)
+    drifts = off.drift_percent or off.gradient_rms
+    late = Late(1.0 + off.drift_percent / 100.0, off.gradient_rms, None, late_seed) if drifts else None
+    return Device(
+        mismatch=mismatch,
+        sheet=Sheet(
+            size_mm=(off.length_mm, Sheet().size_mm[1]),
+            thickness_mm=off.thickness_mm,
+            gauge_factor=off.gauge_factor,
+            field=SmoothField(off.field_rms, off.field_mm, field_seed) if off.field_rms else None,
+            late=late,
+        ),
+        electrodes=Electrodes(
+            size_mm=off.electrode_size_mm,
+            contact_impedance_ohm_m2=tuple(impedance.tolist()),
+            arc_length_mm=tuple(arc.tolist()),
+        ),
+    )
+
+
+def _along(arc_mm: Array, length_mm: float) -> Array:
+    """Return places on the border of a sheet of another length: those along it move with it."""
+    (nominal, width), more = Sheet().size_mm, length_mm - Sheet().size_mm[0]
+    low, high = np.clip(arc_mm / nominal, 0.0, 1.0), np.clip((arc_mm - nominal - width) / nominal, 0.0, 1.0)
+    return np.asarray(arc_mm + more * (low + high))
+
+
+def _touch(touch: Touch, off: Mismatch | None, stretch: float) -> Touch:
+    moved = touch if stretch == 1.0 else replace(touch, shapes=tuple(_stretched(one, stretch) for one in touch.shapes))
+    if off is None or (off.contrast is None and not off.alters_touches):
+        return moved
+    return replace(
+        moved,
+        contrast=touch.contrast if off.contrast is None else off.contrast,
+        border_mm=off.border_mm or touch.border_mm,
+        dent_mm=off.dent_mm or touch.dent_mm,
+    )
+
+
+def _stretched(shape: Shape, stretch: float) -> Shape:
+    match shape:
+        case Rect(x0, y0, x1, y1):
+            return Rect(x0 * stretch, y0, x1 * stretch, y1)
+        case Disc(x, y, radius):
+            return Disc(x * stretch, y, radius)
+        case Ellipse():
+            return replace(shape, x_mm=shape.x_mm * stretch)
+        case Polygon(corners):
+            return Polygon(tuple((x * stretch, y) for x, y in corners))

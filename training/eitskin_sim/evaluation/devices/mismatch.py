@@ -1,0 +1,172 @@
+"""In what a true device differs from the nominal one, in sizes of deviations; read from JSON, or drawn.
+
+A mismatch says how large deviations are; where they lie and which way they go is drawn for every device
+(:mod:`eitskin_sim.evaluation.devices.device`). The lab mix is what somebody who builds a sheet with care may have.
+"""
+
+from dataclasses import asdict, dataclass, fields, replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.reading import FileError, read_json
+from eitskin_sim.scene.strict_json import Fields, SceneError, number, sequence
+
+LARGEST_FILE: Final = 1 << 20
+MOST_ROWS: Final = 200
+
+
+@dataclass(frozen=True, slots=True)
+class Mismatch:
+    """How far a device is from the nominal one; as it stands, not at all."""
+
+    electrodes_mm: float = 0.0
+    """Standard deviation of every electrode's place along the border."""
+    electrode_size_mm: float = 4.0
+    impedance_factor: float = 1.0
+    """Contact impedance over the nominal one."""
+    impedance_spread: float = 0.0
+    """Standard deviation of its logarithm from contact to contact."""
+    thickness_mm: float = 2.0
+    length_mm: float = 150.0
+    """Of the sheet, its electrodes and touches stretched along."""
+    field_rms: float = 0.0
+    """Unevenness of the layer's log conductivity, there when the reference was taken."""
+    field_mm: float = 40.0
+    """Its correlation length."""
+    gauge_factor: float = 0.0
+    drift_percent: float = 0.0
+    """Of the whole sheet's conductivity since the reference."""
+    gradient_rms: float = 0.0
+    """Of an uneven drift."""
+    contrast: float | None = None
+    """Of touches that raise conductance, in place of their own."""
+    border_mm: float = 0.0
+    """Of the same touches."""
+    dent_mm: float = 0.0
+    """Of the same touches."""
+    unseen_stretch: float = 0.0
+    """Unevenness of the stretch along the sheet that no scan shows."""
+    scan_noise_mm: float = 0.1
+    scan_stale_deg: float = 0.0
+    """The scan shows the deformation so many degrees of 180 earlier."""
+    scan_scale: float = 1.0
+    scan: bool = True
+    """False: no scan at all."""
+    reference_stretch: float = 0.0
+    """The sheet was stretched along by this part when the reference was taken."""
+    reference_snr_db: float | None = None
+    """The reference's own noise, N2; None for none."""
+
+    @property
+    def alters_touches(self) -> bool:
+        """Whether touches have another border or a dent, which those on the unit grid cannot have."""
+        return bool(self.border_mm or self.dent_mm)
+
+
+IDEAL: Final = Mismatch()
+
+BOUNDS: Final[dict[str, tuple[float, float]]] = {
+    "electrodes_mm": (0.0, 3.0), "electrode_size_mm": (1.0, 8.0), "impedance_factor": (1e-3, 1e4),
+    "impedance_spread": (0.0, 2.0), "thickness_mm": (0.2, 20.0), "length_mm": (140.0, 160.0), "field_rms": (0.0, 0.5),
+    "field_mm": (5.0, 500.0), "gauge_factor": (-3.0, 3.0), "drift_percent": (-60.0, 200.0), "gradient_rms": (0.0, 0.3),
+    "contrast": (0.01, 1e4), "border_mm": (0.0, 8.0), "dent_mm": (0.0, 5.0), "unseen_stretch": (-0.3, 0.3),
+    "scan_noise_mm": (0.0, 5.0), "scan_stale_deg": (0.0, 90.0), "scan_scale": (0.9, 1.1),
+    "reference_stretch": (-0.1, 0.2), "reference_snr_db": (10.0, 120.0),
+}  # fmt: skip
+"""Least and most of each number."""
+
+LAB: Final = Mismatch(
+    electrodes_mm=0.5, impedance_factor=10.0, impedance_spread=0.5, field_rms=0.05, gauge_factor=1.0, contrast=10.0,
+    border_mm=2.0, scan_noise_mm=0.3,
+)  # fmt: skip
+"""The lab mix: a sheet that was built with care, and a finger's border."""
+
+Row = tuple[str, Mismatch | None]
+"""A name, and a mismatch; None is drawn anew for every device."""
+
+
+def lab_rows() -> list[Row]:
+    """Return the lab mix, and what is left of it without its touches and without its gauge factor."""
+    hard = replace(LAB, contrast=None, border_mm=0.0)
+    return [
+        ("none", IDEAL),
+        ("lab mix", LAB),
+        ("lab mix, hard touches", hard),
+        ("lab mix, hard touches, gauge 0", replace(hard, gauge_factor=0.0)),
+        ("lab mix, hard touches, drift 1 %", replace(hard, drift_percent=1.0)),
+    ]
+
+
+def random_rows() -> list[Row]:
+    """Return the ideal device, and devices drawn from everything at once."""
+    return [("none", IDEAL), ("random", None)]
+
+
+def random_mismatch(rng: np.random.Generator) -> Mismatch:
+    """Return a mismatch of everything about the device and the scan at once; touches stay as they are."""
+    return Mismatch(
+        electrodes_mm=float(rng.uniform(0.0, 1.0)),
+        electrode_size_mm=float(rng.uniform(3.0, 5.0)),
+        impedance_factor=float(10 ** rng.uniform(-1.0, 2.0)),
+        impedance_spread=float(rng.uniform(0.0, 0.5)),
+        thickness_mm=float(rng.uniform(1.5, 2.5)),
+        length_mm=float(rng.uniform(149.0, 151.5)),
+        field_rms=float(rng.uniform(0.0, 0.1)),
+        field_mm=float(rng.uniform(20.0, 60.0)),
+        gauge_factor=float(rng.uniform(-1.0, 1.5)),
+        drift_percent=float(rng.normal(0.0, 3.0)),
+        gradient_rms=float(rng.uniform(0.0, 0.02)),
+        unseen_stretch=float(rng.uniform(-0.1, 0.1)),
+        scan_noise_mm=float(rng.uniform(0.1, 0.5)),
+        scan_stale_deg=float(rng.uniform(0.0, 5.0)),
+        scan_scale=float(rng.uniform(0.995, 1.005)),
+        reference_stretch=float(rng.uniform(0.0, 0.01)),
+        reference_snr_db=float(rng.uniform(55.0, 70.0)),
+    )
+
+
+def load_rows(path: str | Path) -> list[Row]:
+    """Return the rows of a JSON list: objects with a ``name`` and any of a mismatch's fields.
+
+    Raises:
+        SceneError: It is none, a key is unknown, or a number outside its bounds.
+        OSError: It cannot be read.
+    """
+    try:
+        value = read_json(path, LARGEST_FILE)
+    except FileError as error:
+        raise SceneError(str(error)) from error
+    found = [_row(item, f"devices[{index}]") for index, item in enumerate(sequence(value, "devices", MOST_ROWS))]
+    if not found:
+        raise SceneError(f"{path} holds no mismatch; expected a list of at least one")
+    return found
+
+
+def _row(item: object, where: str) -> Row:
+    given = Fields(item, where)
+    name = given.take("name", where)
+    if not isinstance(name, str) or not name:
+        raise SceneError(f"{where}.name is {quoted(name)}, expected a text")
+    values: dict[str, Any] = {}
+    for one in fields(Mismatch):
+        value = given.take(one.name, None)
+        if value is None:
+            continue
+        if one.name == "scan":
+            if not isinstance(value, bool):
+                raise SceneError(f"{where}.scan is {quoted(value)}, expected true or false")
+            values["scan"] = value
+        else:
+            low, high = BOUNDS[one.name]
+            values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)
+    given.close()
+    return plain(name), Mismatch(**values)
+
+
+def deviations(mismatch: Mismatch) -> dict[str, Any]:
+    """Return what a mismatch says beyond the ideal, as a row of JSON."""
+    ideal = asdict(IDEAL)
+    return {name: value for name, value in asdict(mismatch).items() if value != ideal[name]}

@@ -1,0 +1,185 @@
+"""Runs a solver on mismatched devices: the true device is solved, the solver is told of the nominal one.
+
+Trials ::
+
+    mm        the paper's phantoms in mm               single    one hard square of 10 mm
+    units     the paper's phantoms on the unit grid    press04, press06   discs and squares of 16 mm that conduct 0.4 or
+                                                       0.6 of the sheet, borders of 4 mm
+
+The last three at deformations and places that no training has seen. All rows see the same noise, and draw number n of a
+device has the same directions in each of them, so that rows differ by the mismatch alone.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any, Final, Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_sim.evaluation import trials
+from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
+from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
+from eitskin_sim.evaluation.harness import Case, Run, Sheet, truth_map
+from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
+from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.parts import Phantom, Scene
+from eitskin_sim.surface.predict import flat_voltages
+
+Array = npt.NDArray[np.float64]
+
+ELEMENT_MM: Final = 3.0
+"""Of the true devices' mesh: 0.1 s a scene; dV is 2e-4 to 4e-4 off (rms), a tenth of N2 at 50 dB."""
+
+PRESS_MM: Final = 16.0
+PRESS_BORDER_MM: Final = 4.0
+SINGLE_MM: Final = 10.0
+
+Judge = Callable[[Array, Array], bool]
+"""Voltages and reference (104,) -> whether the gate calls the sheet touched."""
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trial:
+    """Phantoms of one kind on the nominal sheet."""
+
+    name: str
+    phantoms: tuple[Phantom, ...]
+    lowering: bool = False
+    """Whether its touches lower conductance: then a mismatch leaves their contrast and border as they are."""
+
+    @property
+    def labels(self) -> Literal["units", "area"]:
+        """What the truth's pixels mean."""
+        return self.phantoms[0].truth
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What every row is run on."""
+
+    draws: int = 1
+    """Devices a row."""
+    seed: int = 0
+    noise: Kind = "N2"
+    snr_db: float = 50.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """What one map is worth."""
+
+    cc: float
+    distances_mm: Array
+    """From every true touch to the nearest found one."""
+    touched: bool
+    """As the gate says."""
+
+
+def drawn_trials(deformations: int, each: int) -> list[Trial]:
+    """Return the trials whose deformations and places are drawn."""
+    found = [Trial("single", tuple(trials.single(SINGLE_MM, deformations, each)))]
+    for name, contrast in (("press04", 0.4), ("press06", 0.6)):
+        square, disc = (
+            trials.single(PRESS_MM, deformations, each, "A", trials.Softness(contrast, PRESS_BORDER_MM, round_))
+            for round_ in (False, True)
+        )
+        mixed = tuple(two[number % 2] for number, two in enumerate(zip(square, disc, strict=True)))
+        found.append(Trial(name, mixed, lowering=True))
+    return found
+
+
+def run_rows(
+    rows: Sequence[Row],
+    kinds: Sequence[Trial],
+    runs: Mapping[str, Run],
+    judges: Mapping[str, Judge],
+    plan: Plan,
+    progress: Progress | None = None,
+) -> list[dict[str, Any]]:
+    """Return a row of figures for every mismatch.
+
+    Args:
+        rows: Names and mismatches.
+        kinds: Trials.
+        runs: Solver by trial; its reference is "pre" or "predicted".
+        judges: Gate by trial.
+        plan: Draws, seed, noise.
+        progress: Called with devices done and all devices.
+    """
+    found = []
+    for index, (name, mismatch) in enumerate(rows):
+        outcomes: dict[str, list[Outcome]] = {one.name: [] for one in kinds}
+        drawn = []
+        for number in range(1 if mismatch == Mismatch() else plan.draws):
+            off = mismatch if mismatch is not None else _random(plan, number)
+            device = draw_device(off, plan.seed, number)
+            drawn.append(deviations(off))
+            for kind in kinds:
+                if not (kind.labels == "units" and off.alters_touches):
+                    outcomes[kind.name] += _run(device, kind, runs[kind.name], judges[kind.name], plan, number)
+            if progress is not None:
+                progress(index * plan.draws + number + 1, len(rows) * plan.draws)
+        found.append(
+            {
+                "name": name,
+                "devices": drawn,
+                **{kind: figures(them) if them else None for kind, them in outcomes.items()},
+            }
+        )
+    if progress is not None:
+        progress(len(rows) * plan.draws, len(rows) * plan.draws)
+    return found
+
+
+def _random(plan: Plan, number: int) -> Mismatch:
+    return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]))
+
+
+def _run(device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int) -> list[Outcome]:
+    taken = voltages_of(device.reference())
+    seeds = [DRAW_SEED, plan.seed, number]
+    if device.mismatch.reference_snr_db is not None:
+        taken = add_noise(taken, taken, "N2", device.mismatch.reference_snr_db, np.random.default_rng([*seeds, 0]))
+    found = []
+    for index, phantom in enumerate(kind.phantoms):
+        scene = device.scene(phantom.scene, as_it_is=kind.lowering)
+        rng = np.random.default_rng([*seeds, 1, index])
+        noisy = add_noise(voltages_of(scene), taken, plan.noise, plan.snr_db, rng)
+        sheet = _sheet(device, phantom, rng)
+        held = sheet.predicted() * taken / flat_voltages() if run.reference == "predicted" else taken
+        image = run.solver(Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering))
+        truth = truth_map(phantom)
+        found.append(Outcome(correlation(image, truth), distances_mm(image, truth), judge(noisy, taken)))
+    return found
+
+
+def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator) -> Sheet:
+    cloud = device.cloud(phantom.scene.bend, rng)
+    return Sheet(flat_cloud() if cloud is None else cloud, np.full(len(flat_voltages()), np.nan))
+
+
+@lru_cache(maxsize=1024)
+def voltages_of(scene: Scene) -> Array:
+    """Return the (104,) V of a true scene; rows that differ by scans and references alone share them."""
+    return solve_scene(replace(scene, element_size_mm=ELEMENT_MM)).voltages
+
+
+def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
+    """Return what the maps of one trial come to; the rms is over the touches that are not missed."""
+    cc = np.array([one.cc for one in outcomes])
+    missed, rms = missed_and_rms(np.concatenate([one.distances_mm for one in outcomes]))
+    return {
+        "maps": len(outcomes),
+        "cc": float(cc.mean()),
+        "cc_worst": float(cc.min()),
+        "localisation_rms_mm": rms,
+        "missed": missed,
+        "gate_missed": float(np.mean([not one.touched for one in outcomes])),
+    }

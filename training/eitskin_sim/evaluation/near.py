@@ -1,0 +1,36 @@
+"""Which true touches a map shows, and how far off: a touch is missed if none is found near it."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.spatial.distance import cdist
+
+from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_sim.evaluation.metrics import touch_centres_mm
+
+Array = npt.NDArray[np.float64]
+
+NEAR_MM: Final = 15.0
+"""A touch is missed if none is found this near to it."""
+
+
+def true_centres_mm(truth: Array) -> Array:
+    """Return the (touches, 2) places of a truth's touches; one that nowhere covers half a pixel is one all the same."""
+    found = touch_centres_mm(truth)
+    if len(found) or not truth.any():
+        return found
+    return np.asarray((pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
+
+
+def distances_mm(image: Array, truth: Array) -> Array:
+    """Return (true touches,) mm from each to the nearest that a map (30, 45) shows; infinite where it shows none."""
+    true, found = true_centres_mm(truth), touch_centres_mm(image)
+    return np.asarray(cdist(true, found).min(axis=1) if len(found) else np.full(len(true), np.inf))
+
+
+def missed_and_rms(distance_mm: Array) -> tuple[float | None, float | None]:
+    """Return the share of touches that are missed, and the root mean square distance of the others; None for none."""
+    near = distance_mm[distance_mm <= NEAR_MM]
+    missed = float(np.mean(distance_mm > NEAR_MM)) if distance_mm.size else None
+    return missed, float(np.sqrt(np.mean(near**2))) if near.size else None
