@@ -8,38 +8,30 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.grid import SHEET_MM
-from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.draws import draw_moment
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.family import draw
-from eitskin_sim.scene.parts import Bend, Scene, Touch
+from eitskin_sim.scene.parts import Bend, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_training.gate import fit, material, observer, presses, rates, untouched
-from eitskin_training.gate.moments import COARSE_MM, LEAST_RATIO, moments
+from eitskin_training.gate.moments import COARSE_MM, FIELDS, LEAST_RATIO, SEED, fields_of, moments
 from eitskin_training.gate.untouched import Bends, Probe
 from eitskin_training.samples.batches import TrainingData
 
 pytestmark = pytest.mark.heavy
 
-IDEAL = Uncertainties(
-    electrode_mm=(0.0, 0.0),
-    electrode_size=(1.0, 1.0),
-    electrode_size_each=0.0,
-    impedance=(1.0, 1.0),
-    impedance_each=(0.0, 0.0),
-    layer_rms=(0.0, 0.0),
-    gauge_factor=(0.0, 0.0),
-    reference_flat=1.0,
-    late_even=1.0,
-    front_end=0.0,
-    gain=0.0,
-)
-"""Devices that are all the nominal one."""
+LAB = named("lab")
+FLAT = replace(LAB, may_be_off=replace(LAB.may_be_off, reference_stretch=Quantity(0.0)))
+"""Its references are taken of the sheet as it lies."""
 
 
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:
     made: TrainingData = toy_data("area", bends=12, samples=2400)
-    return replace(made, spread=Uncertainties(), touches="press")
+    return replace(made, skin=LAB, touches="press")
 
 
 @pytest.fixture(scope="module")
@@ -47,7 +39,7 @@ def bends() -> Bends:
     """Return a toy's bends: what a common factor leaves of them is one pattern, of any strength."""
     rng = np.random.default_rng(1)
     logs = 0.05 * rng.standard_normal((120, 1)) * rng.standard_normal(104)
-    return Bends(logs[:40], logs[40:80], logs[80:], spread=Uncertainties())
+    return Bends(logs[:40], logs[40:80], logs[80:], skin=LAB)
 
 
 @pytest.fixture(scope="module")
@@ -55,24 +47,46 @@ def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
     return fit.fit(data, bends, steps=200, batch=256)
 
 
-def test_devices_that_are_the_nominal_one_move_as_its_bends_do() -> None:
+def test_devices_of_a_skin_without_doubts_move_as_the_nominal_bends_do() -> None:
     members = draw("A", 2, 5)
-    np.testing.assert_allclose(moments(members, IDEAL, 3), untouched.untouched_logs(members), atol=1e-9)
+    np.testing.assert_allclose(moments(members, PAPER, 3), untouched.untouched_logs(members), atol=1e-9)
 
 
 def test_a_device_is_compared_with_its_own_reference() -> None:
     """A device of uneven layer and other electrodes, flat and just referenced, has changed by nothing."""
-    still = replace(Uncertainties(), reference_flat=1.0, late_even=1.0)
-    np.testing.assert_allclose(moments([Bend()], still, 4), 0.0, atol=1e-12)
-    late = replace(still, late_even=0.0, late_gradient_rms=(0.02, 0.02))
-    assert 0.002 < np.abs(moments([Bend()], late, 4)).mean() < 0.2
+    np.testing.assert_allclose(moments([Bend()], FLAT, 4, late=False), 0.0, atol=1e-12)
+    assert 1e-4 < np.abs(moments([Bend()], FLAT, 4)).mean() < 0.2
 
 
 def test_a_row_whose_sign_turns_is_held_at_the_floor() -> None:
-    wild = replace(Uncertainties(), front_end=1.0, offset_V=(0.2, 0.2))
+    wild = replace(LAB, front_end=replace(LAB.front_end, offset_V=Quantity(0.0, "normal", 0.05)))
     logs = moments(untouched.wide_bends(3, 1), wild, 1)
     assert np.isfinite(logs).all()
     assert logs.min() >= np.log(LEAST_RATIO)
+
+
+def test_uneven_drift_of_first_order_is_that_of_solved_sheets() -> None:
+    """A field and its opposite on one mesh, by central differences."""
+    fields = fields_of(LAB)
+    rng = np.random.default_rng([SEED, FIELDS])
+    length, seed = rng.uniform(*LAB.may_be_off.late_correlation_mm, FIELDS)[0], rng.integers(2**31, size=FIELDS)[0]
+    more, less = (
+        solve_scene(
+            Scene(Sheet(field=SmoothField(1e-3, float(length), int(seed))), element_size_mm=COARSE_MM)
+        ).voltages,
+        solve_scene(Scene(element_size_mm=COARSE_MM)).voltages,
+    )
+    np.testing.assert_allclose(np.log(more / less) / 1e-3, fields.fields[0], atol=0.01 * np.abs(fields.fields[0]).max())
+
+
+def test_uneven_drift_is_drawn_as_strong_as_moments_have_it() -> None:
+    fields = fields_of(LAB)
+    alone = replace(fields, tilts=np.zeros((2, 104)), fields=np.ones((1, 104)))
+    drawn = alone.draw(4000, np.random.default_rng(0))[:, 0]
+    rng = np.random.default_rng(1)
+    moments_rms = [draw_moment(LAB, rng).late.field.rms for _ in range(4000)]
+    assert np.median(np.abs(drawn)) == pytest.approx(np.median(moments_rms), rel=0.1)
+    assert np.mean(drawn > 0) == pytest.approx(0.5, abs=0.03)
 
 
 @pytest.mark.parametrize("prefix", ["", "idle_"])
@@ -87,7 +101,7 @@ def test_no_common_factor_moves_a_gate_of_devices_that_drift(fitted: fit.Gate, p
 
 
 def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data: TrainingData, bends: Bends) -> None:
-    found = fit.fit(replace(data, spread=None), replace(bends, spread=None), steps=50, batch=128)
+    found = fit.fit(replace(data, skin=None), replace(bends, skin=None), steps=50, batch=128)
     logs = np.zeros((1, 104))
     usual, moved = (fit.logits(found.arrays, np.expm1(logs + drift)) for drift in (0.0, 0.3))
     assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
@@ -98,9 +112,9 @@ def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) 
     flat = replace(bends, train=np.zeros((2, 104)))
     drawn, _ = material.Material.of(data, flat, rng).draw(3000, rng, touched=0.0)
     factors = np.log1p(drawn).mean(axis=1)
-    # Log-uniform from 0.2 to 2.3 %, and 3 % of them 12 %: the median size is about that of half a per cent.
+    # "With one of 3 %, half of the samples are off by less than 0.5 %, and one in a hundred by 12 % or more."
     assert 0.002 < np.median(np.abs(factors)) < 0.01
-    assert 0.01 < np.mean(np.abs(factors) > 0.05) < 0.04
+    assert 0.005 < np.mean(np.abs(factors) > 0.1) < 0.03
 
 
 def test_a_samples_own_drift_is_no_part_of_its_touch(data: TrainingData, bends: Bends) -> None:

@@ -22,6 +22,7 @@ from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.reading import FileError, read_bytes
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION, VERSION_OF_SOFT
@@ -187,5 +188,7 @@ def _index(plan: Plan, out: Path, names: list[str], counts: list[int]) -> dict[s
     if plan.touches != "hard":
         found["touch_kind"] = plan.touches
     if plan.skin is not None:
-        found.update(devices=plan.devices, skin=content["skin"], skin_digest=plan.skin.digest)
+        found.update(
+            devices=plan.devices, skin=content["skin"], skin_toml=to_toml(plan.skin), skin_digest=plan.skin.digest
+        )
     return found

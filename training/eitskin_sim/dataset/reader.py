@@ -33,8 +33,9 @@ from eitskin_proto.files.reading import FileError, read_bytes, read_json
 from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS, map_from_units
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import named, parse
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
-from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
@@ -89,7 +90,7 @@ class DataSet:
     unit_contrasts: UnitContrasts | None = None
     """Of touches on the unit grid, where they are not the paper's of 50."""
     touch_kind: TouchKind = "hard"
-    spread: Uncertainties | None = None
+    skin: Skin | None = None
     """What random devices were drawn from; None of the nominal device."""
     drift: npt.NDArray[np.float32] | None = None
     """(N,) by which each sample's voltages had changed since the reference, of random devices."""
@@ -205,9 +206,8 @@ def _of_devices(index: dict[str, Any], shards: list[Arrays]) -> dict[str, Any]:
     """Return what a set of random devices has besides."""
     if index.get("devices", "ideal") == "ideal":
         return {}
-    spread = {name: tuple(v) if isinstance(v, list) else v for name, v in index["device_spread"].items()}
-    drift = [_of(shard["drift"], "f", (len(shard["touch_set"]),)) for shard in shards]
-    return {"spread": Uncertainties(**spread), "drift": np.concatenate(drift)}
+    skin = parse(index["skin_toml"]) if "skin_toml" in index else named("lab")
+    return {"skin": skin, "drift": np.concatenate([_of(one["drift"], "f", one["touch_set"].shape) for one in shards])}
 
 
 def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:
@@ -222,7 +222,7 @@ def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContra
 
 
 def _is_soft(index: dict[str, Any]) -> bool:
-    return bool(index.get("touch_kind", "hard") != "hard")
+    return index.get("touch_kind", "hard") != "hard"
 
 
 def read_index(folder: Path) -> dict[str, Any]:

@@ -147,11 +147,11 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
             return logits(arrays, dv[:, rows])
 
-        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, bends.spread)
+        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, bends.skin)
         arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
         found |= {prefix + name: value for name, value in arrays.items()}
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
-        if not prefix and bends.probes and (bends.spread is not None or data.touches != "hard"):
+        if not prefix and bends.probes and (bends.skin is not None or data.touches != "hard"):
             measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data.reference, rng)
             measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.devices.draws import draw_drift
-from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.gate.moments import Fields, fields_of
 from eitskin_training.gate.untouched import Bends
@@ -77,7 +77,7 @@ class Material:
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
             weights[own] *= weights[~own].sum() / weights[own].sum()
-        fields = None if bends.spread is None else fields_of(bends.spread)
+        fields = None if bends.skin is None else fields_of(bends.skin)
         return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), fields)
 
     def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
@@ -100,7 +100,7 @@ class Material:
         logs = self._bends(count, rng)
         if self.fields is None:
             return logs
-        return drifted(logs + self.fields.draw(count, rng), self.fields.spread, rng)
+        return drifted(logs + self.fields.draw(count, rng), self.fields.skin, rng)
 
     def _bends(self, count: int, rng: np.random.Generator) -> Array:
         one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]
@@ -113,9 +113,9 @@ def _image(logs: Array, rng: np.random.Generator) -> Array:
     return np.take_along_axis(logs, IMAGES[rng.integers(len(IMAGES), size=len(logs))], axis=1)
 
 
-def drifted(logs: Array, spread: Uncertainties | None, rng: np.random.Generator) -> Array:
+def drifted(logs: Array, skin: Skin | None, rng: np.random.Generator) -> Array:
     """Return (n, 104) log(V / V0) with a common factor drawn for each; as they are where nothing drifts."""
-    return logs if spread is None else logs + np.log(draw_drift(spread, len(logs), rng))[:, None]
+    return logs if skin is None else logs + np.log(draw_drift(skin, len(logs), rng))[:, None]
 
 
 def noisy_change(

@@ -21,11 +21,11 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import SHEET_MM, pixel_centres_mm
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.dataset.device_files import USABLE
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.dataset.device_files import ATTEMPTS, USABLE, true_bend
 from eitskin_sim.devices.device import Device
-from eitskin_sim.devices.draws import draw_device, draw_front_end, draw_moment
+from eitskin_sim.devices.draws import DrawnDevice, draw_device, draw_front_end, draw_moment, walked
 from eitskin_sim.devices.readings import readings
-from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.scene.device.layer import smooth_field
 from eitskin_sim.scene.parts import Bend, Scene, SmoothField
@@ -42,28 +42,28 @@ FIELDS: Final = 1000
 """Different smooth fields that frames are drawn from; their sheets and images are more."""
 
 
-def moments(bends: Sequence[Bend], spread: Uncertainties, seed: int, together: int = 2) -> Array:
+def moments(bends: Sequence[Bend], skin: Skin, seed: int, together: int = 2, *, late: bool = True) -> Array:
     """Return (n, 104) log(V / V0) of untouched devices, one at each bend.
 
     Args:
         bends: Where.
-        spread: What devices are drawn from.
+        skin: What devices are drawn from.
         seed: Of the draws.
         together: Bends that share a device, and so a reference.
+        late: With the uneven drift since then.
+
+    Raises:
+        ValueError: The skin's electronics hardly ever read every row by the sign that it has.
     """
     rng = np.random.default_rng([seed, SEED])
     nominal = solve_scene(Scene(element_size_mm=COARSE_MM)).voltages
     found = np.empty((len(bends), N_ROWS))
     for start in range(0, len(bends), together):
-        drawn = draw_device(spread, rng)
-        before = _differences(drawn.device, drawn.reference_bend)
-        own = np.zeros(N_ROWS)
-        while not _usable(own / nominal):
-            device = replace(drawn.device, front_end=draw_front_end(spread, rng))
-            own = readings(device, before)
+        drawn, own = _referenced(skin, nominal, rng)
         for number in range(start, min(start + together, len(bends))):
-            late = draw_moment(spread, rng).late
-            read = readings(device, _differences(device.since(late), bends[number]))
+            since = draw_moment(skin, rng).late
+            device = drawn.device.since(since if late else None)
+            read = readings(device, _differences(device, true_bend(drawn, bends[number])))
             found[number] = np.log(np.maximum(read / own, LEAST_RATIO))
     return found
 
@@ -73,41 +73,36 @@ class Fields:
     """Changes of log V by uneven drift, of first order on the flat nominal sheet, as many as are asked for.
 
     Args:
-        spread: How strong they are.
+        skin: How strong they are.
         tilts: (2, 104) by a tilt of rms 1 along the sheet, and across.
         fields: (n, 104) by smooth fields of rms 1.
     """
 
-    spread: Uncertainties
+    skin: Skin
     tilts: Array
     fields: Array
 
     def draw(self, count: int, rng: np.random.Generator) -> Array:
-        """Return (count, 104) changes of log V; none for the share of moments that has no uneven drift."""
-        spread = self.spread
-        tilt, field = (
-            np.exp(rng.uniform(*np.log(bounds), count)) for bounds in (spread.late_gradient_rms, spread.late_field_rms)
-        )
-        turn = rng.uniform(0.0, 2.0 * np.pi, count)
-        sign = rng.choice((-1.0, 1.0), count)
-        found = (sign * field)[:, None] * self.fields[rng.integers(len(self.fields), size=count)]
-        found += tilt[:, None] * (np.column_stack([np.cos(turn), np.sin(turn)]) @ self.tilts)
-        found[rng.random(count) < spread.late_even] = 0.0
+        """Return (count, 104) changes of log V, drawn as moments are."""
+        rms = rng.uniform(*self.skin.may_be_off.late_rms, count) * walked(count, rng) * rng.choice((-1.0, 1.0), count)
+        share, turn = rng.uniform(0.0, np.pi / 2, count), rng.uniform(0.0, 2.0 * np.pi, count)
+        found = (rms * np.cos(share))[:, None] * self.fields[rng.integers(len(self.fields), size=count)]
+        found += (rms * np.sin(share))[:, None] * (np.column_stack([np.cos(turn), np.sin(turn)]) @ self.tilts)
         return found
 
 
 @cache
-def fields_of(spread: Uncertainties) -> Fields:
-    """Return fields of the correlations of a spread, always the same."""
+def fields_of(skin: Skin) -> Fields:
+    """Return fields of the correlations of a skin, always the same."""
     rng = np.random.default_rng([SEED, FIELDS])
     jacobian, xy = flat_jacobian(), pixel_centres_mm().reshape(-1, 2)
-    lengths, seeds = rng.uniform(*spread.correlation_mm, FIELDS), rng.integers(2**31, size=FIELDS)
+    lengths, seeds = rng.uniform(*skin.may_be_off.late_correlation_mm, FIELDS), rng.integers(2**31, size=FIELDS)
     drawn = [
         smooth_field(SmoothField(1.0, float(length), int(seed)), xy)
         for length, seed in zip(lengths, seeds, strict=True)
     ]
     across = np.sqrt(12.0) * (xy / np.array(SHEET_MM) - 0.5)
-    return Fields(spread, across.T @ jacobian.T, np.array(drawn) @ jacobian.T)
+    return Fields(skin, across.T @ jacobian.T, np.array(drawn) @ jacobian.T)
 
 
 LEAST_RATIO: Final = 0.05
@@ -119,5 +114,14 @@ def _differences(device: Device, bend: Bend) -> Array:
     return factorise_scene(scene).differences()
 
 
-def _usable(share: Array) -> bool:
-    return bool(USABLE[0] < share.min() and share.max() < USABLE[1])
+def _referenced(skin: Skin, nominal: Array, rng: np.random.Generator) -> tuple[DrawnDevice, Array]:
+    """Return a device that can be used and what it reads when its reference is taken."""
+    drawn = draw_device(skin, rng)
+    before = _differences(drawn.device, drawn.reference_bend)
+    for _ in range(ATTEMPTS):
+        own = readings(drawn.device, before)
+        share = own / nominal
+        if USABLE[0] < share.min() and share.max() < USABLE[1]:
+            return drawn, own
+        drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
+    raise ValueError(f"skin {skin.name}: no front end of {ATTEMPTS} reads every row; make what is off in it smaller")

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_proto.skin.skin import Skin
 from eitskin_training.gate.material import IMAGES, NOISES, drifted, noisy_change
 from eitskin_training.gate.observer import FRAMES, SNR_DB
 from eitskin_training.gate.untouched import Bends
@@ -35,7 +35,7 @@ Judge = Callable[[Array], Array]
 
 
 def untouched_logits(
-    judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, spread: Uncertainties | None = None
+    judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, skin: Skin | None = None
 ) -> dict[str, Array]:
     """Return by noise the (bends, 4 images x draws) logits of untouched sheets.
 
@@ -44,10 +44,10 @@ def untouched_logits(
         logs: (bends, 104) log(V / V0).
         reference: (104,) V0.
         rng: Source of the noise.
-        spread: Whose drift every frame has; None for none.
+        skin: Whose drift every frame has; None for none.
     """
     shown = np.repeat(np.concatenate([logs[:, rows][:, None] for rows in IMAGES], axis=1), DRAWS, axis=1)
-    flat = drifted(shown.reshape(-1, logs.shape[1]), spread, rng)
+    flat = drifted(shown.reshape(-1, logs.shape[1]), skin, rng)
     return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
 
 
@@ -57,10 +57,10 @@ def threshold_at(
     logs: Array,
     reference: Array,
     rng: np.random.Generator,
-    spread: Uncertainties | None = None,
+    skin: Skin | None = None,
 ) -> float:
     """Return the logit above which a share ``rate`` of untouched frames lies, over bends, images and noises."""
-    found = untouched_logits(judge, logs, reference, rng, spread)
+    found = untouched_logits(judge, logs, reference, rng, skin)
     return float(np.quantile(np.concatenate([logits.ravel() for logits in found.values()]), 1.0 - rate))
 
 
@@ -81,7 +81,7 @@ def measured(
     judge: Judge, threshold: float, data: TrainingData, bends: Bends, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return what a gate's manifest entry states."""
-    found = untouched_logits(judge, bends.measure, data.reference, rng, bends.spread)
+    found = untouched_logits(judge, bends.measure, data.reference, rng, bends.skin)
     tripped = {kind: (logits > threshold).mean(axis=1) for kind, logits in found.items()}
     rate, interval = rate_and_interval(np.mean(list(tripped.values()), axis=0))
     missed, small = _missed_samples(judge, threshold, data, rng)
@@ -109,7 +109,7 @@ def found_presses(
         own = [probe for probe in bends.probes if probe.name == name]
         alone = np.concatenate([probe.logs - probe.before for probe in own])
         members = {probe.family: probe.logs for probe in own}
-        if bends.spread is not None:
+        if bends.skin is not None:
             some = bends.measure[rng.integers(len(bends.measure), size=DEVICES)]
             members["devices"] = some + alone[rng.integers(len(alone), size=DEVICES)]
         found[name] = {}

@@ -23,7 +23,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.grid import SHEET_MM
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_sim.devices.uncertainties import Uncertainties
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.freeform.patterns import CONTRAST
@@ -86,7 +86,7 @@ class Bends:
         measure: (m, 104) that measure what it does.
         touches: (t, 104) log(V touched / V untouched) of small touches, to learn from.
         probes: Touches that measure what is missed.
-        spread: What devices, and the common factor of every frame, are drawn from; None of the nominal device, which
+        skin: What devices, and the common factor of every frame, are drawn from; None of the nominal device, which
             does not drift.
     """
 
@@ -95,7 +95,7 @@ class Bends:
     measure: Array
     touches: Array = field(default_factory=lambda: np.empty((0, N_ROWS)))
     probes: tuple[Probe, ...] = ()
-    spread: Uncertainties | None = None
+    skin: Skin | None = None
 
 
 def bends_of(data: TrainingData) -> Bends:
@@ -104,7 +104,7 @@ def bends_of(data: TrainingData) -> Bends:
     held_out = np.concatenate(list(data.held_out.values())) if data.held_out else np.array([], dtype=np.intp)
     apart = np.unique(data.deformation[held_out])
     train = logs[np.unique(data.deformation[data.train])]
-    return Bends(train, logs[apart[::2]], logs[apart[1::2]], spread=data.spread)
+    return Bends(train, logs[apart[::2]], logs[apart[1::2]], skin=data.skin)
 
 
 def solved_bends(
@@ -119,7 +119,7 @@ def solved_bends(
         touched_bends: Bends at which small touches are solved for learning.
         probed_bends: Bends of A, and as many of B, at which touches measure what is missed.
     """
-    sheets = solved(train, held_out) if data.spread is None else solved_devices(data.spread, train // 2, held_out)
+    sheets = solved(train, held_out) if data.skin is None else solved_devices(data.skin, train // 2, held_out)
     return replace(
         sheets,
         train=np.concatenate([bends_of(data).train, sheets.train]),
@@ -140,18 +140,18 @@ def solved(train: int, held_out: int) -> Bends:
 
 
 @cache
-def solved_devices(spread: Uncertainties, train: int, held_out: int) -> Bends:
+def solved_devices(skin: Skin, train: int, held_out: int) -> Bends:
     """Return what :func:`solved` does, each two sheets of a random device; three, of those to learn from."""
     apart = [
-        moments(draw(family, held_out, HELD_OUT_SEED), spread, HELD_OUT_SEED + number)
+        moments(draw(family, held_out, HELD_OUT_SEED), skin, HELD_OUT_SEED + number)
         for number, family in enumerate(("A", "B"), start=10)
     ]
     return Bends(
-        moments(wide_bends(train, TRAIN_SEED), replace(spread, late_even=1.0), TRAIN_SEED, together=3),
+        moments(wide_bends(train, TRAIN_SEED), skin, TRAIN_SEED, together=3, late=False),
         # Halves are of whole devices: what chooses has no device in common with what measures.
         np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 0] for logs in apart]),
         np.concatenate([logs[np.arange(len(logs)) // 2 % 2 == 1] for logs in apart]),
-        spread=spread,
+        skin=skin,
     )
 
 

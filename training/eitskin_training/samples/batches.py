@@ -23,9 +23,9 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
-from eitskin_sim.devices.uncertainties import Uncertainties
 from eitskin_sim.freeform.presses import TouchKind
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
@@ -61,7 +61,7 @@ class TrainingData:
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
         touches: Which touches it has.
-        spread: What its random devices were drawn from; None of the nominal device.
+        skin: What its random devices were drawn from; None of the nominal device.
         drift: (N,) by which each sample's voltages had changed since the reference; None where none had.
     """
 
@@ -82,7 +82,7 @@ class TrainingData:
     protocol_id: str = PROTOCOL_ID
     grid_id: str = GRID_ID
     touches: TouchKind = "hard"
-    spread: Uncertainties | None = None
+    skin: Skin | None = None
     drift: npt.NDArray[np.float32] | None = None
 
     def require(self, recipe: Recipe) -> None:
@@ -286,6 +286,6 @@ def load(directory: str) -> TrainingData:
         digest=found.digest,
         seed=found.seed,
         touches=found.touch_kind,
-        spread=found.spread,
+        skin=found.skin,
         drift=found.drift,
     )

@@ -1,7 +1,7 @@
 """Several data sets as one: more touches and deformations than one run of ``eitskin dataset`` made.
 
 Each set keeps its own splits, so what one holds out stays held out; deformations and touch sets are numbered on. Of
-several spreads of devices the first is named.
+several skins of devices the first is named.
 """
 
 from collections.abc import Sequence
@@ -76,6 +76,6 @@ def _kinds(sets: Sequence[TrainingData]) -> dict[str, Any]:
     drifts = [np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets]
     return {
         "touches": touches.pop() if len(touches) == 1 else "both",
-        "spread": next((one.spread for one in sets if one.spread is not None), None),
+        "skin": next((one.skin for one in sets if one.skin is not None), None),
         "drift": None if all(one.drift is None for one in sets) else np.concatenate(drifts),
     }
