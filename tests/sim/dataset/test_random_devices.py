@@ -1,6 +1,7 @@
 """Data sets of random devices: what they keep, what divides out, and that they are read as any other."""
 
 import json
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -92,6 +93,20 @@ def test_the_index_says_whose_devices_and_the_reader_needs_to_know_nothing(writt
     for number in range(3):
         with np.load(folder / f"deformation-{number:04d}.npz") as file:
             assert np.all(file["reference"] / reference() > 0.4)
+
+
+def test_the_reader_names_skin_touches_and_every_samples_drift(written: tuple[Path, Plan], tmp_path: Path) -> None:
+    folder, plan = written
+    data = load(folder)
+    assert data.drift is not None
+    assert (data.skin, data.touch_kind) == (plan.skin, "both")
+    with np.load(folder / "deformation-0001.npz") as file:
+        np.testing.assert_array_equal(data.drift[data.deformation == 1], file["drift"])
+    older = tmp_path / "older"
+    shutil.copytree(folder, older)
+    index = json.loads((folder / "index.json").read_text())
+    (older / "index.json").write_text(json.dumps({name: index[name] for name in index if name != "skin_toml"}))
+    assert load(older).skin == named("lab")  # what was drawn from before an index named a skin
 
 
 def test_deformations_made_together_have_one_device_and_others_another(written: tuple[Path, Plan]) -> None:

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training.samples.batches import TrainingData, assemble
 from eitskin_training.samples.joined import join
 
@@ -21,6 +22,16 @@ def pair(toy_data: Any) -> tuple[TrainingData, TrainingData]:
         labels=rng.integers(0, 256, other.labels.shape, dtype=np.uint8),
     )
     return one, different
+
+
+def test_sets_of_other_touches_and_devices_are_both(pair: tuple[TrainingData, TrainingData]) -> None:
+    one, other = pair
+    assert (join(pair).touches, join(pair).skin, join(pair).drift) == ("hard", None, None)
+    drift = np.full(len(other.voltages), 1.1, dtype=np.float32)
+    both = join([one, replace(other, touches="press", skin=PAPER, drift=drift)])
+    assert (both.touches, both.skin) == ("both", PAPER)
+    assert both.drift is not None
+    np.testing.assert_array_equal(both.drift, np.concatenate([np.ones(len(one.voltages)), drift]).astype(np.float32))
 
 
 def test_every_sample_keeps_its_voltages_cloud_prediction_and_label(pair: tuple[TrainingData, TrainingData]) -> None:
