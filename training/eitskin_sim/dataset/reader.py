@@ -20,7 +20,7 @@ with it.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, cast
 
 import numpy as np
 import numpy.typing as npt
@@ -199,7 +199,7 @@ def _touch_kind(index: dict[str, Any]) -> TouchKind:
     kind = index.get("touch_kind", "hard")
     if kind not in TOUCH_KINDS:
         raise ValueError(f"touches are {quoted(kind)}")
-    return kind
+    return cast(TouchKind, kind)
 
 
 def _of_devices(index: dict[str, Any], shards: list[Arrays]) -> dict[str, Any]:
@@ -222,7 +222,7 @@ def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContra
 
 
 def _is_soft(index: dict[str, Any]) -> bool:
-    return index.get("touch_kind", "hard") != "hard"
+    return bool(index.get("touch_kind", "hard") != "hard")
 
 
 def read_index(folder: Path) -> dict[str, Any]:

@@ -88,7 +88,7 @@ class Fields:
         share, turn = rng.uniform(0.0, np.pi / 2, count), rng.uniform(0.0, 2.0 * np.pi, count)
         found = (rms * np.cos(share))[:, None] * self.fields[rng.integers(len(self.fields), size=count)]
         found += (rms * np.sin(share))[:, None] * (np.column_stack([np.cos(turn), np.sin(turn)]) @ self.tilts)
-        return found
+        return np.asarray(found)
 
 
 @cache

@@ -46,7 +46,7 @@ def contrast_of(strength_mm2: float, diameter_mm: float) -> float:
 
 def drawn_presses(count: int, rng: np.random.Generator) -> list[Array]:
     """Return touch sets of one faint press each, as pieces."""
-    sets = []
+    sets: list[Array] = []
     while len(sets) < count:
         strength = np.exp(rng.uniform(*np.log(STRENGTHS_MM2)))
         contrast = np.exp(rng.uniform(*np.log(LOWERING)))
