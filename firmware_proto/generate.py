@@ -8,6 +8,7 @@ from pathlib import Path
 
 from eitskin_proto.sensor import ids
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, N_FULL_ROWS, N_ROWS
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import codes, config, frames, framing, hardware, messages
 from eitskin_proto.wire.config_toml import named
 from eitskin_proto.wire.layout import WIDTH, Layout
@@ -65,7 +66,7 @@ def header() -> str:
         f"#define EIT_PROTOCOL_MINOR {codes.PROTOCOL_MINOR}u",
         f"#define EIT_MAGIC {{{_bytes(codes.MAGIC)}}}",
         f"#define EIT_PROTOCOL_ID {{{_bytes(bytes.fromhex(ids.PROTOCOL_ID))}}}",
-        f"#define EIT_GRID_ID {{{_bytes(bytes.fromhex(ids.GRID_ID))}}}",
+        f"#define EIT_GRID_ID {{{_bytes(bytes.fromhex(PAPER.grid_id))}}}",
         f"#define EIT_MAX_PAYLOAD {framing.MAX_PAYLOAD}u",
         f"#define EIT_CHUNK_BYTES {messages.CHUNK_BYTES}u",
         "",
@@ -102,6 +103,8 @@ def header() -> str:
         f"#define EIT_CONFIG_MAGIC_BYTES {{{_bytes(config.BLOB_MAGIC)}}}",
         f"#define EIT_CONFIG_FORMAT_KNOWN {config.FORMAT}u",
         *_offsets("CONFIG", config.BLOB_FIELDS, 0),
+        f"#define EIT_CONFIG_SKIN {config.SKIN_AT}u",
+        f"#define EIT_CONFIG_FLAG_SKIN {config.HAS_SKIN}u",
         "",
         f"/* What hardware {can.name} can do. */",
         f"#define EIT_HARDWARE_ID 0x{can.id:08x}u",
@@ -170,7 +173,7 @@ def event_table() -> str:
 
 def config_table() -> str:
     """Return SPEC.md's table of the stored configuration; what can have one value only is given with it."""
-    fixed = {"magic": config.BLOB_MAGIC.decode(), "format": config.FORMAT, "size": config.BLOB_BYTES, "reserved": 0}
+    fixed = {"magic": config.BLOB_MAGIC.decode(), "format": config.FORMAT, "size": config.BLOB_BYTES}
     rows, at = [], 0
     for field, kind in config.BLOB_FIELDS:
         rows.append(f"| {at} | {WIDTH[kind]} | {field} | {kind} | {fixed.get(field, '')} |".replace("|  |", "| |"))
@@ -197,7 +200,7 @@ def id_table() -> str:
     rows = [
         ("protocol", f"{codes.PROTOCOL_MAJOR}.{codes.PROTOCOL_MINOR}"),
         ("protocol_id", ids.PROTOCOL_ID),
-        ("grid_id", ids.GRID_ID),
+        ("grid_id", PAPER.grid_id),
     ]
     return "| | |\n|---|---|\n" + "\n".join(f"| {name} | {value} |" for name, value in rows) + "\n"
 

@@ -141,7 +141,7 @@ def through_runtime(model: VD2T, bundle: Path) -> float:
         SkinError: The map differs by more than ``TOLERANCE``, or the runtime refuses the bundle.
     """
     loaded = load_bundle(bundle)
-    geometry_graph, buffers = GeometryGraph(loaded), Buffers(loaded.bias_width)
+    geometry_graph, buffers = GeometryGraph(loaded), Buffers(loaded)
     (head,) = (engine for engine in engines(loaded, buffers) if engine.name == "vd2t")
     dv, _, predicted = stored_inputs(8)
     rng = np.random.default_rng(9)

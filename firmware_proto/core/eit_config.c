@@ -79,6 +79,25 @@ static enum eit_status check_values(const struct eit_config *c)
     return EIT_OK;
 }
 
+/* The second half of the name is the skin's digest, if the flag says so. */
+static bool read_name(const uint8_t *blob, struct eit_config *config)
+{
+    const size_t half = EIT_CONFIG_SKIN - EIT_CONFIG_NAME;
+    uint8_t any = 0;
+
+    config->has_skin = (blob[EIT_CONFIG_FLAGS] & EIT_CONFIG_FLAG_SKIN) != 0;
+    eit_copy(config->name, blob + EIT_CONFIG_NAME, sizeof config->name);
+    eit_copy(config->skin, blob + EIT_CONFIG_SKIN, sizeof config->skin);
+    if (!config->has_skin) {
+        return true;
+    }
+    for (size_t i = 0; i < sizeof config->skin; i++) {
+        any |= config->skin[i];
+        config->name[half + i] = 0;
+    }
+    return any != 0;
+}
+
 enum eit_status eit_config_read(const uint8_t *blob, size_t length, struct eit_config *config)
 {
     static const uint8_t magic[4] = EIT_CONFIG_MAGIC_BYTES;
@@ -92,7 +111,7 @@ enum eit_status eit_config_read(const uint8_t *blob, size_t length, struct eit_c
     if (length != EIT_CONFIG_BYTES || eit_crc(blob, EIT_CONFIG_CRC) != eit_get32(blob + EIT_CONFIG_CRC)) {
         return EIT_DAMAGED;
     }
-    if (eit_get16(blob + EIT_CONFIG_SIZE) != EIT_CONFIG_BYTES || blob[EIT_CONFIG_RESERVED] != 0) {
+    if (eit_get16(blob + EIT_CONFIG_SIZE) != EIT_CONFIG_BYTES || blob[EIT_CONFIG_FLAGS] > EIT_CONFIG_FLAG_SKIN) {
         return EIT_VALUE;
     }
     if (eit_get32(blob + EIT_CONFIG_HARDWARE_ID) != EIT_HARDWARE_ID) {
@@ -111,8 +130,7 @@ enum eit_status eit_config_read(const uint8_t *blob, size_t length, struct eit_c
     config->idle_rate_mHz = eit_get32(blob + EIT_CONFIG_IDLE_RATE_MHZ);
     config->revision = eit_get32(blob + EIT_CONFIG_REVISION);
     config->digest = eit_get32(blob + EIT_CONFIG_CRC);
-    eit_copy(config->name, blob + EIT_CONFIG_NAME, sizeof config->name);
-    return check_values(config);
+    return read_name(blob, config) ? check_values(config) : EIT_VALUE;
 }
 
 const uint8_t *eit_config_factory_blob(void)

@@ -24,6 +24,8 @@ struct eit_config {
     uint32_t revision;        /* the author's count */
     uint32_t digest;          /* the blob's CRC-32C */
     uint8_t name[16];         /* ASCII, padded with zeros */
+    uint8_t skin[8];          /* digest of the skin that it is for, if one is stated */
+    bool has_skin;
 };
 
 /* Read a blob. EIT_DAMAGED: not a configuration, or its check is wrong. EIT_VERSION: another format. EIT_HARDWARE: for

@@ -53,7 +53,7 @@ void eit_reply_hello(struct eit_device *device, uint8_t tag)
     at[EIT_HELLO_PROTOCOL_MAJOR] = EIT_PROTOCOL_MAJOR;
     at[EIT_HELLO_PROTOCOL_MINOR] = EIT_PROTOCOL_MINOR;
     eit_copy(at + EIT_HELLO_PROTOCOL_ID, protocol_id, sizeof protocol_id);
-    eit_copy(at + EIT_HELLO_GRID_ID, grid_id, sizeof grid_id);
+    eit_copy(at + EIT_HELLO_GRID_ID, config->has_skin ? config->skin : grid_id, sizeof grid_id);
     eit_copy(at + EIT_HELLO_FIRMWARE_VERSION, device->identity->firmware_version, 3);
     at[EIT_HELLO_FLAGS] = hello_flags(device);
     eit_put32(at + EIT_HELLO_HARDWARE_ID, EIT_HARDWARE_ID);

@@ -236,9 +236,11 @@
 #define EIT_CONFIG_DRIVES 54u
 #define EIT_CONFIG_IDLE_DRIVES 56u
 #define EIT_CONFIG_SAMPLE_BYTES 58u
-#define EIT_CONFIG_RESERVED 59u
+#define EIT_CONFIG_FLAGS 59u
 #define EIT_CONFIG_CRC 60u
 #define EIT_CONFIG_BYTES 64u
+#define EIT_CONFIG_SKIN 24u
+#define EIT_CONFIG_FLAG_SKIN 1u
 
 /* What hardware eitskin-16 can do. */
 #define EIT_HARDWARE_ID 0x45533136u

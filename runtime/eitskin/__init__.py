@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from eitskin.reference.captured import Reference
     from eitskin.serving import serve
     from eitskin.skin import Skin
-    from eitskin_proto.sensor.grid import pixel_centres_mm
+    from eitskin_proto.skin.cloud import pixel_centres_mm
 
     __version__: str
 
@@ -100,7 +100,7 @@ _HOMES: Final = {
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
     "make_keys": "eitskin.messaging.curve_keys",
-    "pixel_centres_mm": "eitskin_proto.sensor.grid",
+    "pixel_centres_mm": "eitskin_proto.skin.cloud",
     "request": "eitskin.messaging.control_client",
     "send_cloud": "eitskin.messaging.control_client",
     "serve": "eitskin.serving",

@@ -58,7 +58,8 @@ class FrameLoop:
 
     def __init__(self, device: Device, pipeline: Pipeline, idle: IdleMode | None) -> None:
         self._device, self._pipeline, self.idle = device, pipeline, idle
-        self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number)
+        shape = pipeline.bundle.skin.grid.shape
+        self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number, shape)
         self.statistics = Statistics()
         self.source = FrameSource(device, pipeline)
         self.reference: Reference | None = None
@@ -166,7 +167,7 @@ class FrameLoop:
             PortLost: The port vanished.
             ValueError: Fewer than 2 frames.
         """
-        builder, yardstick = ReferenceBuilder(frames), self._yardstick()
+        builder, yardstick = ReferenceBuilder(frames, self._pipeline.skin), self._yardstick()
         for _ in self._accepted(time.perf_counter_ns() + int(self._patience_s(frames) * 1e9)):
             if unfit := self._unfit_for_reference():
                 builder.leave_out(unfit)
@@ -191,7 +192,7 @@ class FrameLoop:
         """
         if (other := self._recapture) is not None:
             raise BadReference(f"{other.builder.taken} of {other.builder.frames} frames of another reference are in")
-        recapture = Recapture(ReferenceBuilder(frames), self._yardstick(), force=force)
+        recapture = Recapture(ReferenceBuilder(frames, self._pipeline.skin), self._yardstick(), force=force)
         self._recapture = recapture
         if self.source.stopping:  # looked at behind the line above, which ``stop`` looks at behind its own
             self._give_up_recapture("stopped")

@@ -24,7 +24,8 @@ from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.frame_message import LastMessage
 from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.regions import Region, union
-from eitskin.model.bundle import Bundle, load_bundle
+from eitskin.model.bundle import Bundle
+from eitskin.model.skin_in_use import Given, bundle_and_skin
 from eitskin.pipeline.cloud_change import CloudChange
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleGate, IdleMode
@@ -51,12 +52,13 @@ class Skin:
             (:mod:`eitskin.pipeline.idle`); None scans all of them always.
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
         compensate_drift: Whether frames are freed of what the reference has drifted (:mod:`eitskin.health.drift`).
+        skin: Its description, or that file's path, which the bundle must fit; None takes the bundle's.
 
     Raises:
         BundleError: The bundle cannot be used, or has no idle gate where one is asked for.
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used, or idles in another way.
-        MismatchError: Bundle, device or reference belong to another protocol, grid, device or configuration.
+        MismatchError: Bundle, device or reference belong to another protocol, skin, device or configuration.
         BadReference: The reference's file cannot be used.
         BudgetError: No solver meets the budget.
         ValueError: The budget or idle_after_s is not positive, or the bundle has no such solver.
@@ -75,14 +77,15 @@ class Skin:
         idle_after_s: float | None = None,
         exclude: tuple[int, ...] = (),
         compensate_drift: bool = False,
+        skin: Given = None,
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:
             raise ValueError(f"budget_ms is {budget_ms}, expected more than 0 and less than 1e6")
-        self.bundle = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
-        loaded = references.load(reference) if isinstance(reference, str | Path) else reference
+        self.bundle, self.description = bundle_and_skin(bundle, skin)
+        loaded = references.taken(reference, self.description)
         self.transport = open_line(port, baud) if isinstance(port, str) else port
         try:
-            self.device = Device(self.transport)
+            self.device = Device(self.transport, self.description)
             if loaded is not None:
                 loaded.check(self.device.hello)
             idle = None if idle_after_s is None else IdleMode(idle_after_s)
@@ -94,6 +97,7 @@ class Skin:
                 skip_unchanged=skip_unchanged,
                 health=health_of(self.bundle, exclude=exclude, compensate_drift=compensate_drift),
                 idle_gate=None if idle is None else IdleGate(self.bundle.gate_arrays(), self.device.hello),
+                skin=self.description,
             )
             self._clouds = CloudChange(self.pipeline)
             self.loop = FrameLoop(self.device, self.pipeline, idle)
@@ -140,11 +144,7 @@ class Skin:
         return self.loop.capture(frames, force=force)
 
     def recapture(self, frames: int, *, force: bool = False) -> dict[str, object]:
-        """Capture a new reference while frames go on, from another thread; return what was captured and found of it.
-
-        Args:
-            frames: How many.
-            force: As in :meth:`capture_reference`.
+        """Capture one as :meth:`capture_reference` does, from another thread while frames go on; return what was found.
 
         Raises:
             BadReference: As in :meth:`capture_reference`; the old reference stays.
@@ -160,7 +160,7 @@ class Skin:
         """Use a measured surface from the next frame on, and return its revision; frames do not wait for any of it.
 
         Args:
-            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
             predicted: (104,) V, what the forward model says of this surface untouched.
             predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the reference.
 
@@ -172,7 +172,7 @@ class Skin:
 
     def set_regions(self, regions: Iterable[Region]) -> None:
         """Compute only the union of some regions, none meaning all, from a frame some tens of milliseconds later."""
-        self._region_worker.want(union(regions))
+        self._region_worker.want(union(regions, self.bundle.skin.grid.shape))
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Go on without these electrodes from the next frame on; may be called from any thread.

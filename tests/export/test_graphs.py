@@ -13,6 +13,7 @@ from eitskin_export import graphs, parity, quantise
 from eitskin_export.fold import split
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
@@ -212,8 +213,8 @@ def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
     whole = graphs.head_graph(head)
     if int8:
         whole = quantise.int8_head(whole)
-    wanted = pixels((Region(*bounds),))
-    part = cut(whole, wanted, 1350)
+    wanted = pixels((Region(*bounds),), PAPER.grid.shape)
+    part = cut(whole, wanted, PAPER.grid.shape)
     expected, found = both(whole, part, seed=3)
     assert np.ptp(expected[0, wanted]) > 0 or len(wanted) == 1
     assert found.shape == (1, len(wanted))
@@ -226,8 +227,8 @@ def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
 def test_a_symmetric_head_that_does_not_sharpen_is_cut_behind_its_last_layer() -> None:
     _, head = split(trained_looking(ARCHITECTURES["symmetric, not sharpened"]))
     whole = graphs.head_graph(head)
-    wanted = pixels((Region(3, 11, 5, 30),))
-    expected, found = both(whole, cut(whole, wanted, 1350), seed=3)
+    wanted = pixels((Region(3, 11, 5, 30),), PAPER.grid.shape)
+    expected, found = both(whole, cut(whole, wanted, PAPER.grid.shape), seed=3)
     assert np.ptp(expected[0, wanted]) > 0
     assert np.array_equal(found[0], expected[0, wanted])
 
@@ -235,7 +236,7 @@ def test_a_symmetric_head_that_does_not_sharpen_is_cut_behind_its_last_layer() -
 def test_a_head_that_spreads_units_is_cut_where_it_spreads_them() -> None:
     _, head = split(trained_looking(ARCHITECTURES["units"]))
     whole = graphs.head_graph(head)
-    wanted = pixels((Region(3, 11, 5, 20),))
-    expected, found = both(whole, cut(whole, wanted, 1350), seed=3)
+    wanted = pixels((Region(3, 11, 5, 20),), PAPER.grid.shape)
+    expected, found = both(whole, cut(whole, wanted, PAPER.grid.shape), seed=3)
     assert np.ptp(expected[0, wanted]) > 0
     assert np.array_equal(found[0], expected[0, wanted])

@@ -4,11 +4,14 @@ from dataclasses import replace
 
 import pytest
 
+from eitskin_proto.skin import skin
 from eitskin_proto.wire import framing
 from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.codes import Code, EventCode, HelloFlag, Slot
 
 from .asked import FAST, FULL, PAPER, begin
+
+SKIN = "0123456789abcdef"
 
 
 def test_a_flashed_configuration_runs_on_trial_and_stays_once_confirmed(asked):
@@ -217,6 +220,16 @@ def test_what_is_written_is_read_back_and_what_is_not_is_erased(asked):
     assert asked.ask(m.ConfigRead(slot=Slot.OTHER)).generation == 2
 
 
+def test_a_configuration_that_states_its_skin_says_so_in_hello(asked):
+    assert asked.ask(m.HelloRequest()).grid_id == skin.PAPER.grid_id
+    stated = replace(FAST, skin=SKIN)
+    assert asked.flash(stated).code == Code.OK
+    hello = asked.restart(9)
+    assert (hello.grid_id, hello.configuration_name, hello.configuration_digest) == (SKIN, "fast", stated.digest)
+    pieces = [asked.ask(m.ConfigRead(slot=Slot.ACTIVE, offset=at, length=32)).data for at in (0, 32)]
+    assert b"".join(pieces) == stated.to_blob()
+
+
 @pytest.mark.parametrize("changes", [{"slot": 2}, {"offset": 60, "length": 8}, {"length": 0}, {"length": 33}])
 def test_a_read_outside_the_configuration_is_refused(clocked, changes):
     answer = clocked.ask(m.ConfigRead(**{"length": 4, **changes}))
@@ -240,7 +253,10 @@ def resealed(blob: bytes, **changes: tuple[int, int]) -> bytes:
         (replace(FAST, gain=5).to_blob(), Code.INVALID_CONFIGURATION),
         (replace(FAST, frequency_hz=3_000_000_000).to_blob(), Code.INVALID_CONFIGURATION),
         (resealed(FAST.to_blob(), name=(16, 7)), Code.INVALID_CONFIGURATION),
-        (resealed(FAST.to_blob(), reserved=(59, 1)), Code.INVALID_CONFIGURATION),
+        (resealed(FAST.to_blob(), flags=(59, 1)), Code.INVALID_CONFIGURATION),  # a skin's digest is not all 0
+        (resealed(FAST.to_blob(), flags=(59, 2)), Code.INVALID_CONFIGURATION),
+        (resealed(replace(FAST, skin=SKIN).to_blob(), flags=(59, 0)), Code.INVALID_CONFIGURATION),  # no letters
+        (resealed(replace(FAST, skin=SKIN).to_blob(), name=(19, 200)), Code.INVALID_CONFIGURATION),
         (resealed(FAST.to_blob(), format=(4, 2)), Code.BAD_FORMAT),
         (resealed(FAST.to_blob(), magic=(0, 7)), Code.DIGEST_MISMATCH),
         (FAST.to_blob()[:-1] + b"\0", Code.DIGEST_MISMATCH),

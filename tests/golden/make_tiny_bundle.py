@@ -1,10 +1,12 @@
-"""Writes tiny.eitskin, the hand-made bundle of the runtime's tests; needs onnx and onnxruntime's quantiser.
+"""Writes the hand-made bundles of the runtime's tests: tiny.eitskin of the paper's skin, second.eitskin of another.
 
 The graphs have the real signatures, but their weights are drawn from fixed seeds, with 8 hidden values and a map that
 is the sum of a column profile and a row profile; nothing was trained. The gate adds |dV| over all rows: it is exact on
 synthetic frames, where only a touch changes dV. ::
 
-    python tests/golden/make_tiny_bundle.py tests/golden/tiny.eitskin
+    python -m tests.golden.make_tiny_bundle tests/golden/tiny.eitskin tests/golden/second.eitskin
+
+It needs onnx and onnxruntime's quantiser.
 """
 
 import hashlib
@@ -22,41 +24,52 @@ from onnx import TensorProto, helper, numpy_helper
 import eitskin.model.session  # noqa: F401 -- before the next line: it sends no telemetry  # isort: skip
 from onnxruntime.quantization import QuantType, quantize_dynamic  # isort: skip
 
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from tests.second_skin import SECOND
+
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
 
 HIDDEN = 8
 ROWS = 104
 
 
-def graph(name, nodes, inputs, output, weights):
+def graph(skin, name, nodes, inputs, output, weights):
     values = [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in inputs.items()]
     results = [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in output.items()]
     constants = [numpy_helper.from_array(array, key) for key, array in weights.items()]
     built = helper.make_graph(nodes, name, values, results, constants)
     model = helper.make_model(built, opset_imports=[helper.make_opsetid("", 18)], ir_version=9)
-    helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID})
+    helper.set_model_props(model, {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id})
     onnx.checker.check_model(model)
     return model.SerializeToString()
 
 
-def geometry(rng):
-    weights = {"w": rng.normal(0, 0.3, (18, HIDDEN)).astype(np.float32), "flat": np.array([1, 18], dtype=np.int64)}
+def geometry(rng, skin):
+    rows, columns = skin.grid.shape
+    pool = 15 if skin is PAPER else 9
+    points = 3 * (rows // pool) * (columns // pool)
+    weights = {
+        "w": rng.normal(0, 0.3, (points, HIDDEN)).astype(np.float32),
+        "flat": np.array([1, points], dtype=np.int64),
+    }
     nodes = [
-        helper.make_node("AveragePool", ["cloud"], ["pooled"], kernel_shape=[15, 15], strides=[15, 15]),
+        helper.make_node("AveragePool", ["cloud"], ["pooled"], kernel_shape=[pool, pool], strides=[pool, pool]),
         helper.make_node("Reshape", ["pooled", "flat"], ["points"]),
         helper.make_node("MatMul", ["points", "w"], ["bias"]),
     ]
-    return graph("geometry", nodes, {"cloud": [1, 3, 30, 45]}, {"bias": [1, HIDDEN]}, weights)
+    return graph(skin, "geometry", nodes, {"cloud": [1, *skin.grid.cloud_shape]}, {"bias": [1, HIDDEN]}, weights)
 
 
-def head(rng):
+def head(rng, skin):
+    rows, columns = skin.grid.shape
     weights = {
         "w1": rng.normal(0, 1.0, (ROWS, HIDDEN)).astype(np.float32),
-        "w2": rng.normal(0, 1.0, (HIDDEN, 75)).astype(np.float32),
-        "split": np.array([30, 45], dtype=np.int64),
-        "as_rows": np.array([1, 30, 1], dtype=np.int64),
-        "as_columns": np.array([1, 1, 45], dtype=np.int64),
-        "as_map": np.array([1, 1350], dtype=np.int64),
+        "w2": rng.normal(0, 1.0, (HIDDEN, rows + columns)).astype(np.float32),
+        "split": np.array([rows, columns], dtype=np.int64),
+        "as_rows": np.array([1, rows, 1], dtype=np.int64),
+        "as_columns": np.array([1, 1, columns], dtype=np.int64),
+        "as_map": np.array([1, skin.grid.n_pixels], dtype=np.int64),
         "floor": np.array(1e-3, dtype=np.float32),
         "one": np.array(1.0, dtype=np.float32),
     }
@@ -77,7 +90,7 @@ def head(rng):
         helper.make_node("Sigmoid", ["flat"], ["map"]),
     ]
     inputs = {"dv": [1, ROWS], "log_predicted": [1, ROWS], "bias": [1, HIDDEN]}
-    return graph("head", nodes, inputs, {"map": [1, 1350]}, weights)
+    return graph(skin, "head", nodes, inputs, {"map": [1, skin.grid.n_pixels]}, weights)
 
 
 def int8(model):
@@ -110,23 +123,27 @@ def saved(writer, *arguments, **named):
     return stream.getvalue()
 
 
-def main(target):
+def main(target, skin):
     rng = np.random.default_rng(20240)
-    head_model = head(rng)
-    projection = np.zeros((1350, ROWS), np.float32)
-    projection[np.arange(0, 1350, 13), np.arange(ROWS)] = -1.0
+    head_model = head(rng, skin)
+    n_pixels = skin.grid.n_pixels
+    projection = np.zeros((n_pixels, ROWS), np.float32)
+    projection[np.arange(0, n_pixels, n_pixels // ROWS + (skin is PAPER))[:ROWS], np.arange(ROWS)] = -1.0
     files = {
-        "geometry.onnx": geometry(rng),
+        "geometry.onnx": geometry(rng, skin),
         "head.onnx": head_model,
         "head_int8.onnx": int8(head_model),
         "tikhonov.npy": saved(np.save, projection),
         "gate.npz": saved(np.savez, **gate()),
     }
+    if skin is not PAPER:
+        files["skin.toml"] = to_toml(skin).encode()
     manifest = {
         "format": "eitskin-bundle",
         "version": 1,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        "grid_id": skin.grid_id,
+        **({} if skin is PAPER else {"skin_digest": skin.digest}),
         "labels": "area",
         "created_utc": "2026-01-01T00:00:00Z",
         "files": {
@@ -146,4 +163,5 @@ def main(target):
 
 
 if __name__ == "__main__":
-    main(sys.argv[1])
+    for path, made_for in zip(sys.argv[1:], (PAPER, SECOND), strict=True):
+        main(path, made_for)

@@ -114,9 +114,9 @@ class Running:
 
 @contextmanager
 def _running(port, folder, **options):
-    with Skin(port, bundle=TINY, **options) as skin:
+    with Skin(port, **{"bundle": TINY, **options}) as skin:
         skin.capture_reference(10)
-        publisher = Publisher(f"ipc://{folder}/frames")
+        publisher = Publisher(f"ipc://{folder}/frames", shape=skin.bundle.skin.grid.shape)
         control = ControlServer(f"ipc://{folder}/control", skin)
         runtime = Running(skin, publisher, control)
         try:

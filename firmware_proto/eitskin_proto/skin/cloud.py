@@ -27,6 +27,11 @@ INPUT_PARTS: Final = 3
 """A network's input is in parts of the sheet's longer side, so that it is of order one: 50 mm on the paper's."""
 
 
+def pixel_centres_mm(grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
+    """Return the (rows, columns, 2) x and y of every pixel's centre on the flat sheet."""
+    return grid.pixel_centres_mm()
+
+
 def flat_cloud(grid: Grid = PAPER.grid) -> npt.NDArray[np.float64]:
     """Return the (3, rows, columns) mm cloud of the flat sheet: pixel centres with z = 0."""
     return grid.flat_cloud_mm()

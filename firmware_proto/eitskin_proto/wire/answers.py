@@ -4,7 +4,8 @@ from dataclasses import dataclass
 from typing import ClassVar, Self
 
 from eitskin_proto.errors import MismatchError, ProtocolError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.codes import (
     CODE_TEXT,
     PROTOCOL_MAJOR,
@@ -63,7 +64,8 @@ class Hello(Packed):
     protocol_major: int = PROTOCOL_MAJOR
     protocol_minor: int = PROTOCOL_MINOR
     protocol_id: str = PROTOCOL_ID
-    grid_id: str = GRID_ID
+    grid_id: str = PAPER.grid_id
+    """The paper's, or the digest of the skin that the configuration states."""
     tag: int = 0
 
     @classmethod
@@ -85,13 +87,30 @@ class Hello(Packed):
         """Refuse a device that measures something else.
 
         Raises:
-            MismatchError: protocol_id or grid_id differs from this installation's.
+            MismatchError: protocol_id differs from this installation's.
         """
         hint = "install the eitskin release that the firmware was built with, or flash the firmware of this release"
         if self.protocol_id != PROTOCOL_ID:
             raise MismatchError("HELLO.protocol_id", found=self.protocol_id, expected=PROTOCOL_ID, hint=hint)
-        if self.grid_id != GRID_ID:
-            raise MismatchError("HELLO.grid_id", found=self.grid_id, expected=GRID_ID, hint=hint)
+
+    @property
+    def skin_digest(self) -> str:
+        """Of the skin that the configuration states; "" if it states none."""
+        return "" if self.grid_id == PAPER.grid_id else self.grid_id
+
+    def check_skin(self, skin: Skin) -> None:
+        """Refuse a device that is configured for another skin; one that states none may have any.
+
+        Raises:
+            MismatchError: With what was found, expected and the command.
+        """
+        if self.skin_digest and self.skin_digest not in (skin.digest, skin.calibrated_from):
+            hint = (
+                "take a bundle of the device's skin (--bundle), or state this one in the device's configuration: "
+                f"skin = \"{skin.digest}\", and 'eitskin flash write'"
+            )
+            expected = f"{skin.digest} ({skin.name})"
+            raise MismatchError("the device's skin", found=self.skin_digest, expected=expected, hint=hint)
 
     @property
     def full(self) -> bool:

@@ -7,13 +7,17 @@
     EITC   u8      u8    u16   u32          u32       16    u32           u32       u32            u32
 
     48         50        52    54      56           58            59        60
-    settle_us  averages  gain  drives  idle_drives  sample_bytes  reserved  crc32c of bytes 0 to 59
-    u16        u16       u16   u16     u16          u8            u8 = 0    u32
+    settle_us  averages  gain  drives  idle_drives  sample_bytes  flags  crc32c of bytes 0 to 59
+    u16        u16       u16   u16     u16          u8            u8     u32
+
+A configuration may state which skin it is for. Flag 1 then says that the second half of ``name`` is the skin's digest;
+such a name has at most 8 characters. Everything else stays where it was.
 
 The digest of a configuration is that last word: it names the configuration in HELLO and in files that depend on it.
 ``revision`` belongs to the author: a device refuses to replace a configuration by a lower revision of the same name.
 """
 
+import re
 import struct
 from dataclasses import dataclass, fields
 from typing import Final, Self
@@ -26,6 +30,8 @@ from eitskin_proto.wire.frames import SAMPLE_BYTES, frame_bytes
 from eitskin_proto.wire.framing import crc32c, wire_bytes
 from eitskin_proto.wire.scan_rows import ALL_DRIVES, drive_count, row_count
 
+SKIN: Final = re.compile("[0-9a-f]{16}")
+
 BLOB: Final = struct.Struct("<4sBBHII16sIIIIHHHHHBB")
 """The blob without its check."""
 
@@ -33,7 +39,7 @@ BLOB_FIELDS: Final = (
     ("magic", "magic"), ("format", "u8"), ("rows", "u8"), ("size", "u16"), ("hardware_id", "u32"), ("revision", "u32"),
     ("name", "text16"), ("frequency_Hz", "u32"), ("rate_mHz", "u32"), ("idle_rate_mHz", "u32"), ("current_uA", "u32"),
     ("settle_us", "u16"), ("averages", "u16"), ("gain", "u16"), ("drives", "u16"), ("idle_drives", "u16"),
-    ("sample_bytes", "u8"), ("reserved", "u8"), ("crc", "u32"),
+    ("sample_bytes", "u8"), ("flags", "u8"), ("crc", "u32"),
 )  # fmt: skip
 """The same for the generated tables."""
 
@@ -42,6 +48,15 @@ BLOB_BYTES: Final = BLOB.size + 4
 
 BLOB_MAGIC: Final = b"EITC"
 FORMAT: Final = 1
+
+HAS_SKIN: Final = 1
+"""Flag: the second half of the name is the digest of a skin."""
+
+SKIN_AT: Final = 24
+"""Where that is in the blob."""
+
+SHORT_NAME: Final = 8
+"""Characters of a name beside which a skin is stated."""
 
 LINE_SHARE: Final = 0.95
 """Part of a line that frames may fill; the rest is for answers and events."""
@@ -57,7 +72,7 @@ class Configuration:
     """What a device scans. ``check`` says whether electronics and line can do it."""
 
     name: str
-    """At most 16 ASCII characters."""
+    """At most 16 ASCII characters; 8 where a skin is stated."""
     revision: int
     hardware_id: int
     frequency_hz: int
@@ -80,8 +95,14 @@ class Configuration:
     idle_drives: int = 0
     """The same for the idle mode; 0 if there is none."""
     idle_rate_mHz: int = 0
+    skin: str = ""
+    """Digest of the skin's description, 16 hex digits; "" if it is not stated."""
 
     def __post_init__(self) -> None:
+        if self.skin and (not SKIN.fullmatch(self.skin) or not int(self.skin, 16)):
+            raise ValueError(f"skin is {quoted(self.skin)}, expected a digest of 16 hex digits that are not all 0")
+        if self.skin and len(self.name) > SHORT_NAME:
+            raise ValueError(f"name is {quoted(self.name)}, expected at most {SHORT_NAME} characters beside a skin")
         if not 1 <= len(self.name) <= 16 or not self.name.isascii() or not self.name.isprintable():
             raise ValueError(f"name is {quoted(self.name)}, expected 1 to 16 printable ASCII characters")
         if self.rows not in (N_ROWS, N_FULL_ROWS):
@@ -126,10 +147,11 @@ class Configuration:
 
     def to_blob(self) -> bytes:
         """Return the 64 bytes that the device stores."""
+        name = self.name.encode("ascii").ljust(SHORT_NAME, b"\0") + bytes.fromhex(self.skin)
         body = BLOB.pack(
-            BLOB_MAGIC, FORMAT, self.rows, BLOB_BYTES, self.hardware_id, self.revision, self.name.encode("ascii"),
+            BLOB_MAGIC, FORMAT, self.rows, BLOB_BYTES, self.hardware_id, self.revision, name,
             self.frequency_hz, self.rate_mHz, self.idle_rate_mHz, self.current_ua, self.settle_us,
-            self.averages, self.gain, self.drives, self.idle_drives, self.sample_bytes, 0,
+            self.averages, self.gain, self.drives, self.idle_drives, self.sample_bytes, HAS_SKIN if self.skin else 0,
         )  # fmt: skip
         return body + crc32c(body).to_bytes(4, "little")
 
@@ -150,16 +172,17 @@ class Configuration:
         if found != expected:
             raise ProtocolError(f"configuration carries the check {found:08x}, its bytes have {expected:08x}: damaged")
         (_, _, rows, size, hardware_id, revision, raw_name, frequency, rate, idle_rate, current, settle, averages, gain,
-         drives, idle_drives, sample_bytes, reserved) = BLOB.unpack_from(blob)  # fmt: skip
-        if size != BLOB_BYTES or reserved != 0:
-            raise ProtocolError(f"configuration says size {size} and reserved {reserved}, expected {BLOB_BYTES} and 0")
-        name = raw_name.rstrip(b"\0")
+         drives, idle_drives, sample_bytes, flags) = BLOB.unpack_from(blob)  # fmt: skip
+        if size != BLOB_BYTES or flags not in (0, HAS_SKIN):
+            raise ProtocolError(f"configuration says size {size} and flags {flags}, expected {BLOB_BYTES} and 0 or 1")
+        skin = raw_name[SHORT_NAME:].hex() if flags else ""
+        name = (raw_name[:SHORT_NAME] if flags else raw_name).rstrip(b"\0")
         try:
             return cls(
                 name=name.decode("ascii"), revision=revision, hardware_id=hardware_id, frequency_hz=frequency,
                 current_ua=current, settle_us=settle, averages=averages, gain=gain, sample_bytes=sample_bytes,
                 rows=rows, drives=drives, rate_mHz=rate, idle_drives=idle_drives,
-                idle_rate_mHz=idle_rate,
+                idle_rate_mHz=idle_rate, skin=skin,
             )  # fmt: skip
         except ValueError as error:  # UnicodeDecodeError is one
             raise ProtocolError(f"configuration is intact but impossible: {error}") from error

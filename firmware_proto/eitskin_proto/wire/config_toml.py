@@ -6,6 +6,7 @@
     name = "paper"
     revision = 1
     hardware = "eitskin-16"
+    skin = "15ce2df6c042c8c9"   (which skin it is for: its digest, of 'eitskin skin show'; may be left out)
     [drive]     frequency_Hz = 20000    current_uA = 1000
     [measure]   settle_us = 100         averages_periods = 5    gain = 8    sample_bits = 24
     [scan]      rows = 104              drives = [0, 1, ...]    rate_Hz = 200.0
@@ -26,13 +27,13 @@ NAMED: Final = ("paper", "full208", "idle", "fast")
 """Configurations that come with the package."""
 
 KEYS: Final[dict[str, dict[str, type]]] = {
-    "": {"format": int, "name": str, "revision": int, "hardware": str},
+    "": {"format": int, "name": str, "revision": int, "hardware": str, "skin": str},
     "drive": {"frequency_Hz": int, "current_uA": int},
     "measure": {"settle_us": int, "averages_periods": int, "gain": int, "sample_bits": int},
     "scan": {"rows": int, "drives": list, "rate_Hz": float},
     "idle": {"drives": list, "rate_Hz": float},
 }
-"""Tables and keys with their types; all are required, except that [idle] may be missing as a whole."""
+"""Tables and keys with their types; all are required, except skin, and that [idle] may be missing as a whole."""
 
 
 def _where(table: str) -> str:
@@ -116,6 +117,7 @@ def parse(text: str) -> Configuration:
         rate_mHz=_rate_mHz(get("scan", "rate_Hz"), "scan"),
         idle_drives=drives_from_list(get("idle", "drives")) if idle else 0,
         idle_rate_mHz=_rate_mHz(get("idle", "rate_Hz"), "idle") if idle else 0,
+        skin=get("", "skin") if "skin" in tables[""] else "",
     )
 
 
@@ -127,6 +129,7 @@ def to_toml(configuration: Configuration) -> str:
         f'name = "{name}"',
         f"revision = {configuration.revision}",
         f'hardware = "{hardware.by_id(configuration.hardware_id).name}"',
+        *([f'skin = "{configuration.skin}"'] if configuration.skin else []),
         "",
         "[drive]",
         f"frequency_Hz = {configuration.frequency_hz}",

@@ -13,6 +13,7 @@ from eitskin.reference.front_end import stuck
 from eitskin.reference.judged import Yardstick
 from eitskin.reference.normaliser import Normaliser
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.codes import MessageType
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
@@ -28,6 +29,7 @@ def capture(
     *,
     yardstick: Yardstick | None = None,
     force: bool = False,
+    skin: Skin = PAPER,
 ) -> Reference:
     """Return the mean of the next frames of a skin, which must be flat and untouched.
 
@@ -37,6 +39,7 @@ def capture(
         baud: Bits per second on a real UART.
         yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
         force: Take it even if the sheet was bent, touched or moving.
+        skin: Whose reference it is.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.
@@ -44,10 +47,10 @@ def capture(
         BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
         ValueError: Fewer than 2 frames.
     """
-    builder = ReferenceBuilder(frames)
+    builder = ReferenceBuilder(frames, skin)
     transport = open_line(port, baud)
     try:
-        device = Device(transport)
+        device = Device(transport, skin)
         device.start()
         end_s = time.perf_counter() + PATIENCE_S + frames * 1000 / max(device.hello.rate_mHz, 1)
         _collect(device, builder, end_s)

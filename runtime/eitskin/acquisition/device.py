@@ -17,6 +17,7 @@ from eitskin.acquisition.clock import TimeSample
 from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
 from eitskin.errors import NotReady
+from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire import requests
 from eitskin_proto.wire.answers import Ack, Hello, Time
 from eitskin_proto.wire.codes import Code, HelloFlag, MessageType, Mode
@@ -56,16 +57,17 @@ class Device:
 
     Args:
         transport: An open line.
+        skin: What the device must be configured for, if it says; None for any.
 
     Raises:
         HandshakeError: Nobody answered, or the device measures in a way this runtime cannot use.
         ProtocolError: It speaks another major version.
-        MismatchError: It was built for another protocol_id or grid_id.
+        MismatchError: It was built for another protocol_id, or is configured for another skin.
         PortLost: The line is gone.
     """
 
-    def __init__(self, transport: Transport) -> None:
-        self.transport = transport
+    def __init__(self, transport: Transport, skin: Skin | None = None) -> None:
+        self.transport, self._skin = transport, skin
         self.deframer = Deframer()
         self.read_ns = 0
         """``perf_counter_ns`` when the bytes behind the last ``payloads`` were in hand."""
@@ -226,6 +228,8 @@ class Device:
             )
         hello = Hello.unpack(payload)
         hello.check()
+        if self._skin is not None:
+            hello.check_skin(self._skin)
         check_usable(hello, self.transport.line_bytes_per_s)
         return hello
 

@@ -70,7 +70,7 @@ def greet(port: str, baud: int = DEFAULT_BAUD) -> dict[str, Any]:
     Raises:
         TransportError: The port is missing, busy, denied or lost.
         HandshakeError: The device does not answer, or measures in a way that cannot be used.
-        MismatchError: It was built for another protocol_id or grid_id.
+        MismatchError: It was built for another protocol_id.
     """
     transport = open_line(port, baud)
     try:

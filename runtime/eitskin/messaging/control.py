@@ -15,7 +15,9 @@ client's answer away when a message has no delimiter. ::
 =============  ====================================================  ===========================
 command        fields                                                answer
 =============  ====================================================  ===========================
-``cloud``      ``cloud``: 16200 bytes, float32 LE (3, 30, 45) mm;     ``cloud``: its revision;
+``cloud``      ``cloud``: float32 LE (3, rows, columns) mm, 16200     ``cloud``: its revision;
+               bytes for the paper's skin; optional ``grid_id``
+               and ``skin_digest``: whose cloud it is;
                optional ``predicted`` and ``predicted_flat``:        ``warnings``: list of lines,
                832 bytes each, float64 LE (104,) V                   what is doubtful about it
 ``reference``  optional ``frames``: 2 to 10000; optional             ``frames``, ``weak_rows``,
@@ -41,8 +43,10 @@ from eitskin.errors import ControlError
 from eitskin.messaging.admission.descriptors import Connection
 from eitskin.messaging.admission.door import Door
 from eitskin.messaging.control_commands import Answer, Commands, Controlled, answer_of, refusal
-from eitskin.messaging.control_fields import LARGEST_REQUEST
+from eitskin.messaging.control_fields import largest_request
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MOST_CONNECTIONS: Final = 64
 """Clients at once; see :mod:`eitskin.messaging.admission`."""
@@ -50,8 +54,9 @@ MOST_CONNECTIONS: Final = 64
 MOST_PARTS: Final = 16
 """Of a message: identities of proxies, the delimiter, the map."""
 
-MOST_UNFINISHED: Final = 16 * LARGEST_REQUEST
-"""Bytes of a client on TCP that were read and are no whole message yet: more is one of parts without end."""
+MOST_UNFINISHED: Final = 16
+"""Largest requests' worth of bytes of a client on TCP that were read and are no whole message yet: more is one of parts
+without end."""
 
 LAST_ANSWERED: Final = 8
 """Clients that are not ended for the sake of others: their answers may be on the way."""
@@ -70,13 +75,22 @@ class ControlServer:
         endpoint: ``ipc:///path``, or TCP with keys.
         controlled: The runtime.
         keys: CURVE keys, needed for TCP.
+        skin: Whose clouds it takes; None for that of ``controlled``, or the paper's if it has none.
 
     Raises:
         EndpointError: The endpoint is not allowed like this, or in use.
     """
 
-    def __init__(self, endpoint: str, controlled: Controlled, keys: ServerKeys | None = None) -> None:
-        self._commands = Commands(controlled)
+    def __init__(
+        self,
+        endpoint: str,
+        controlled: Controlled,
+        keys: ServerKeys | None = None,
+        skin: SkinDescription | None = None,
+    ) -> None:
+        known: SkinDescription = getattr(controlled, "description", PAPER) if skin is None else skin
+        self._largest = largest_request(known.grid)
+        self._commands = Commands(controlled, known)
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._keys = keys
         self.refused = 0
@@ -95,7 +109,7 @@ class ControlServer:
 
     def _open(self, endpoint: str) -> None:
         self._socket: Any = self._context.socket(zmq.ROUTER)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_REQUEST)
+        self._socket.setsockopt(zmq.MAXMSGSIZE, self._largest)
         self._socket.setsockopt(zmq.RCVHWM, 4)
         self._socket.setsockopt(zmq.SNDHWM, 4)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
@@ -107,7 +121,7 @@ class ControlServer:
                 keys=self._keys,
                 control=True,
                 most=MOST_CONNECTIONS,
-                allowance_bytes=MOST_UNFINISHED,
+                allowance_bytes=MOST_UNFINISHED * self._largest,
             )
         except BaseException:
             self._socket.close(0)

@@ -21,6 +21,8 @@ from eitskin.messaging.endpoints import default_control
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.skin.cloud_file import Surface, load_surface
 from eitskin_proto.skin.sheet_cloud import check_sheet
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 SCHEMES = ("ipc://", "tcp://")
 
@@ -78,6 +80,7 @@ def send_cloud(
     *,
     timeout_s: float = 10.0,
     keys: ClientKeys | None = None,
+    skin: SkinDescription | None = None,
 ) -> int:
     """Give a running runtime the sheet's surface and return the cloud's revision, which frames carry from then on.
 
@@ -85,22 +88,25 @@ def send_cloud(
 
         eitskin.send_cloud("CLOUD.npz")                                 # of 'eitskin surface POINTS --predict'
         eitskin.send_cloud("ipc:///tmp/control", cloud, predicted, predicted_flat)
+        eitskin.send_cloud("CLOUD.npz", skin=description)               # of another skin than the paper's
 
     Args:
         endpoint: Of the runtime's *control* (``eitskin run --control``), not the one that frames come from; left out,
             it is the default one.
-        cloud: (3, 30, 45) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
+        cloud: (3, rows, columns) mm, in any pose; or a file that ``eitskin surface`` wrote, by its path or as
             :func:`eitskin_proto.skin.cloud_file.load_surface` returns it, which brings its prediction along.
         predicted: (104,) V, what the forward model says of this surface untouched; None for no prediction.
         predicted_flat: (104,) V, what the same model says of the flat sheet; None takes the captured reference, which
             is right only if model and device agree on current and gain.
         timeout_s: How long to wait for the answer.
         keys: CURVE keys, for TCP.
+        skin: Whose surface it is; None for the paper's.
 
     Raises:
         ValueError: The cloud or the voltages are malformed, or the cloud cannot be of this sheet; with the value and
             the bound.
         CloudFileError: The file holds no cloud.
+        MismatchError: The file holds another skin's.
         ControlError: The runtime refused, or did not answer.
 
     Warns:
@@ -119,12 +125,15 @@ def send_cloud(
             "send_cloud(endpoint, cloud, predicted, predicted_flat), or send_cloud(cloud) for the default one"
         )
     if isinstance(cloud, str | PathLike):
-        cloud = load_surface(Path(cloud))
+        cloud = load_surface(Path(cloud), PAPER if skin is None else skin)
     if isinstance(cloud, Surface):
         if predicted is None:
             predicted, predicted_flat = cloud.predicted_V, cloud.predicted_flat_V
         cloud = cloud.cloud_mm
-    fields: dict[str, object] = {"cloud": check_sheet(cloud)[0].astype("<f4").tobytes()}
+    points, _ = check_sheet(cloud, PAPER if skin is None else skin)
+    fields: dict[str, object] = {"cloud": points.astype("<f4").tobytes()}
+    if skin is not None:
+        fields |= {"grid_id": skin.grid_id, "skin_digest": skin.digest}
     for name, voltages in (("predicted", predicted), ("predicted_flat", predicted_flat)):
         if voltages is not None:
             fields[name] = np.asarray(check_voltages(name, voltages), dtype="<f8").tobytes()

@@ -8,10 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import ControlError, SkinError
-from eitskin.messaging.control_fields import array_field, unpack_fields
+from eitskin.messaging.control_fields import array_field, largest_request, unpack_fields
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.sheet_cloud import check_sheet
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 REFERENCE_FRAMES: Final = (2, 10_000)
 """Fewest and most frames of a reference that is asked for."""
@@ -56,10 +57,11 @@ class Commands:
 
     Args:
         controlled: The runtime.
+        skin: Whose clouds it takes.
     """
 
-    def __init__(self, controlled: Controlled) -> None:
-        self._controlled = controlled
+    def __init__(self, controlled: Controlled, skin: SkinDescription) -> None:
+        self._controlled, self._skin = controlled, skin
         self._table: dict[str, Callable[[Request], Answer]] = {
             "cloud": self._cloud,
             "reference": self._reference,
@@ -77,7 +79,7 @@ class Commands:
         Raises:
             ControlError: It is no request.
         """
-        request = unpack_fields(parts)
+        request = unpack_fields(parts, largest_request(self._skin.grid))
         command = request.get("command")
         if not isinstance(command, str) or command not in self._table:
             raise ControlError(
@@ -86,12 +88,16 @@ class Commands:
         return lambda: self._table[command](request), command in SLOW
 
     def _cloud(self, request: Request) -> Answer:
-        cloud = array_field(request, "cloud", np.dtype("<f4"), PAPER.grid.cloud_shape)
+        digest = request.get("skin_digest")
+        if digest is not None:
+            grid_id, hint = request.get("grid_id"), "send a cloud of the runtime's skin ('eitskin surface --skin FILE')"
+            check_made_for("the cloud", self._skin, grid_id=grid_id, skin_digest=digest, hint=hint)
+        cloud = array_field(request, "cloud", np.dtype("<f4"), self._skin.grid.cloud_shape)
         if cloud is None:
             raise ControlError("a cloud request needs the field 'cloud'")
         predicted = array_field(request, "predicted", np.dtype("<f8"), (N_ROWS,))
         flat = array_field(request, "predicted_flat", np.dtype("<f8"), (N_ROWS,))
-        doubts = check_sheet(cloud)[1]
+        doubts = check_sheet(cloud, self._skin)[1]
         return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
 
     def _reference(self, request: Request) -> Answer:

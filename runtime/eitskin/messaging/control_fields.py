@@ -8,16 +8,25 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import ControlError
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
 
 LARGEST_REQUEST: Final = 32768
-"""Bytes; a cloud with both predictions has 18,000. libzmq drops a client that sends more, before it takes memory."""
+"""Bytes to a runtime of the paper's skin; a cloud with both predictions has 18,000. libzmq drops a client that sends
+more, before it takes memory."""
 
 
-def unpack_fields(parts: list[bytes]) -> dict[str, Any]:
+def largest_request(grid: Grid) -> int:
+    """Return the same for any skin: as much more as its clouds are larger."""
+    return LARGEST_REQUEST + 12 * max(0, grid.n_pixels - PAPER.grid.n_pixels)
+
+
+def unpack_fields(parts: list[bytes], largest: int = LARGEST_REQUEST) -> dict[str, Any]:
     """Return the map of a message.
 
     Args:
         parts: Of the message.
+        largest: Bytes of one field.
 
     Raises:
         ControlError: It is no map, or too large.
@@ -26,7 +35,7 @@ def unpack_fields(parts: list[bytes]) -> dict[str, Any]:
         raise ControlError(f"a message of {len(parts)} parts; expected one")
     try:
         fields = msgpack.unpackb(
-            parts[0], raw=False, strict_map_key=True, max_str_len=2048, max_bin_len=LARGEST_REQUEST, max_array_len=64,
+            parts[0], raw=False, strict_map_key=True, max_str_len=2048, max_bin_len=largest, max_array_len=64,
             max_map_len=64, max_ext_len=0,
         )  # fmt: skip
     except Exception as error:  # msgpack's exceptions have no common base

@@ -23,8 +23,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import FrameError
-from eitskin.messaging.regions import MOST, WHOLE, Region, Regions
-from eitskin_proto.sensor.grid import GRID_SHAPE, N_PIXELS
+from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions, whole
 
 VERSION: Final = 1
 """Of the message; a subscriber refuses another one."""
@@ -44,13 +43,17 @@ NUMBERS: Final = (
 TOUCHED: Final = (0xC2, 0xC3)
 """False and true in MessagePack."""
 
-MAP_BYTES: Final = 4 * N_PIXELS
+LARGEST_MAP: Final = 4 * MOST_PIXELS[0] * MOST_PIXELS[1]
+"""Bytes; the paper's has 5400."""
 
 FIRST_BYTE: Final = b"\xde"
 """A frame's message begins with it: a MessagePack map of more than 15 keys."""
 
-LARGEST_MESSAGE: Final = 16384
-"""Bytes; a frame has about 6000."""
+LARGEST_MESSAGE: Final = 68608
+"""Bytes; a frame of the paper's skin has about 6000, of the largest map about 58,200."""
+
+LARGEST_REST: Final = LARGEST_MESSAGE - LARGEST_MAP
+"""Bytes of a message without its map."""
 
 MAX_TEXTS: Final = 16
 MAX_TEXT: Final = 128
@@ -71,7 +74,8 @@ class Frame:
     """One tactile frame, as a subscriber sees it.
 
     Attributes:
-        map: (30, 45) read-only: touched area fraction, or touch probability, of each pixel; row 0 at y = 0.
+        map: (rows, columns) of the runtime's skin, (30, 45) of the paper's, read-only: touched area fraction, or touch
+            probability, of each pixel; row 0 at y = 0.
         touched: What the gate says; an untouched frame's map is 0.
         sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
         number: Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber.
@@ -173,13 +177,14 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         raise FrameError(f"frame version: found {fields.get('v')!r}, expected {VERSION}; use the runtime's release")
     sequence = _count(fields, "seq")
     map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
-    regions = _regions(fields)
+    regions: Regions | None = None
     if "map" in fields:
         values = _map(fields)
     elif known is not None and (known.run, known.map_sequence) == (fields.get("run"), map_sequence):
         values, regions = known.map, known.regions
     else:
         raise MapMissing(f"frame {sequence} has the map of frame {map_sequence}, which was not received")
+    claimed = _regions(fields, (values.shape[0], values.shape[1]))
     if not isinstance(fields.get("touched"), bool):
         raise FrameError("frame touched: expected true or false")
     gate_logit = fields.get("gate_logit")
@@ -203,7 +208,7 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         cloud=_count(fields, "cloud"),
         weak_rows=_count(fields, "weak_rows"),
         map_sequence=map_sequence,
-        regions=regions,
+        regions=claimed if regions is None else regions,
         counts=_counts(fields, "counts", COUNTS),
         configuration=_text(fields, "configuration"),
         bundle=_text(fields, "bundle"),
@@ -215,20 +220,26 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
 
 def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
     shape, raw = fields.get("shape"), fields.get("map")
-    if shape != list(GRID_SHAPE):
-        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected {list(GRID_SHAPE)}")
-    if not isinstance(raw, bytes) or len(raw) != MAP_BYTES:
-        raise FrameError(f"frame map: expected {MAP_BYTES} bytes")
-    values = np.frombuffer(raw, dtype="<f4").reshape(GRID_SHAPE)  # of immutable bytes: read-only
+    if not isinstance(shape, list) or len(shape) != 2 or not all(map(_is_size, shape, MOST_PIXELS)):
+        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected [rows, columns] up to {list(MOST_PIXELS)}")
+    if not isinstance(raw, bytes) or len(raw) != 4 * shape[0] * shape[1]:
+        raise FrameError(f"frame map: expected {4 * shape[0] * shape[1]} bytes")
+    values = np.frombuffer(raw, dtype="<f4").reshape(shape)  # of immutable bytes: read-only
     if not np.isfinite(values).all():
         raise FrameError("frame map: holds values that are not finite")
     return values
 
 
-def _regions(fields: Mapping[str, Any]) -> Regions:
-    found = fields.get("regions", [list(WHOLE.bounds)])
+def _is_size(value: object, most: int) -> bool:
+    return type(value) is int and 1 <= value <= most
+
+
+def _regions(fields: Mapping[str, Any], shape: tuple[int, int]) -> Regions:
+    found = fields.get("regions")
+    if found is None:
+        return whole(shape)
     try:
-        regions = tuple(Region(*map(operator.index, bounds)) for bounds in found)
+        regions = tuple(Region(*map(operator.index, bounds)).check(shape) for bounds in found)
     except (TypeError, ValueError) as error:
         raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
     if not 1 <= len(regions) <= MOST:
@@ -241,7 +252,7 @@ def _strict_map(message: bytes) -> dict[str, Any]:
         raise FrameError(f"a message of {len(message)} bytes is no frame; expected at most {LARGEST_MESSAGE}")
     try:
         fields = msgpack.unpackb(
-            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=MAP_BYTES, max_array_len=MAX_TEXTS,
+            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=LARGEST_MAP, max_array_len=MAX_TEXTS,
             max_map_len=64, max_ext_len=0,
         )  # fmt: skip
     except (

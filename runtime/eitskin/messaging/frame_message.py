@@ -25,13 +25,16 @@ class FrameMessages:
         configuration: Name and digest of the device's configuration.
         bundle: Id.
         serial_number: Of the device.
+        shape: Rows and columns of the map.
     """
 
     __slots__ = ("_packed_map", "_packer", "_sent_map", "_short", "published")
 
-    def __init__(self, configuration: str, bundle: str, serial_number: str) -> None:
+    def __init__(self, configuration: str, bundle: str, serial_number: str, shape: tuple[int, int]) -> None:
         run = os.urandom(4).hex()  # differs after each start
-        self._packer = FramePacker(configuration=configuration, bundle=bundle, serial_number=serial_number, run=run)
+        self._packer = FramePacker(
+            configuration=configuration, bundle=bundle, serial_number=serial_number, run=run, shape=shape
+        )
         self.published = 0
         """Frames packed so far."""
         self._sent_map = -1

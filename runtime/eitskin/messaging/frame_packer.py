@@ -14,8 +14,7 @@ import msgpack  # type: ignore[import-untyped]
 from eitskin.messaging.frame import (
     COUNTS,
     FIRST_BYTE,
-    LARGEST_MESSAGE,
-    MAP_BYTES,
+    LARGEST_REST,
     MAX_TEXT,
     MAX_TEXTS,
     NUMBERS,
@@ -23,8 +22,7 @@ from eitskin.messaging.frame import (
     VERSION,
     host_id,
 )
-from eitskin.messaging.regions import WHOLE, Regions
-from eitskin_proto.sensor.grid import GRID_SHAPE
+from eitskin.messaging.regions import Regions, whole
 
 
 class FramePacker:
@@ -35,16 +33,21 @@ class FramePacker:
         bundle: Id.
         serial_number: Of the device.
         run: Differs after each start.
+        shape: Rows and columns of the map.
     """
 
     __slots__ = (
         "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
-        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view",
+        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
     )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
 
-    def __init__(self, *, configuration: str, bundle: str, serial_number: str, run: str) -> None:
+    def __init__(
+        self, *, configuration: str, bundle: str, serial_number: str, run: str, shape: tuple[int, int]
+    ) -> None:
+        map_bytes = 4 * shape[0] * shape[1]
+        self._whole_map = whole(shape)
         head = bytearray()
         self._slots: dict[str, tuple[struct.Struct, int]] = {}
 
@@ -76,14 +79,14 @@ class FramePacker:
                 key(name)
                 slot(name, "u")
         self._map_at = len(head)
-        head += msgpack.packb("shape") + msgpack.packb(list(GRID_SHAPE)) + msgpack.packb("map")
-        head += b"\xc5" + struct.pack(">H", MAP_BYTES)
+        head += msgpack.packb("shape") + msgpack.packb(list(shape)) + msgpack.packb("map")
+        head += b"\xc5" + struct.pack(">H", map_bytes)
         map_at = len(head)
-        self._tail_at = map_at + MAP_BYTES
-        self._buffer = bytearray(head) + bytes(LARGEST_MESSAGE - len(head))
+        self._tail_at = map_at + map_bytes
+        self._buffer = bytearray(head) + bytes(map_bytes + LARGEST_REST - len(head))
         self._view = memoryview(self._buffer)
         self._map = self._view[map_at : self._tail_at]
-        self._short = bytearray(LARGEST_MESSAGE - MAP_BYTES)
+        self._short = bytearray(LARGEST_REST)
         self._short[: self._map_at] = head[: self._map_at]
         struct.pack_into(">H", self._short, 1, entries - 2)
         self._short_view = memoryview(self._short)
@@ -123,7 +126,7 @@ class FramePacker:
         """Copy the map.
 
         Args:
-            values: 5400 bytes, float32 little-endian.
+            values: 4 bytes a pixel, float32 little-endian.
         """
         self._map[:] = values
 
@@ -132,10 +135,11 @@ class FramePacker:
         solver: str,
         skipped: tuple[str, ...],
         events: tuple[str, ...],
-        regions: Regions = (WHOLE,),
+        regions: Regions | None = None,
         electrodes: tuple[str, ...] = (),
     ) -> None:
         """Replace the texts; recurring combinations are kept ready."""
+        regions = regions or self._whole_map
         wanted = (solver, skipped, events, regions, electrodes)
         if wanted == self._texts:
             return  # it is there already

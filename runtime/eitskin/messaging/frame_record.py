@@ -11,31 +11,30 @@ Whoever needs more than one frame of it copies what it needs.
 
 import math
 
-from eitskin.messaging.frame import MAP_BYTES, STAGES
-from eitskin.messaging.regions import WHOLE, Regions
+from eitskin.messaging.frame import STAGES
+from eitskin.messaging.regions import Regions, whole
 
 READ, DECODE, NORMALISE, GATE, INFER, PACK, PUBLISH = range(len(STAGES))
 """Where each stage's stamp stands."""
-
-NOTHING = memoryview(bytes(MAP_BYTES))
-"""The map of a frame for which nothing was computed."""
 
 
 class FrameRecord:
     """The frame in hand.
 
     Args:
-        computed_map: 5400 bytes of float32 that solvers write to.
+        computed_map: 4 bytes a pixel, of float32, that solvers write to.
+        shape: Rows and columns of the map.
     """
 
     __slots__ = (
-        "_computed_map", "cloud", "corrupt", "device_us", "drift_percent", "electrodes", "events", "gate_logit", "idle",
-        "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence", "skipped", "solver",
-        "stamps", "touched", "weak_rows", "withheld",
+        "_computed_map", "_nothing", "cloud", "corrupt", "device_us", "drift_percent", "electrodes", "events",
+        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence",
+        "skipped", "solver", "stamps", "touched", "weak_rows", "withheld",
     )  # fmt: skip
 
-    def __init__(self, computed_map: memoryview) -> None:
+    def __init__(self, computed_map: memoryview, shape: tuple[int, int]) -> None:
         self._computed_map = computed_map
+        self._nothing = memoryview(bytes(computed_map.nbytes))
         self.stamps = [0] * len(STAGES)
         """``perf_counter_ns`` at the end of each of ``STAGES``."""
         self.sequence = 0
@@ -56,7 +55,7 @@ class FrameRecord:
         """Whether an engine ran for this frame."""
         self.map_sequence = 0
         """The frame that the map was computed for."""
-        self.regions: Regions = (WHOLE,)
+        self.regions: Regions = whole(shape)
         """What of the map is computed."""
         self.electrodes: tuple[str, ...] = ()
         """Those that are not well."""
@@ -79,7 +78,7 @@ class FrameRecord:
     @property
     def map(self) -> memoryview:
         """The map as float32, little-endian; the next frame overwrites it."""
-        return NOTHING if self.solver == "none" else self._computed_map
+        return self._nothing if self.solver == "none" else self._computed_map
 
     def note(self, *events: str) -> None:
         """Add what happened at this frame."""

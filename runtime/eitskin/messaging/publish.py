@@ -9,7 +9,7 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
 
     b""                            everything, always
     b"\xde"                        every frame, and then one of each:
-    b"eitskin/region/0/30/0/45"    the rows and columns that are needed
+    b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
     b"eitskin/unchanged"           ... or b"eitskin/always"
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
@@ -27,7 +27,8 @@ from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region, Regions, union
+from eitskin.messaging.regions import ALWAYS, UNCHANGED, Region, Regions, union, whole
+from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
 """Frames that wait for one subscriber at most: 2 s at 200 frames/s, 2.4 MB."""
@@ -38,6 +39,11 @@ LARGEST_SUBSCRIPTION: Final = 512
 QUEUE_SUBSCRIPTIONS: Final = 2
 """Subscription messages of one connection that wait within libzmq. It reads until none waits: with more, a flood keeps
 it reading within one call for a quarter of a second. With 1, CURVE's handshake does not end (libzmq 4.3.5)."""
+
+BUFFER_BYTES: Final = 1024
+"""Of subscriptions that the kernel keeps for one connection until they are read (Linux takes 2304). What lies there is
+read even after the connection was ended, and every message of it waits within libzmq to be taken: left to itself the
+buffer grows to megabytes, and a flood of connections left 15 MiB more in memory every 10 s; so it is 4.5 in all."""
 
 MOST_AT_ONCE: Final = 512
 """Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400."""
@@ -54,20 +60,23 @@ class Publisher:
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
         keys: CURVE keys, needed for TCP beyond loopback.
+        shape: Rows and columns of the maps that are published.
 
     Raises:
         EndpointError: The endpoint is not allowed like this, or in use.
     """
 
-    def __init__(self, endpoint: str, keys: ServerKeys | None = None) -> None:
+    def __init__(
+        self, endpoint: str, keys: ServerKeys | None = None, shape: tuple[int, int] = PAPER.grid.shape
+    ) -> None:
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._keys = keys
+        self._keys, self._shape = keys, shape
         self.dropped = 0
         """Frames that the socket did not take."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
-        self.regions: Regions = (WHOLE,)
+        self.regions: Regions = whole(shape)
         """What of the map all subscribers together need."""
         self.takes_short = False
         """Whether every subscriber does without a map that has not changed."""
@@ -85,6 +94,7 @@ class Publisher:
         self._send = super(zmq.Socket, self._socket).send  # without the wrapper, which is for other kinds of sockets
         self._socket.setsockopt(zmq.SNDHWM, QUEUE_FRAMES)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_SUBSCRIPTIONS)
+        self._socket.setsockopt(zmq.RCVBUF, BUFFER_BYTES)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_SUBSCRIPTION)
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -122,9 +132,10 @@ class Publisher:
         self._topics.changed = False
         topics = self.topics
         plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
-        declared = [region for topic in topics if (region := Region.from_topic(topic)) is not None]
+        found = (Region.from_topic(topic, self._shape) for topic in topics)
+        declared = [region for region in found if region is not None]
         self.wanted = plain or FIRST_BYTE in topics
-        self.regions = (WHOLE,) if plain else union(declared)
+        self.regions = whole(self._shape) if plain else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.joined = True
 

@@ -25,7 +25,9 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import FIRST_BYTE, Frame, MapMissing, unpack_frame
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region
+from eitskin.messaging.regions import ALWAYS, EVERYWHERE, UNCHANGED, WHOLE, Region, other_skin
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MODES: Final = ("latest", "all")
 
@@ -34,7 +36,7 @@ _POLLIN: Final = int(zmq.POLLIN)
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
-LARGEST_TAKEN: Final = 65536
+LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
 
 PATIENCE_S: Final = 1.0
@@ -59,6 +61,7 @@ class Subscription:
             ever from the start.
         max_age_s: Oldest frame that is good enough; None takes any.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
+        skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
@@ -75,6 +78,7 @@ class Subscription:
         timeout_s: float | None = None,
         max_age_s: float | None = None,
         region_mm: tuple[float, float, float, float] | None = None,
+        skin: SkinDescription | None = None,
         skip_unchanged: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
@@ -83,7 +87,8 @@ class Subscription:
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        self.region = WHOLE if region_mm is None else Region.from_mm(*region_mm)
+        self._grid = None if region_mm is None else (skin or PAPER).grid
+        self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, (skin or PAPER).grid)
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
         modest = region_mm is not None or skip_unchanged
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
@@ -121,8 +126,8 @@ class Subscription:
             keys.apply(self._socket)
         # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
         # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
-        declared = [self.region.topic, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]
-        for topic in declared:
+        needed = WHOLE if region_mm is None else self.region.topic
+        for topic in [needed, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         try:
             self._socket.connect(self.endpoint)
@@ -138,6 +143,7 @@ class Subscription:
         Raises:
             NoFrame: None came in time; the text says whether anybody is there, and what to do.
             StaleFrame: One came, but it is older than ``max_age_s``.
+            MismatchError: A region is needed, and the maps are another skin's.
         """
         timeout_ms = self._timeout_ms if self.received else self._first_ms
         deadline_ns = time.perf_counter_ns() + timeout_ms * 1_000_000
@@ -178,6 +184,8 @@ class Subscription:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
+                if self._grid is not None and frame.map.shape != self._grid.shape:
+                    raise other_skin(self.endpoint, frame.map.shape, self._grid)
             if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
                 if frame is not None:
                     self._count(frame)
@@ -247,6 +255,7 @@ def subscribe(
     timeout_s: float | None = None,
     max_age_s: float | None = None,
     region_mm: tuple[float, float, float, float] | None = None,
+    skin: SkinDescription | None = None,
     skip_unchanged: bool = False,
     keys: ClientKeys | None = None,
 ) -> Subscription:
@@ -260,6 +269,7 @@ def subscribe(
             for ever; ``math.inf`` waits for ever from the start, for a runtime that is started later.
         max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
+        skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         keys: CURVE keys for TCP beyond loopback.
 
@@ -273,6 +283,7 @@ def subscribe(
         timeout_s=timeout_s,
         max_age_s=max_age_s,
         region_mm=region_mm,
+        skin=skin,
         skip_unchanged=skip_unchanged,
         keys=keys,
     )

@@ -3,8 +3,8 @@
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import Geometry
-from eitskin_proto.sensor.grid import N_PIXELS
 from eitskin_proto.sensor.table import N_ROWS
 
 
@@ -12,21 +12,21 @@ class Buffers:
     """The memory that all engines share.
 
     Args:
-        bias_width: H.
+        bundle: Says how wide the bias and how large the map is.
         change: (104,) memory for dV that somebody else reads as well; None makes it.
     """
 
     __slots__ = ("bias", "change", "log_predicted", "map", "revision")
 
-    def __init__(self, bias_width: int, change: npt.NDArray[np.float32] | None = None) -> None:
+    def __init__(self, bundle: Bundle, change: npt.NDArray[np.float32] | None = None) -> None:
         self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
         """(1, 104) dV of the frame."""
-        self.bias = np.zeros((1, bias_width), dtype=np.float32)
+        self.bias = np.zeros((1, bundle.bias_width), dtype=np.float32)
         """(1, H)."""
         self.log_predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         """(1, 104)."""
-        self.map = np.zeros((1, N_PIXELS), dtype=np.float32)
-        """(1, 1350) the result."""
+        self.map = np.zeros((1, bundle.skin.grid.n_pixels), dtype=np.float32)
+        """(1, pixels) the result."""
         self.revision = 0
         """Of the cloud in use."""
 

@@ -3,7 +3,8 @@
 ::
 
     NAME.eitskin (ZIP)
-      manifest.json     format, version, protocol_id, grid_id, labels, recipe, seeds, metrics, sha256 of every file
+      manifest.json     format, version, ids, labels, recipe, seeds, metrics, sha256 of every file
+      skin.toml         which skin it is for (optional; without it, the paper's, whose sizes stand below)
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
       head_int8.onnx    the same, dynamic int8 (optional)
@@ -26,14 +27,14 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, MismatchError
+from eitskin.model.bundle_skin import skin_of
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
 from eitskin_proto.files.reading import FileError, opened, parse_json
-from eitskin_proto.sensor.grid import N_PIXELS
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin as SkinDescription
 
 FORMAT: Final = "eitskin-bundle"
 VERSION: Final = 1
@@ -98,6 +99,8 @@ class Bundle:
     files: Mapping[str, bytes]
     id: str
     """16 hex digits."""
+    skin: SkinDescription
+    """Which skin it was made for."""
 
     def __repr__(self) -> str:
         return f"<Bundle {self.id} of {self.labels} labels: {self.path}>"
@@ -118,7 +121,7 @@ class Bundle:
         return "log_predicted" in self.manifest["head"]["inputs"]
 
     def tikhonov(self) -> npt.NDArray[np.float32]:
-        """Return the (1350, 104) projection.
+        """Return the (pixels, 104) projection.
 
         Raises:
             BundleError: It has another shape or type, or is not finite.
@@ -127,9 +130,10 @@ class Bundle:
             matrix = parse_npy(self.files["tikhonov.npy"], "tikhonov.npy")
         except FileError as error:
             raise BundleError(f"{self.path}: {error}; {EXPORT_HINT}") from error
-        if matrix.shape != (N_PIXELS, N_ROWS) or matrix.dtype.kind != "f":
+        expected = self.skin.grid.n_pixels, N_ROWS
+        if matrix.shape != expected or matrix.dtype.kind != "f":
             found = f"{matrix.shape} {matrix.dtype}"
-            raise BundleError(f"tikhonov.npy: found {found}, expected ({N_PIXELS}, {N_ROWS}) float32; {EXPORT_HINT}")
+            raise BundleError(f"tikhonov.npy: found {found}, expected {expected} float32; {EXPORT_HINT}")
         if not np.isfinite(matrix).all():
             raise BundleError(f"tikhonov.npy: holds values that are not finite; {EXPORT_HINT}")
         return np.ascontiguousarray(matrix, dtype=np.float32)
@@ -177,24 +181,24 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
 
     Raises:
         BundleError: It cannot be read, is damaged or incomplete.
-        MismatchError: It was made for another format version, protocol_id or grid_id.
+        MismatchError: It is of another format version or protocol_id, or its ids are not those of its skin.
     """
     where = default_path() if path is None else Path(path)
     with _Opened(where) as archive:
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = _manifest(raw, where)
-    _check_ids(manifest, where)
     missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
         raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")
     if (claimed := sum(sizes[name] for name in manifest["files"])) > LARGEST_BUNDLE:
         raise BundleError(f"{where} claims {claimed} bytes, expected at most {LARGEST_BUNDLE}; {EXPORT_HINT}")
     files = Files(where, {name: str(entry["sha256"]) for name, entry in manifest["files"].items()})
+    skin = skin_of(manifest, files, where, EXPORT_HINT)
     if not lazily:
         for name in files:
             files[name]
-    return Bundle(where, manifest, files, id_of(raw))
+    return Bundle(where, manifest, files, id_of(raw), skin)
 
 
 class _Opened:
@@ -273,10 +277,3 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
     if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
         return f"head.bias found {quoted(bias)}, expected a width from 1 to 65536"
     return None
-
-
-def _check_ids(manifest: dict[str, Any], where: Path) -> None:
-    for name, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
-        if manifest.get(name) != expected:
-            hint = f"take a bundle of this release, or {EXPORT_HINT}"
-            raise MismatchError(f"{where}: {name}", found=stated(manifest.get(name)), expected=expected, hint=hint)

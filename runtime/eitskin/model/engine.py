@@ -18,7 +18,6 @@ from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, onnxruntime, open_session
-from eitskin_proto.sensor.grid import N_PIXELS
 
 HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx"}
 """What frames call a head, and its file."""
@@ -150,7 +149,7 @@ class MaskedEngine:
         self.name = engine.name
         self._engine = engine
         self._map = buffers.map[0]
-        self._kept = np.zeros(N_PIXELS, dtype=np.float32)
+        self._kept = np.zeros(self._map.shape, dtype=np.float32)
         self._kept[pixels] = 1.0
 
     def infer(self) -> None:
@@ -211,7 +210,7 @@ def default_solver(bundle: Bundle) -> str:
         flipped = float(bundle.manifest["metrics"]["int8"]["flipped"])
     except (KeyError, TypeError, ValueError, OverflowError):
         flipped = 1.0
-    return QUANTISED if QUANTISED in names and 0.0 <= flipped < 1.0 / N_PIXELS else names[0]
+    return QUANTISED if QUANTISED in names and 0.0 <= flipped < 1.0 / bundle.skin.grid.n_pixels else names[0]
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
@@ -221,6 +220,6 @@ def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.ND
 
     graph = bundle.files[file]
     try:
-        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, N_PIXELS))
+        return HeadEngine(bundle, file, name, buffers, pixels, cut(graph, pixels, bundle.skin.grid.shape))
     except (UncutError, LookupError, ValueError, TypeError, StopIteration):  # a graph that was built in another way
         return MaskedEngine(HeadEngine(bundle, file, name, buffers), buffers, pixels)

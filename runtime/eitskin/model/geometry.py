@@ -14,7 +14,7 @@ from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, open_session
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.cloud import network_input
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,6 +43,7 @@ class GeometryGraph:
 
     def __init__(self, bundle: Bundle) -> None:
         self._bundle = bundle
+        self._grid = bundle.skin.grid
         self._session: Any = None
         self._open()
 
@@ -50,7 +51,7 @@ class GeometryGraph:
         if self._session is None:
             bundle = self._bundle
             self._session = open_session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
-            expected = {"cloud": (1, 3, 30, 45)}
+            expected = {"cloud": (1, *self._grid.cloud_shape)}
             check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
         return self._session
 
@@ -64,7 +65,7 @@ class GeometryGraph:
         """Return what a cloud means to the head.
 
         Args:
-            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
             log_predicted: (104,) of :func:`eitskin.reference.predicted.log_ratio`; None for zeros.
             revision: Number of this cloud.
 
@@ -72,7 +73,7 @@ class GeometryGraph:
             BundleError: The graph cannot be computed.
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
-        points = flushed(network_input(flat_cloud() if cloud is None else cloud))
+        points = flushed(network_input(self._grid.flat_cloud_mm() if cloud is None else cloud, self._grid))
         try:
             bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
         except BundleError:

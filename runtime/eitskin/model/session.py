@@ -22,7 +22,7 @@ from eitskin.model.bundle import EXPORT_HINT, Bundle  # noqa: E402
 from eitskin.model.onnx.allowed import check_graph  # noqa: E402
 from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
 from eitskin_proto.files.plain import plain  # noqa: E402
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID  # noqa: E402
+from eitskin_proto.sensor.ids import PROTOCOL_ID  # noqa: E402
 
 __all__ = ["NO_TELEMETRY", "check_signature", "first_line", "onnxruntime", "open_session"]
 
@@ -59,7 +59,7 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
     if hasattr(session, "_model_bytes"):
         session._model_bytes = b""  # kept for a change of provider, which never comes: as many bytes as the weights
     metadata = session.get_modelmeta().custom_metadata_map
-    for key, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    for key, expected in (("protocol_id", PROTOCOL_ID), ("grid_id", bundle.skin.grid_id)):
         if metadata.get(key, expected) != expected:
             raise MismatchError(f"{file}: {key}", found=metadata[key], expected=expected, hint=EXPORT_HINT)
     return session

@@ -11,7 +11,6 @@ from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.plausible import check_prediction
 from eitskin.reference.predicted import log_ratio
-from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.sheet_cloud import check_sheet
 
 
@@ -43,7 +42,7 @@ class CloudChange:
         """Use a surface from the next frame on, and return its revision; from any thread.
 
         Args:
-            cloud: (3, 30, 45) mm in any pose; None for the flat sheet.
+            cloud: (3, rows, columns) mm in any pose; None for the flat sheet.
             predicted: (104,) V of this surface untouched; None for no prediction.
             predicted_flat: (104,) V of the flat sheet by the same model; None takes the reference.
             reference: What frames are held against.
@@ -52,11 +51,13 @@ class CloudChange:
             ValueError: The cloud or the voltages are malformed, or cannot be of this sheet; with value and bound.
             BadReference: There is a prediction, but nothing to hold it against.
         """
+        skin = self._pipeline.skin
         if cloud is not None:
-            cloud, _ = check_sheet(cloud)
+            cloud, _ = check_sheet(cloud, skin)
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
-            check_prediction(flat_cloud() if cloud is None else cloud, predicted, predicted_flat, reference)
+            surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
+            check_prediction(surface, predicted, predicted_flat, reference, skin)
             against = predicted_flat
             if against is None:
                 if reference is None:

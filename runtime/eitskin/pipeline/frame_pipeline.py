@@ -17,7 +17,7 @@ from eitskin.errors import BundleError
 from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import Health
 from eitskin.messaging.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
-from eitskin.messaging.regions import WHOLE, Regions
+from eitskin.messaging.regions import Regions, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine
@@ -30,6 +30,7 @@ from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource, RegionEngines
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.answers import Hello
 
 CLOUD_UNCHANGED: Final = ("geometry:cloud_unchanged",)
@@ -52,6 +53,7 @@ class Pipeline:
         skip_unchanged: Whether a touched frame keeps the map of an earlier one if only noise lies between them.
         health: Watches over electrodes and drift; None where the bundle cannot.
         idle_gate: Judges frames of a few drives; without one they are withheld.
+        skin: The one in use, if it is known better than when the bundle was made; None for the bundle's.
 
     Raises:
         BundleError: A solver of the bundle cannot be used.
@@ -69,15 +71,21 @@ class Pipeline:
         skip_unchanged: bool = False,
         health: Health | None = None,
         idle_gate: IdleGate | None = None,
+        skin: SkinDescription | None = None,
     ) -> None:
+        self.skin = bundle.skin if skin is None else skin
+        """The one in use."""
+        grid = bundle.skin.grid
+        self.whole = whole(grid.shape)
+        """What is computed unless somebody wants less."""
         arrays = bundle.gate_arrays()
         self._gate = Gate(arrays) if arrays is not None else None
-        self.audit = GateAudit(audit_pixels(arrays))
+        self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
-        self.buffers = Buffers(bundle.bias_width, None if self._gate is None else self._gate.change)
+        self.buffers = Buffers(bundle, None if self._gate is None else self._gate.change)
         self._change = self.buffers.change[0]
-        self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"))
+        self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"), grid.shape)
         """The frame in hand; the next one overwrites it."""
         self.intake = Intake(hello, self.record, None if idle_gate is None else idle_gate.drives)
         self.front_end = FrontEndWatch(hello.sample_bytes, self.intake, idle_gate)
@@ -244,7 +252,7 @@ class Pipeline:
         if found is not None:
             self._next_engines = None
             self.maps.use(found)
-            self._skipped_new = () if found.regions == (WHOLE,) else ("map:region",)
+            self._skipped_new = () if found.regions == self.whole else ("map:region",)
             self._skipped = (*self._skipped_new, *CLOUD_UNCHANGED)
             if self.health is not None:
                 self.maps.change_projection(self.health.projection)

@@ -16,7 +16,6 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin_proto.sensor.grid import N_PIXELS
 
 AUDIT_FRAMES: Final = 50
 """Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
@@ -25,8 +24,12 @@ STRONG_VALUE: Final = 0.5
 """A pixel above it is touched."""
 
 
-def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None) -> int | None:
+def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None, n_pixels: int) -> int | None:
     """Return how many pixels make a strong touch, by a bundle's gate.npz, or None if it does not say.
+
+    Args:
+        arrays: Of gate.npz.
+        n_pixels: Of a map.
 
     Raises:
         BundleError: It says nonsense.
@@ -34,9 +37,9 @@ def audit_pixels(arrays: Mapping[str, npt.NDArray[np.generic]] | None) -> int | 
     if arrays is None or "audit_pixels" not in arrays:
         return None
     found = np.asarray(arrays["audit_pixels"])
-    if found.size != 1 or found.dtype.kind not in "iu" or not 1 <= int(found.reshape(-1)[0]) <= N_PIXELS:
+    if found.size != 1 or found.dtype.kind not in "iu" or not 1 <= int(found.reshape(-1)[0]) <= n_pixels:
         raise BundleError(
-            f"gate.npz: audit_pixels is {found.tolist()}, expected one whole number from 1 to {N_PIXELS}; make the "
+            f"gate.npz: audit_pixels is {found.tolist()}, expected one whole number from 1 to {n_pixels}; make the "
             "bundle again with 'eitskin export'"
         )
     return int(found.reshape(-1)[0])
@@ -47,13 +50,14 @@ class GateAudit:
 
     Args:
         pixels: A map with at least so many pixels above ``STRONG_VALUE`` shows a strong touch; None to look at none.
+        n_pixels: Of a map.
     """
 
     __slots__ = ("_above", "_pixels", "_since_look", "_suspicious", "overruled")
 
-    def __init__(self, pixels: int | None) -> None:
+    def __init__(self, pixels: int | None, n_pixels: int) -> None:
         self._pixels = pixels
-        self._above = np.zeros(N_PIXELS, dtype=np.bool_)
+        self._above = np.zeros(n_pixels, dtype=np.bool_)
         self._since_look = 0
         self._suspicious = False
         self.overruled = 0
@@ -73,7 +77,7 @@ class GateAudit:
         """Return whether the map of a frame that was to be looked at shows a strong touch.
 
         Args:
-            touch_map: (1350,) of a network; a projection's is scaled to 1 whatever it shows, and says nothing.
+            touch_map: (pixels,) of a network; a projection's is scaled to 1 whatever it shows, and says nothing.
         """
         np.greater(touch_map, STRONG_VALUE, out=self._above)
         self._suspicious = self._pixels is not None and int(np.count_nonzero(self._above)) >= self._pixels

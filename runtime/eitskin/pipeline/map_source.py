@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BudgetError
 from eitskin.messaging.frame_record import FrameRecord
-from eitskin.messaging.regions import WHOLE, Regions, pixels
+from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine, ProjectionEngine, engines
@@ -73,7 +73,7 @@ class MapSource:
         self._buffers, self._record = buffers, record
         self._change = buffers.change[0]
         self.map = buffers.map[0]
-        """(1350,) what was computed last."""
+        """(pixels,) what was computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
         self._whole = self.engines
         self._stillness = Stillness() if skip_unchanged else None
@@ -118,10 +118,11 @@ class MapSource:
             bundle: The one that this was made with.
             regions: Of which the union is computed.
         """
-        if regions == (WHOLE,):
+        shape = bundle.skin.grid.shape
+        if regions == whole(shape):
             return RegionEngines(regions, self._whole)
         best, alone = self._whole[0].name, len(self._whole) == 1
-        return RegionEngines(regions, engines(bundle, self._buffers, pixels(regions), best=best, alone=alone))
+        return RegionEngines(regions, engines(bundle, self._buffers, pixels(regions, shape), best=best, alone=alone))
 
     def use(self, found: RegionEngines) -> None:
         """Compute other regions from this frame on."""

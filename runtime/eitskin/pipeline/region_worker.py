@@ -12,7 +12,7 @@ import threading
 from typing import Final
 
 from eitskin.errors import BundleError
-from eitskin.messaging.regions import WHOLE, Regions
+from eitskin.messaging.regions import Regions
 from eitskin.pipeline.frame_pipeline import Pipeline
 
 REST_S: Final = 0.5
@@ -32,7 +32,7 @@ class RegionWorker:
     def __init__(self, pipeline: Pipeline) -> None:
         self._pipeline = pipeline
         self._lock = threading.Lock()
-        self._wanted: Regions = (WHOLE,)
+        self._wanted: Regions = pipeline.whole
         self._thread: threading.Thread | None = None
         self._closing = threading.Event()
         self.made = 0
@@ -62,7 +62,7 @@ class RegionWorker:
                 self._pipeline.use_regions(wanted)
                 self.failure = ""
             except (BundleError, MemoryError) as error:
-                self._pipeline.use_regions((WHOLE,))
+                self._pipeline.use_regions(self._pipeline.whole)
                 self.failure = str(error)
             made = wanted
             self.made += 1

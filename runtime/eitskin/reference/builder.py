@@ -13,6 +13,7 @@ from eitskin.reference.front_end import Sameness
 from eitskin.reference.judged import Yardstick, accept, judge
 from eitskin.reference.movement import Movement
 from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.answers import Hello
 
 MOST_UNFIT: Final = 200
@@ -24,14 +25,17 @@ class ReferenceBuilder:
 
     Args:
         frames: How many to take, at least 2.
+        skin: Whose reference it is.
     """
 
-    __slots__ = ("_delta", "_mean", "_movement", "_product", "_sameness", "_squares", "_unfit", "frames", "taken")
+    __slots__ = (
+        "_delta", "_mean", "_movement", "_product", "_sameness", "_skin", "_squares", "_unfit", "frames", "taken",
+    )  # fmt: skip
 
-    def __init__(self, frames: int) -> None:
+    def __init__(self, frames: int, skin: Skin = PAPER) -> None:
         if frames < 2:
             raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2")
-        self.frames = frames
+        self.frames, self._skin = frames, skin
         self.taken = 0
         self._mean = np.zeros(N_ROWS)
         self._squares = np.zeros(N_ROWS)
@@ -100,6 +104,8 @@ class ReferenceBuilder:
             configuration_digest=hello.configuration_digest,
             configuration_name=hello.configuration_name,
             captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            grid_id=self._skin.grid_id,
+            skin_digest=self._skin.digest,
         )
         against = yardstick or Yardstick()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)

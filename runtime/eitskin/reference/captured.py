@@ -1,11 +1,13 @@
 """The one reference: the mean of N frames of the flat, untouched sheet, with their spread and where they come from.
 
-Every dV divides by it, so it belongs to one device in one configuration; another serial number or digest is refused.
+Every dV divides by it, so it belongs to one device in one configuration, and to one skin; another serial number or
+digest is refused.
 It is kept as JSON with a checksum, written to a new file that then takes the old one's name: a power cut leaves the
 old reference or the new one, never half of one. ::
 
-    {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "serial_number", "configuration_digest",
-     "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104], "sha256"}
+    {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "skin_digest", "serial_number",
+     "configuration_digest", "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104],
+     "sha256"}
 
 A row whose voltage is under a ten-thousandth of the largest, or that does not stand out of its own noise, is *weak*: it
 carries nothing, is filled in from the others (:mod:`eitskin.reference.row_noise`), and is named wherever a reference is
@@ -27,8 +29,10 @@ from eitskin_proto.files.digest import sha256_of_values
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, is_whole, parse_json, read_bytes, text_of
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.answers import Hello
 
 FORMAT: Final = "eitskin-reference"
@@ -61,6 +65,9 @@ class Reference:
     """Wall clock, for people."""
     judgement: Judgement | None = None
     """What was found when it was captured; not stored."""
+    grid_id: str = PAPER.grid_id
+    skin_digest: str = PAPER.digest
+    """Whose reference it is."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
@@ -75,7 +82,8 @@ class Reference:
         relative = self.spread_V / np.maximum(np.abs(self.voltages_V), SMALLEST_V)
         lines = [
             f"reference: {self.frames} frames of {self.serial_number}, configuration {self.configuration_name}/"
-            f"{self.configuration_digest:08x}, captured {self.captured_utc}, median spread {np.median(relative):.2%}"
+            f"{self.configuration_digest:08x}, skin {self.skin_digest}, captured {self.captured_utc}, median spread "
+            f"{np.median(relative):.2%}"
         ]
         if self.weak.size:
             names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
@@ -96,6 +104,18 @@ class Reference:
         """Return what a control request for a reference is answered with."""
         found = {} if self.judgement is None else self.judgement.fields()
         return {"frames": self.frames, "weak_rows": self.weak.tolist(), **found}
+
+    def check_skin(self, skin: Skin) -> None:
+        """Refuse a reference of another skin.
+
+        Args:
+            skin: The one in use.
+
+        Raises:
+            MismatchError: With what was found, expected, and the command that captures a new one.
+        """
+        hint = "capture one of this skin: eitskin reference --port PORT --bundle BUNDLE --out FILE"
+        check_made_for("reference", skin, grid_id=self.grid_id, skin_digest=self.skin_digest, hint=hint)
 
     def check(self, hello: Hello) -> None:
         """Refuse a reference of another device or configuration.
@@ -131,7 +151,8 @@ def save(reference: Reference, path: str | Path) -> None:
         "format": FORMAT,
         "version": VERSION,
         "protocol_id": PROTOCOL_ID,
-        "grid_id": GRID_ID,
+        "grid_id": reference.grid_id,
+        "skin_digest": reference.skin_digest,
         "serial_number": reference.serial_number,
         "configuration_digest": f"{reference.configuration_digest:08x}",
         "configuration_name": reference.configuration_name,
@@ -150,12 +171,16 @@ def save(reference: Reference, path: str | Path) -> None:
         raise BadReference(f"{where} cannot be written: {error.strerror or error}") from error
 
 
-def load(path: str | Path) -> Reference:
+def load(path: str | Path, skin: Skin | None = None) -> Reference:
     """Return the reference of a file.
+
+    Args:
+        path: The file.
+        skin: Whose it must be; None for anybody's.
 
     Raises:
         BadReference: It cannot be read, is damaged, or holds values that cannot be used.
-        MismatchError: It was made for another version, protocol_id or grid_id.
+        MismatchError: It is of another version or protocol_id, or of another skin.
     """
     where = Path(path)
     hint = f"capture it again: eitskin reference --port PORT --out {where}"
@@ -171,11 +196,14 @@ def load(path: str | Path) -> Reference:
         raise BadReference(f"reference {where} is damaged: it {error}; {hint}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadReference(f"{where} is no reference; {hint}")
-    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID)):
+    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID)):
         if content.get(name) != expected:
             raise MismatchError(
                 f"reference {where}: {name}", found=stated(content.get(name)), expected=expected, hint=hint
             )
+    if skin is not None:
+        ids = {name: content.get(name) for name in ("grid_id", "skin_digest")}
+        check_made_for(f"reference {where}", skin, **ids, hint=f"{hint}, with a bundle of this skin")
     claimed = content.pop("sha256", None)
     try:
         found = sha256_of_values(content)
@@ -194,12 +222,28 @@ def load(path: str | Path) -> Reference:
             configuration_digest=int(text_of(content["configuration_digest"], 8, "configuration_digest"), 16),
             configuration_name=text_of(content["configuration_name"], 16, "configuration_name"),
             captured_utc=text_of(content["captured_utc"], 64, "captured_utc"),
+            grid_id=text_of(content["grid_id"], 16, "grid_id"),
+            skin_digest=text_of(content.get("skin_digest", PAPER.digest), 16, "skin_digest"),
         )
         lost_rows(reference.voltages_V, reference.spread_V)  # refuses voltages of no front end
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise BadReference(f"reference {where} is malformed ({error}); {hint}") from error
     if not float(np.abs(reference.voltages_V).max()) >= SMALLEST_V:
         raise BadReference(f"reference {where}: no row reaches {SMALLEST_V:g} V; {hint}")
+    return reference
+
+
+def taken(reference: Reference | str | Path | None, skin: Skin) -> Reference | None:
+    """Return a reference of this skin, read from a file if that is what it is.
+
+    Raises:
+        BadReference: See :func:`load`.
+        MismatchError: See :func:`load`.
+    """
+    if isinstance(reference, str | Path):
+        return load(reference, skin)
+    if reference is not None:
+        reference.check_skin(skin)
     return reference
 
 

@@ -11,6 +11,9 @@ deformations do was measured on 810 of them (the paper's ten, 400 draws each of 
 The second is 0.08 log(stretch along x) + 1.88 log(stretch along y): sixteen electrodes are nearer to each other across
 the sheet than along it. It tells a prediction of another scale; one of another cloud mostly passes.
 
+That is the paper's skin, 1.5 times as long as wide; of other proportions the two numbers are interpolated, since a
+sheet that is 1.5 times as wide as long has them exchanged. A gauge factor adds itself to both.
+
 Where the captured reference stands in for V_flat, the device's gain and current come in, and its contacts: bounds are
 then 3 times as wide, and all rows may have the other sign. Where both are given, the model's flat sheet is held
 against the captured one: with a common factor taken out, the median row of an honest device is within 8 % (electrodes
@@ -25,8 +28,8 @@ import numpy.typing as npt
 
 from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import check_voltages
-from eitskin_proto.sensor.grid import PITCH_MM
 from eitskin_proto.sensor.normalise import weak_rows
+from eitskin_proto.skin.skin import PAPER, Skin
 
 Array = npt.NDArray[np.float64]
 
@@ -53,14 +56,16 @@ def check_prediction(
     predicted: npt.ArrayLike,
     predicted_flat: npt.ArrayLike | None,
     captured: Reference | None,
+    skin: Skin = PAPER,
 ) -> None:
     """Refuse a prediction that cannot be of this cloud or this device.
 
     Args:
-        cloud: (3, 30, 45) mm, of this sheet.
+        cloud: (3, rows, columns) mm, of this sheet.
         predicted: (104,) V, of this cloud, by the forward model.
         predicted_flat: (104,) V, of the flat sheet, by the same model; None takes the captured reference.
         captured: The device's reference; None if there is none.
+        skin: Whose surface it is.
 
     Raises:
         ValueError: With what was found, what was expected and what to do.
@@ -74,20 +79,32 @@ def check_prediction(
     if against is None:
         return
     with np.errstate(all="ignore"):  # what is infinite is beyond every bound
-        _check(cloud, found, against, model, device)
+        _check(_explained(cloud, skin), found, against, model, device)
 
 
-def _check(cloud: npt.ArrayLike, found: Array, against: Array, model: Array | None, device: Array | None) -> None:
+def _check(explained: float, found: Array, against: Array, model: Array | None, device: Array | None) -> None:
     name, wider = ("the captured reference", WIDER) if model is None else ("predicted_flat", 1.0)
-    _check_level(found, against, name, wider, _explained(cloud))
+    _check_level(found, against, name, wider, explained)
     if model is not None and device is not None:
         _check_shape(model, device)
 
 
-def _explained(cloud: npt.ArrayLike) -> float:
+def _explained(cloud: npt.ArrayLike, skin: Skin) -> float:
+    """Return what the cloud's size is worth in the median log ratio."""
     points = np.asarray(cloud, dtype=np.float64)
-    stretch = [np.linalg.norm(np.diff(points, axis=axis), axis=0).mean() / PITCH_MM for axis in (2, 1)]
-    return float(np.dot(EXPLAINED, np.log(stretch)))
+    dx, dy = skin.grid.pixel_mm
+    stretch = [
+        np.linalg.norm(np.diff(points, axis=axis), axis=0).mean() / pitch_mm for axis, pitch_mm in ((2, dx), (1, dy))
+    ]
+    return float(np.dot(_exponents(skin), np.log(stretch)))
+
+
+def _exponents(skin: Skin) -> Array:
+    """Return what the logarithms of the mean stretch along x and y count."""
+    (length, width), (long, wide) = skin.outline.size_mm, PAPER.outline.size_mm
+    share = (1.0 + float(np.clip(np.log(length / width) / np.log(long / wide), -1.0, 1.0))) / 2.0
+    along, across = np.array(EXPLAINED), np.array(EXPLAINED[::-1])
+    return np.asarray(share * along + (1.0 - share) * across + float(skin.layer.gauge_factor.nominal(1)[0]))
 
 
 def _check_level(found: Array, against: Array, name: str, wider: float, explained: float) -> None:

@@ -197,13 +197,12 @@ def read_bundle(path: Path) -> None:
 
     found = load_bundle(path)
     repr(found)
-    buffers = Buffers(found.bias_width)
+    buffers = Buffers(found)
     geometry = GeometryGraph(found).geometry(None, None, 0)
     buffers.take(geometry)
     buffers.change[:] = 0.01
-    maps = MapSource(
-        found, buffers, FrameRecord(memoryview(buffers.map[0]).cast("B")), None, solver=None, skip_unchanged=False
-    )
+    record = FrameRecord(memoryview(buffers.map[0]).cast("B"), found.skin.grid.shape)
+    maps = MapSource(found, buffers, record, None, solver=None, skip_unchanged=False)
     if maps.infer() and not np.isfinite(maps.map).all():
         raise AssertionError("a map that is not finite would be published")
     maps.use(maps.for_regions(found, (Region(2, 3, 4, 5),)))

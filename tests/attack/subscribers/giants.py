@@ -9,6 +9,7 @@ from contextlib import closing
 
 import eitskin
 from eitskin.messaging.frame_packer import FramePacker
+from eitskin_proto.skin.skin import PAPER
 
 from ..outcome import Effort, Outcome
 from ..zmtp.host import Host
@@ -33,7 +34,7 @@ def giant_messages(effort: Effort) -> Outcome:
 
 
 def _one(outcome: Outcome, mode: str, evil: bytes, what: str, *, counted: bool, greeting: bytes = GREETING) -> None:
-    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r")
+    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)
     packer.put_texts("vd2t", (), ())
     good = packed(bytes(packer.message()))
 

@@ -5,8 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor import grid as paper_grid
-from eitskin_proto.sensor.ids import GRID_ID
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.parts import Layer, Map, Outline, Ring, Touches
 from eitskin_proto.skin.quantity import Quantity
@@ -19,12 +17,15 @@ LARGE = Skin(
 
 
 def test_the_paper_s_skin_has_the_id_and_the_grid_that_every_artefact_carries():
-    assert PAPER.grid_id == GRID_ID
+    assert PAPER.grid_id == "ef41b0aa6e17eb61"
     assert PAPER.touch_kind == "raising"
-    np.testing.assert_array_equal(PAPER.grid.pixel_centres_mm(), paper_grid.pixel_centres_mm())
-    np.testing.assert_array_equal(PAPER.grid.unit_of_pixel, paper_grid.UNIT_OF_PIXEL)
-    assert PAPER.grid.pitch_mm == paper_grid.PITCH_MM
-    assert PAPER.grid.quarter == paper_grid.QUARTER_SHAPE
+    grid = PAPER.grid
+    assert (grid.size_mm, grid.shape, grid.units, grid.quarter) == ((150.0, 100.0), (30, 45), (9, 14), (15, 23))
+    assert grid.pitch_mm == 150.0 / 45
+    rows, columns = np.indices((30, 45))
+    np.testing.assert_array_equal(grid.pixel_centres_mm()[..., 0], (columns + 0.5) * (150.0 / 45))
+    np.testing.assert_array_equal(grid.pixel_centres_mm()[..., 1], (rows + 0.5) * (150.0 / 45))
+    assert sorted(set(np.bincount(grid.unit_of_pixel.ravel()).tolist())) == [9, 12, 16]
 
 
 def test_pixels_and_units_tile_any_sheet():

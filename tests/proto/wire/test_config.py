@@ -23,8 +23,11 @@ def any_configuration(draw):
     idle = draw(st.none() | drives)
     u16, u32 = st.integers(1, 0xFFFF), st.integers(1, 0xFFFFFFFF)
     rate = st.integers(1, 4_000_000_000)
+    skin = draw(st.just("") | st.integers(1, 2**64 - 1).map("{:016x}".format))
+    longest = 8 if skin else 16
     return Configuration(
-        name=draw(st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), min_size=1, max_size=16)),
+        name=draw(st.text(st.characters(min_codepoint=0x20, max_codepoint=0x7E), min_size=1, max_size=longest)),
+        skin=skin,
         revision=draw(u32), hardware_id=hardware.EITSKIN_16.id, frequency_hz=draw(u32), current_ua=draw(u32),
         settle_us=draw(u16), averages=draw(u16), gain=draw(u16), sample_bytes=draw(st.sampled_from([2, 3, 4])),
         rows=rows, drives=draw(drives), rate_mHz=draw(rate), idle_drives=idle or 0,
@@ -45,7 +48,8 @@ def test_value_blob_and_toml_say_the_same(configuration):
 def test_every_field_changes_the_digest():
     for field, value in {"name": "other", "revision": 9, "frequency_hz": 1, "current_ua": 1, "settle_us": 1, "gain": 1,
                          "averages": 1, "sample_bytes": 2, "rows": 208, "drives": 1, "rate_mHz": 1,
-                         "idle_drives": 1, "idle_rate_mHz": 1, "hardware_id": 1}.items():  # fmt: skip
+                         "idle_drives": 1, "idle_rate_mHz": 1, "hardware_id": 1,
+                         "skin": "00000000000000ab"}.items():  # fmt: skip
         assert replace(PAPER, **{field: value}).digest != PAPER.digest
 
 
@@ -149,10 +153,27 @@ def test_a_blob_is_refused_for_what_is_wrong_with_it():
         Configuration.from_blob(blob[:-1] + bytes([blob[-1] ^ 1]))
     with pytest.raises(ProtocolError, match="impossible: rows is 105"):
         Configuration.from_blob(resealed(blob, rows=(5, 105)))
-    with pytest.raises(ProtocolError, match="reserved 1"):
-        Configuration.from_blob(resealed(blob, reserved=(59, 1)))
+    for flags in (2, 3, 0x80):
+        with pytest.raises(ProtocolError, match=f"flags {flags}, expected 64 and 0 or 1"):
+            Configuration.from_blob(resealed(blob, flags=(59, flags)))
+    with pytest.raises(ProtocolError, match="impossible: skin is '0000000000000000'"):
+        Configuration.from_blob(resealed(blob, flags=(59, 1)))
     with pytest.raises(ProtocolError, match="impossible"):
         Configuration.from_blob(resealed(blob, name=(16, 0xC3)))
+
+
+def test_a_skin_shares_the_name_s_place_and_nothing_else_moves():
+    for name in config_toml.NAMED:
+        plain = config_toml.named(name)
+        stated = replace(plain, skin="0123456789abcdef")
+        blob, other = plain.to_blob(), stated.to_blob()
+        assert [at for at in range(60) if blob[at] != other[at]] == [*range(24, 32), 59]
+        assert (other[24:32].hex(), other[59]) == (stated.skin, 1)
+    for skin in ("0" * 16, "0123456789ABCDEF", "12", "0123456789abcdef0", "0123456789abcdeg"):
+        with pytest.raises(ValueError, match=f"skin is {skin!r}, expected a digest of 16 hex digits"):
+            replace(PAPER, skin=skin)
+    with pytest.raises(ValueError, match="name is 'ninechars', expected at most 8 characters beside a skin"):
+        replace(PAPER, name="ninechars", skin="0123456789abcdef")
 
 
 TOML = config_toml.to_toml(PAPER)

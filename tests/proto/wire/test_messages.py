@@ -3,8 +3,10 @@ from dataclasses import FrozenInstanceError, fields, replace
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.second_skin import SECOND
 
 from eitskin_proto.errors import MismatchError, ProtocolError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import codes, messages
 from eitskin_proto.wire.layout import WIDTH
 
@@ -114,13 +116,25 @@ def test_a_wrong_magic_is_no_eitskin_device():
         messages.unpack(bytes(payload))
 
 
-def test_a_device_with_another_table_or_grid_is_refused_with_both_ids():
+def test_a_device_with_another_table_is_refused_with_both_ids():
     HELLO.check()
-    for field in ("protocol_id", "grid_id"):
-        with pytest.raises(MismatchError, match=f"HELLO.{field}: found {'ab' * 8}, expected .*; install") as caught:
-            replace(HELLO, **{field: "ab" * 8}).check()
-        assert caught.value.found == "ab" * 8
-        assert caught.value.expected == getattr(HELLO, field)
+    with pytest.raises(MismatchError, match=f"HELLO.protocol_id: found {'ab' * 8}, expected .*; install") as caught:
+        replace(HELLO, protocol_id="ab" * 8).check()
+    assert caught.value.found == "ab" * 8
+    assert caught.value.expected == HELLO.protocol_id
+
+
+def test_a_device_that_states_another_skin_is_refused_and_one_that_states_none_is_taken():
+    for skin in (PAPER, SECOND):
+        assert HELLO.skin_digest == ""
+        HELLO.check_skin(skin)
+        replace(HELLO, grid_id=skin.digest).check_skin(skin)
+        replace(HELLO, grid_id=skin.digest).check_skin(replace(SECOND, calibrated_from=skin.digest))
+    stated = replace(HELLO, grid_id=SECOND.digest)
+    with pytest.raises(
+        MismatchError, match=rf"skin: found {SECOND.digest}, expected {PAPER.digest} \(paper\); .*flash"
+    ):
+        stated.check_skin(PAPER)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from eitskin.messaging.control import ControlServer
 from eitskin.messaging.curve_keys import make_keys
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
+from eitskin_proto.skin.skin import PAPER
 
 
 class Recorder:
@@ -69,7 +70,7 @@ def raw(server):
 
 @pytest.fixture
 def packer():
-    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r")
+    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)
     packer.put_texts("vd2t", (), ())
     return packer
 

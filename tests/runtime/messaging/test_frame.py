@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import COUNTS, MAP_BYTES, NUMBERS, STAGES, TOUCHED, Frame, unpack_frame
+from eitskin.messaging.frame import COUNTS, NUMBERS, STAGES, TOUCHED, Frame, unpack_frame
 from eitskin.messaging.frame_packer import FramePacker
+from eitskin_proto.skin.skin import PAPER
 
 
 @pytest.fixture
 def packer():
-    return FramePacker(configuration="paper/0000abcd", bundle="0123456789abcdef", serial_number="S-1", run="cafe0001")
+    return FramePacker(
+        configuration="paper/0000abcd",
+        bundle="0123456789abcdef",
+        serial_number="S-1",
+        run="cafe0001",
+        shape=PAPER.grid.shape,
+    )
 
 
 def filled(packer, **numbers):
@@ -70,7 +77,7 @@ def test_any_messagepack_reader_sees_one_plain_map(packer):
     fields = msgpack.unpackb(filled(packer))
     assert fields["v"] == 1
     assert fields["shape"] == [30, 45]
-    assert len(fields["map"]) == MAP_BYTES
+    assert len(fields["map"]) == 5400
     assert set(fields["host_ns"]) == set(STAGES)
 
 
@@ -83,7 +90,7 @@ def test_the_map_of_a_frame_cannot_be_written(packer):
 def test_the_next_frame_overwrites_everything_that_changes(packer):
     filled(packer)
     packer.put("touched", TOUCHED[False])
-    packer.put_map(bytes(MAP_BYTES))
+    packer.put_map(bytes(5400))
     packer.put_texts("none", ("inference:untouched",), ())
     packer.put("seq", 8)
     frame = unpack_frame(bytes(packer.message()), 0)
@@ -110,7 +117,7 @@ def test_every_shortened_message_is_rejected(packer):
 
 def test_no_flipped_bit_outside_the_values_raises_anything_but_frame_error(packer):
     message = filled(packer)
-    head = message.index(b"\xc5" + struct.pack(">H", MAP_BYTES))
+    head = message.index(b"\xc5" + struct.pack(">H", 5400))
     for at in [*range(head + 3), *range(len(message) - 250, len(message))]:
         for bit in range(8):
             damaged = bytearray(message)

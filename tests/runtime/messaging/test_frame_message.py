@@ -7,6 +7,7 @@ from eitskin.messaging.frame import STAGES, unpack_frame
 from eitskin.messaging.frame_message import FrameMessages, LastMessage
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.frame_record import FrameRecord
+from eitskin_proto.skin.skin import PAPER
 
 
 @pytest.fixture
@@ -16,7 +17,7 @@ def memory():
 
 @pytest.fixture
 def record(memory):
-    record = FrameRecord(memoryview(memory).cast("B"))
+    record = FrameRecord(memoryview(memory).cast("B"), PAPER.grid.shape)
     record.sequence = record.map_sequence = 7
     record.solver, record.touched, record.events = "vd2t", True, ("lost",)
     record.lost, record.corrupt, record.withheld, record.overrun = 1, 2, 3, 4
@@ -26,7 +27,7 @@ def record(memory):
 
 @pytest.fixture
 def messages():
-    return FrameMessages("paper/1", "b", "S-1")
+    return FrameMessages("paper/1", "b", "S-1", PAPER.grid.shape)
 
 
 def packed(messages, record, short=False):

@@ -8,7 +8,7 @@ import pytest
 
 import eitskin
 from eitskin.errors import BundleError, UncutError
-from eitskin.messaging.regions import WHOLE, Region, pixels, union
+from eitskin.messaging.regions import Region, pixels, union, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.engine import engines
@@ -16,6 +16,10 @@ from eitskin.model.geometry import GeometryGraph
 from eitskin.model.onnx.crop import cut
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.region_worker import RegionWorker
+from eitskin_proto.skin.skin import PAPER
+
+SHAPE = PAPER.grid.shape
+(EVERY,) = whole(SHAPE)
 
 
 @pytest.fixture(scope="module", params=["area", "units"])
@@ -26,14 +30,14 @@ def shipped(request):
 
 
 def filled(bundle):
-    buffers = Buffers(bundle.bias_width)
+    buffers = Buffers(bundle)
     buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
     buffers.change[:] = np.random.default_rng(2).normal(0, 0.1, (1, 104))
     return buffers
 
 
 def test_millimetres_take_in_every_pixel_that_they_touch():
-    assert Region.from_mm(0, 0, 150, 100) == WHOLE
+    assert Region.from_mm(0, 0, 150, 100) == EVERY
     assert Region.from_mm(0, 0, 10, 10) == Region(0, 3, 0, 3)  # a pixel is 10/3 mm: borders on pixels' edges
     assert Region.from_mm(9.9, 20.1, 10.1, 20.2) == Region(6, 7, 2, 4)
 
@@ -50,25 +54,25 @@ def test_a_region_that_is_not_on_the_sheet_names_the_sheet(bounds):
 @pytest.mark.parametrize("topic", [b"", b"eitskin/region/0/31/0/45", b"eitskin/region/5/5/0/9", b"eitskin/region/1/2/3",
                                    b"eitskin/region/-1/2/0/3", b"eitskin/region/0/1/0/1x", b"\xff" * 40])  # fmt: skip
 def test_a_topic_that_declares_no_region_on_the_sheet_is_none(topic):
-    assert Region.from_topic(topic) is None
+    assert Region.from_topic(topic, SHAPE) is None
 
 
 def test_a_region_comes_back_from_its_topic():
-    for region in (WHOLE, Region(3, 30, 0, 1), Region(29, 30, 44, 45)):
-        assert Region.from_topic(region.topic) == region
+    for region in (EVERY, Region(3, 30, 0, 1), Region(29, 30, 44, 45)):
+        assert Region.from_topic(region.topic, SHAPE) == region
 
 
 def test_the_union_is_what_any_of_them_needs():
     one, other = Region(0, 2, 0, 3), Region(1, 3, 2, 4)
-    assert union([other, one, one]) == (one, other)
-    assert pixels(union([one, other])).tolist() == [0, 1, 2, 45, 46, 47, 48, 92, 93]
-    assert union([one, WHOLE]) == union([]) == (WHOLE,)
-    assert union([Region(row, row + 1, 0, 1) for row in range(17)]) == (WHOLE,)
-    assert len(pixels((WHOLE,))) == 1350
+    assert union([other, one, one], SHAPE) == (one, other)
+    assert pixels(union([one, other], SHAPE), SHAPE).tolist() == [0, 1, 2, 45, 46, 47, 48, 92, 93]
+    assert union([one, EVERY], SHAPE) == union([], SHAPE) == (EVERY,)
+    assert union([Region(row, row + 1, 0, 1) for row in range(17)], SHAPE) == (EVERY,)
+    assert len(pixels((EVERY,), SHAPE)) == 1350
 
 
 def test_the_cut_network_gives_the_pixels_of_the_whole_one(shipped):
-    wanted = pixels((Region(0, 10, 5, 20), Region(20, 30, 40, 45)))
+    wanted = pixels((Region(0, 10, 5, 20), Region(20, 30, 40, 45)), SHAPE)
     whole, part = filled(shipped), filled(shipped)
     for one, other in zip(engines(shipped, whole), engines(shipped, part, wanted), strict=True):
         part.map[:] = 0.0
@@ -85,13 +89,13 @@ def test_the_cut_network_gives_the_pixels_of_the_whole_one(shipped):
 
 
 def test_a_cut_network_is_smaller_by_the_rows_that_were_left_out(shipped):
-    wanted = pixels((Region(0, 4, 3, 9),))
+    wanted = pixels((Region(0, 4, 3, 9),), SHAPE)
     width, architecture = shipped.bias_width, shipped.manifest["recipe"]["architecture"]
     outputs = 345 if architecture.get("symmetric") else 1350  # a quarter's pixels, or all
     for file, size in (("head.onnx", 4), ("head_int8.onnx", 1)):
         model = shipped.files[file]
         try:
-            saved = len(model) - len(cut(model, wanted, 1350))
+            saved = len(model) - len(cut(model, wanted, SHAPE))
         except UncutError as reason:
             pytest.skip(f"a bundle from before sharpened heads could be cut: {reason}")
         computed = 9 * 4 * 5 if architecture.get("sharpening") else len(wanted)  # 2 x 2 cells, and two around
@@ -100,9 +104,9 @@ def test_a_cut_network_is_smaller_by_the_rows_that_were_left_out(shipped):
 
 
 def test_a_last_layer_that_cannot_be_cut_is_masked(tiny):
-    wanted = pixels((Region(5, 9, 5, 9),))
+    wanted = pixels((Region(5, 9, 5, 9),), SHAPE)
     with pytest.raises(UncutError, match="Reshape"):
-        cut(tiny.files["head.onnx"], wanted, 1350)
+        cut(tiny.files["head.onnx"], wanted, SHAPE)
     whole, part = filled(tiny), filled(tiny)
     for one, other in zip(engines(tiny, whole), engines(tiny, part, wanted), strict=True):
         one.infer()
@@ -115,7 +119,7 @@ def test_a_last_layer_that_cannot_be_cut_is_masked(tiny):
 def test_bytes_that_are_no_network_are_refused():
     for data in (b"\x0b\x01", b"\x38\x05"):
         with pytest.raises(BundleError, match="no ONNX model"):
-            cut(data, np.arange(3), 1350)
+            cut(data, np.arange(3), SHAPE)
 
 
 def test_a_solver_that_does_not_exist_is_named_with_those_that_do(tiny, hello):
@@ -177,8 +181,8 @@ def test_only_the_union_is_computed_while_all_subscribers_agree(virtual_skin, ru
             assert not outside.any()
             assert "map:region" in frame.skipped
             with eitskin.subscribe(endpoint, region_mm=other, timeout_s=60) as second:
-                both = union([first.region, second.region])
+                both = union([first.region, second.region], SHAPE)
                 assert next(frame for frame in second if frame.regions == both).map[second.region.slices].any()
             with eitskin.subscribe(endpoint, timeout_s=60) as plain:  # whoever says nothing gets everything
-                assert next(frame for frame in plain if frame.regions == (WHOLE,))
+                assert next(frame for frame in plain if frame.regions == (EVERY,))
             assert next(frame for frame in first if frame.regions == (first.region,))

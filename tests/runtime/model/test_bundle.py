@@ -9,7 +9,8 @@ import pytest
 from eitskin.errors import BundleError, MismatchError
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.engine import default_solver
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
 
 
 def parts_of(path):
@@ -61,7 +62,10 @@ def test_one_changed_byte_in_any_file_is_found_and_named(tmp_path, parts, name):
         load_bundle(path)
 
 
-@pytest.mark.parametrize(("key", "expected"), [("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID), ("version", 1)])
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [("protocol_id", PROTOCOL_ID), ("grid_id", PAPER.grid_id), ("skin_digest", PAPER.digest), ("version", 1)],
+)
 def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
     tmp_path, parts, manifest, key, expected
 ):
@@ -78,7 +82,7 @@ def test_a_bundle_for_something_else_is_refused_with_found_expected_and_command(
 def test_a_graph_whose_metadata_names_another_grid_is_refused(tmp_path, tiny, parts):
     from eitskin.model.geometry import GeometryGraph
 
-    model = parts["geometry.onnx"].replace(GRID_ID.encode(), b"feedfeedfeedfeed")
+    model = parts["geometry.onnx"].replace(PAPER.grid_id.encode(), b"feedfeedfeedfeed")
     path = write(tmp_path / "b.eitskin", parts | {"geometry.onnx": model}, checksums=True)
     with pytest.raises(MismatchError, match="feedfeedfeedfeed"):
         GeometryGraph(load_bundle(path))

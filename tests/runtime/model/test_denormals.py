@@ -16,6 +16,7 @@ from eitskin.model.onnx.protobuf import GRAPH, INITIALISER, content, fields_of
 from eitskin.model.onnx.small_weights import without_small_weights
 from eitskin.model.session import onnxruntime
 from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
 
 DENORMAL = np.float32(1e-40)
 
@@ -103,7 +104,7 @@ def test_what_is_loaded_is_what_was_mended(tiny, monkeypatch):
     monkeypatch.setattr(
         onnxruntime, "InferenceSession", lambda model, *a, **k: loaded.append(model) or make(model, *a, **k)
     )
-    HeadEngine(tiny, "head.onnx", "vd2t", Buffers(tiny.bias_width), graph=with_tiny_weights(tiny.files["head.onnx"]))
+    HeadEngine(tiny, "head.onnx", "vd2t", Buffers(tiny), graph=with_tiny_weights(tiny.files["head.onnx"]))
     assert len(loaded) == 1
     assert DENORMAL.tobytes() not in loaded[0]
 
@@ -111,8 +112,8 @@ def test_what_is_loaded_is_what_was_mended(tiny, monkeypatch):
 def test_a_projections_denormals_are_0_also_after_rows_were_taken_out():
     matrix = np.full((1350, 104), 0.5, dtype=np.float32)
     matrix[::2] = DENORMAL
-    bundle = SimpleNamespace(tikhonov=lambda: matrix)
-    buffers = Buffers(8)
+    bundle = SimpleNamespace(tikhonov=lambda: matrix, bias_width=8, skin=PAPER)
+    buffers = Buffers(bundle)
     engine = ProjectionEngine(bundle, buffers)
     buffers.change[0] = 1e6
     for change in (lambda whole: whole, lambda whole: whole - whole + DENORMAL):

@@ -1,5 +1,6 @@
 import tracemalloc
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -28,7 +29,7 @@ def bent():
 
 
 def test_the_bound_engine_gives_what_a_plain_session_gives(tiny, change):
-    buffers = Buffers(tiny.bias_width)
+    buffers = Buffers(tiny)
     buffers.take(GeometryGraph(tiny).geometry(bent(), np.full(104, 0.05, np.float32), 1))
     buffers.change[0] = change
     HeadEngine(tiny, "head.onnx", "vd2t", buffers).infer()
@@ -38,7 +39,7 @@ def test_the_bound_engine_gives_what_a_plain_session_gives(tiny, change):
 
 
 def test_a_new_frame_in_the_same_memory_gives_a_new_map(tiny, change):
-    buffers = Buffers(tiny.bias_width)
+    buffers = Buffers(tiny)
     for engine in engines(tiny, buffers):
         buffers.change[0] = change
         engine.infer()
@@ -49,7 +50,7 @@ def test_a_new_frame_in_the_same_memory_gives_a_new_map(tiny, change):
 
 
 def test_the_cloud_and_the_prediction_reach_the_map(tiny, change):
-    graph, buffers = GeometryGraph(tiny), Buffers(tiny.bias_width)
+    graph, buffers = GeometryGraph(tiny), Buffers(tiny)
     engine = HeadEngine(tiny, "head.onnx", "vd2t", buffers)
     buffers.change[0] = change
     maps = []
@@ -75,7 +76,7 @@ def test_the_pose_of_a_cloud_does_not_matter(tiny):
 
 
 def test_the_projection_is_the_matrix_cut_off_at_zero(tiny, change):
-    buffers = Buffers(tiny.bias_width)
+    buffers = Buffers(tiny)
     buffers.change[0] = change
     ProjectionEngine(tiny, buffers).infer()
     exact = np.maximum(tiny.tikhonov().astype(np.float64) @ change, 0)
@@ -96,7 +97,7 @@ def peak_bytes(step):
 
 
 def test_inference_and_the_gate_make_no_array(tiny, change):
-    buffers = Buffers(tiny.bias_width)
+    buffers = Buffers(tiny)
     buffers.change[0] = change
     gate = Gate(tiny.gate_arrays())
     steps = [*(engine.infer for engine in engines(tiny, buffers)), gate.touched]
@@ -119,9 +120,10 @@ def test_a_malformed_cloud_is_refused_with_value_and_bound(tiny):
 
 def test_a_graph_with_another_signature_is_refused(tiny):
     with pytest.raises(BundleError, match="inputs found"):
-        HeadEngine(tiny, "geometry.onnx", "vd2t", Buffers(tiny.bias_width))
+        HeadEngine(tiny, "geometry.onnx", "vd2t", Buffers(tiny))
+    wider = SimpleNamespace(bias_width=tiny.bias_width + 1, skin=tiny.skin)
     with pytest.raises(BundleError, match="inputs found"):
-        HeadEngine(tiny, "head.onnx", "vd2t", Buffers(tiny.bias_width + 1))
+        HeadEngine(tiny, "head.onnx", "vd2t", Buffers(wider))
 
 
 def test_the_predicted_ratio_is_a_clamped_logarithm_and_zero_where_there_is_no_reference():

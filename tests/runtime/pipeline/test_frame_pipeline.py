@@ -4,7 +4,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin.model.bundle import Bundle
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame
@@ -115,7 +114,7 @@ def test_thousands_of_frames_leave_no_memory_behind(pipeline, counts, touched):
 
 def test_a_bundle_without_a_gate_computes_every_frame(tiny, hello, counts):
     files = {name: data for name, data in tiny.files.items() if name != "gate.npz"}
-    pipeline = Pipeline(Bundle(tiny.path, tiny.manifest, files, tiny.id), hello)
+    pipeline = Pipeline(replace(tiny, files=files), hello)
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
     assert go(pipeline, payload(counts, 1))
     assert pipeline.record.solver == "vd2t"

@@ -33,7 +33,7 @@ class Sees:
 
 
 def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
-    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9)
+    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9, 1350)
     for sequence in range(1, AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.record.solver == "none"
@@ -57,7 +57,7 @@ def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline,
 
 
 def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipeline, counts):
-    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9)
+    pipeline.engines[0], pipeline.audit = Sees(pipeline.buffers), GateAudit(9, 1350)
     solvers, skipped = set(), []
     for sequence in range(1, 2 * AUDIT_FRAMES + 1):
         assert go(pipeline, payload(counts, sequence))
@@ -69,7 +69,7 @@ def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipel
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):
-    pipeline.audit = GateAudit(9)
+    pipeline.audit = GateAudit(9, 1350)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(counts, sequence), wanted=False)
         assert not pipeline.record.inferred
@@ -84,15 +84,15 @@ def test_a_bundle_that_does_not_say_what_is_strong_is_not_looked_after(pipeline,
 @pytest.mark.parametrize("value", [0, 1351, 2.5, [3, 4], "many"])
 def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
     with pytest.raises(BundleError, match=r"audit_pixels is .*, expected one whole number from 1 to 1350"):
-        audit_pixels({"audit_pixels": np.array(value)})
-    assert audit_pixels({"audit_pixels": np.array(12, np.uint16)}) == 12
-    assert audit_pixels(None) is None
+        audit_pixels({"audit_pixels": np.array(value)}, 1350)
+    assert audit_pixels({"audit_pixels": np.array(12, np.uint16)}, 1350) == 12
+    assert audit_pixels(None, 1350) is None
 
 
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
     pipeline = Pipeline(tiny, hello, solver="tikhonov")
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline._gate, pipeline.audit = Blind(), GateAudit(9)
+    pipeline._gate, pipeline.audit = Blind(), GateAudit(9, 1350)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.record.solver == "none"

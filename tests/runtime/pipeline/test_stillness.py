@@ -8,10 +8,11 @@ import pytest
 
 import eitskin
 from eitskin.errors import FrameError
-from eitskin.messaging.frame import MAP_BYTES, MapMissing, unpack_frame
+from eitskin.messaging.frame import MapMissing, unpack_frame
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.pipeline.stillness import LARGEST_SPREAD, REFRESH_FRAMES, Stillness
+from eitskin_proto.skin.skin import PAPER
 
 VOLTS = 1e-3 * np.geomspace(1, 0.01, 104) * np.where(np.arange(104) % 2, -1, 1)
 SPREAD = 0.003 * np.abs(VOLTS)
@@ -128,7 +129,7 @@ def test_comparing_makes_no_array(stillness):
 
 @pytest.fixture
 def packer():
-    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r")
+    packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)
     packer.put_texts("vd2t", (), ())
     return packer
 
@@ -154,7 +155,7 @@ def test_a_short_message_lacks_the_map_and_nothing_else(packer):
     full = whole(packer, 3, 0.5)
     brief = bytes(packer.short_message())
     fields = msgpack.unpackb(full)
-    assert len(full) - len(brief) == MAP_BYTES + len(b"\xa3map\xc5..\xa5shape\x92..")
+    assert len(full) - len(brief) == 5400 + len(b"\xa3map\xc5..\xa5shape\x92..")
     assert msgpack.unpackb(brief) == {key: value for key, value in fields.items() if key not in ("map", "shape")}
 
 

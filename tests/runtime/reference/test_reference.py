@@ -9,6 +9,7 @@ import pytest
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference import captured as references
 from eitskin.reference.builder import ReferenceBuilder
+from eitskin_proto.skin.skin import PAPER
 
 
 @pytest.fixture
@@ -57,7 +58,7 @@ def test_a_reference_for_another_protocol_grid_or_version_is_refused(captured, t
     content = json.loads(path.read_text())
     path.write_text(json.dumps(content | {key: "feed"}))
     with pytest.raises(MismatchError, match=f"{key}: found feed, expected .*eitskin reference"):
-        references.load(path)
+        references.load(path, PAPER)
 
 
 def test_a_changed_digit_of_any_voltage_is_found(captured, tmp_path):

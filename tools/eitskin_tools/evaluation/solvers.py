@@ -121,7 +121,7 @@ def _network(request: Request, labels: str) -> Named:
 
     loaded = load_bundle(request.bundle or default_path(labels))
     _check_reference(request, str(loaded.path), takes_prediction=loaded.uses_prediction)
-    buffers = Buffers(loaded.bias_width)
+    buffers = Buffers(loaded)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
     if engine is None:
         raise ValueError(f"{loaded.path} holds no network {request.name!r}; export one with 'eitskin export'")

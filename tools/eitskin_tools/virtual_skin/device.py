@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import hardware, messages
 from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, MessageType, Mode
 from eitskin_proto.wire.config import Configuration
@@ -214,6 +215,7 @@ class VirtualDevice:
             uptime_ms=(now_ns - self._boot_ns) // 1_000_000 & 0xFFFFFFFF,
             tag=tag,
             protocol_id=self.identity.protocol_id,
+            grid_id=configuration.skin or PAPER.grid_id,
         )
 
     def _answer(self, payload: bytes, now_ns: int) -> list[messages.Message]:

@@ -3,7 +3,7 @@
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.codes import Code
-from eitskin_proto.wire.config import BLOB_BYTES, BLOB_MAGIC, FORMAT, Configuration
+from eitskin_proto.wire.config import BLOB_BYTES, BLOB_MAGIC, FORMAT, HAS_SKIN, Configuration
 from eitskin_proto.wire.framing import crc32c
 
 
@@ -15,7 +15,7 @@ def judge(blob: bytes) -> Code:
         return Code.BAD_FORMAT
     if crc32c(blob[:-4]) != int.from_bytes(blob[-4:], "little"):
         return Code.DIGEST_MISMATCH
-    if int.from_bytes(blob[6:8], "little") != BLOB_BYTES or blob[59] != 0:
+    if int.from_bytes(blob[6:8], "little") != BLOB_BYTES or blob[59] > HAS_SKIN:
         return Code.INVALID_CONFIGURATION
     if int.from_bytes(blob[8:12], "little") != hardware.EITSKIN_16.id:
         return Code.WRONG_HARDWARE

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import UncutError
-from eitskin.model.onnx.crop_sharpened import GATHER, sharpened
+from eitskin.model.onnx.crop_sharpened import GATHER, THROUGH, sharpened
 from eitskin.model.onnx.protobuf import (
     DATA_TYPE,
     GRAPH,
@@ -43,17 +43,14 @@ DTYPES: Final = {1: "<f4", 2: "u1", 3: "i1", 6: "<i4", 7: "<i8"}
 GATHERS: Final = ("Gather", GATHER)
 """Operators that pick outputs by an index of as many elements."""
 
-THROUGH: Final = frozenset({"Sigmoid", "Add", "Mul", "Cast"})
-"""Operators that keep every output apart from the others."""
 
-
-def cut(model: bytes, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
+def cut(model: bytes, pixels: npt.NDArray[np.intp], shape: tuple[int, int]) -> bytes:
     """Return the model with only some of its outputs, in the given order.
 
     Args:
-        model: With one output (1, outputs).
+        model: With one output (1, pixels), a map.
         pixels: (n,) which to keep, at least one.
-        outputs: How many there are.
+        shape: Rows and columns of the map.
 
     Raises:
         UncutError: The last layer is of a kind that cannot be cut.
@@ -61,10 +58,10 @@ def cut(model: bytes, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
     """
     fields = list(fields_of(memoryview(model)))
     graph = content(next(field for field in fields if field.number == GRAPH))
-    return b"".join(message(GRAPH, _cut_graph(graph, pixels, outputs)) if f.number == GRAPH else f.raw for f in fields)
+    return b"".join(message(GRAPH, _cut_graph(graph, pixels, shape)) if f.number == GRAPH else f.raw for f in fields)
 
 
-def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], outputs: int) -> bytes:
+def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], shape: tuple[int, int]) -> bytes:
     fields = list(fields_of(graph))
     nodes = [node for node in map(node_of, fields) if node is not None]
     producers = {name: node for node in nodes for name in node.outputs}
@@ -73,8 +70,9 @@ def _cut_graph(graph: memoryview, pixels: npt.NDArray[np.intp], outputs: int) ->
     name = text(declared, 1)
     affected: set[str] = set()
     _trace(name, producers, set(tensors), affected)
+    outputs = shape[0] * shape[1]
     changed: dict[str, bytes | memoryview] = {other: _cut_tensor(tensors[other], pixels, outputs) for other in affected}
-    cells = sharpened(nodes, producers, tensors, pixels)
+    cells = sharpened(nodes, producers, tensors, pixels, shape)
     if cells is not None:
         layer: set[str] = set()
         _trace(cells.source, producers, set(tensors), layer)
@@ -111,6 +109,10 @@ def _cut_tensor(tensor: memoryview, pixels: npt.NDArray[np.intp], outputs: int) 
     fields, dims = list(fields_of(tensor)), dims_of(tensor)
     if outputs not in dims:
         return tensor  # one scale or zero point for all outputs
+    if dims.count(outputs) > 1:
+        raise UncutError(
+            f"the head's last layer is {outputs} wide on both sides; which one is the map's cannot be told"
+        )
     kind = next(int(field.value) for field in fields if field.number == DATA_TYPE)
     if kind not in DTYPES:
         raise UncutError(f"the head's last layer holds elements of ONNX type {kind}, expected {sorted(DTYPES)}")

@@ -38,7 +38,7 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
         bundle: What is deployed.
         seed: Of the dV that every variant gets.
     """
-    buffers = Buffers(bundle.bias_width)
+    buffers = Buffers(bundle)
     buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
     buffers.change[:] = 0.1 * np.random.default_rng(seed).standard_normal((1, N_ROWS))
     found: dict[str, Infer] = {engine.name: engine.infer for engine in engines(bundle, buffers)}

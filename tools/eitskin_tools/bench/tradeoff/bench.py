@@ -221,7 +221,7 @@ def _networks(path: Path, labels: str, suffix: str) -> list[Variant]:
     bundle = load_bundle(path)
     if bundle.labels != labels:
         return []
-    buffers, graph = Buffers(bundle.bias_width), GeometryGraph(bundle)
+    buffers, graph = Buffers(bundle), GeometryGraph(bundle)
     shown: list[Any] = [None]
 
     def geometry(case: Any) -> None:

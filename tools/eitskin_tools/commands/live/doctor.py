@@ -64,7 +64,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     arrays = bundle.consistency_arrays()
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
-    reference = None if arguments.reference is None else load(arguments.reference)
+    reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
     if arguments.recorded is not None:
         recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
     else:

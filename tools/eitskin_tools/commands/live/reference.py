@@ -26,6 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--bundle", type=Path, help="bundle whose flat sheet and gate it is held against (default: area)"
     )
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument(
         "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
     )
@@ -58,27 +59,27 @@ def run(arguments: argparse.Namespace) -> int:
 def _capture(arguments: argparse.Namespace) -> Any:
     from eitskin.acquisition.capture import capture
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
-    from eitskin.model.bundle import load_bundle
+    from eitskin.model.skin_in_use import bundle_and_skin
     from eitskin.reference.judged import yardstick_of
 
-    older = _older(arguments)
-    yardstick = yardstick_of(load_bundle(arguments.bundle, lazily=True), older)
+    bundle, skin = bundle_and_skin(arguments.bundle, arguments.skin)
+    yardstick = yardstick_of(bundle, _older(arguments, skin))
     print("eitskin reference: the sheet must be flat and untouched now", file=sys.stderr)
     baud = arguments.baud or DEFAULT_BAUD
-    return capture(arguments.port, arguments.frames, baud, yardstick=yardstick, force=arguments.force)
+    return capture(arguments.port, arguments.frames, baud, yardstick=yardstick, force=arguments.force, skin=skin)
 
 
-def _older(arguments: argparse.Namespace) -> Any:
+def _older(arguments: argparse.Namespace, skin: Any) -> Any:
     """The reference that was named, or the one that is about to be replaced, if it is one."""
     from eitskin.reference import captured as references
     from eitskin_proto.errors import SkinError
 
     if arguments.against is not None:
-        return references.load(arguments.against)
+        return references.load(arguments.against, skin)
     if not arguments.out.exists():
         return None
     try:
-        return references.load(arguments.out)
+        return references.load(arguments.out, skin)
     except SkinError as error:
         say(f"eitskin reference: {arguments.out} is replaced unseen: {error}", error=True)
         return None
@@ -88,6 +89,7 @@ def _fields(found: Any) -> dict[str, object]:
     return {
         "serial_number": found.serial_number,
         "configuration": f"{found.configuration_name}/{found.configuration_digest:08x}",
+        "skin_digest": found.skin_digest,
         "captured_utc": found.captured_utc,
         **found.answer(),
         "voltages_V": found.voltages_V.tolist(),

@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
     )
     parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of area labels)")
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
@@ -109,6 +110,7 @@ def run(arguments: argparse.Namespace) -> int:
             Skin(
                 port,
                 bundle=arguments.bundle,
+                skin=arguments.skin,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
                 solver=arguments.solver,
@@ -164,7 +166,7 @@ def _serve(
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
 
-    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys)
+    publisher = Publisher(arguments.publish or endpoints.default_publish(), keys, skin.bundle.skin.grid.shape)
     stack.callback(publisher.close)
     control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
     stack.callback(control.close)
@@ -226,6 +228,8 @@ def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
 
 
 def _report(skin: Any, log: RunLog) -> None:
+    from eitskin_proto.skin.skin import PAPER
+
     hello = skin.device.hello
     for line in skin.transport.report():
         log.say(line)
@@ -236,6 +240,13 @@ def _report(skin: Any, log: RunLog) -> None:
     )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
     log.say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
+    rows, columns = skin.description.grid.shape
+    log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
+    if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
+        log.warn(
+            f'the device does not say which skin it is wired to: state skin = "{skin.description.digest}" in its '
+            "configuration, and 'eitskin flash write'"
+        )
     gate = skin.bundle.manifest.get("gate") or {}
     log.say(
         f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle"

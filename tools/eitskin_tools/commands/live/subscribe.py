@@ -30,6 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--region", type=float, nargs=4, metavar=("X0", "Y0", "X1", "Y1"), help="only this rectangle is needed, in mm"
     )
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the runtime's skin, for --region (default: paper)")
     parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
@@ -47,11 +48,15 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.curve_keys import load_client_keys
     from eitskin.messaging.regions import Region
     from eitskin.messaging.subscription import subscribe
+    from eitskin_proto.skin import toml
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_tools.console.stream_view import StreamView
 
+    skin = PAPER if arguments.skin is None else toml.load(arguments.skin)
     if arguments.region is not None:
         try:
-            Region.from_mm(*arguments.region)
+            x0, y0, x1, y1 = arguments.region
+            Region.from_mm(x0, y0, x1, y1, skin.grid)
         except ValueError as error:
             raise UsageError(f"--region: {error}") from error
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
@@ -62,6 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
         arguments.mode,
         timeout_s=arguments.timeout_s,
         region_mm=None if arguments.region is None else tuple(arguments.region),
+        skin=skin,
         skip_unchanged=arguments.skip_unchanged,
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,

@@ -38,7 +38,7 @@ LEAST: Final = 2.0**-53
 def denormal_rows(bundle: Bundle) -> list[Row]:
     """Return a row for each solver of a bundle, and for its geometry graph."""
     rng = np.random.default_rng(0)
-    buffers = Buffers(bundle.bias_width)
+    buffers = Buffers(bundle)
     buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
     usual = rng.normal(0.0, 0.05, N_ROWS).astype(np.float32)
     signs = np.sign(usual)

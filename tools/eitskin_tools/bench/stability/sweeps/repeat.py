@@ -45,7 +45,7 @@ def inputs_of(samples: Sequence[Sample]) -> Floats:
 
 def maps_of(bundle: Bundle, changes: Floats, engine: int = 0) -> Floats:
     """Return (n, 1350) maps on the flat sheet, one at a time through the runtime's engine."""
-    buffers = Buffers(bundle.bias_width)
+    buffers = Buffers(bundle)
     found = engines(bundle, buffers)[engine]
     buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
     maps = []

@@ -1,0 +1,244 @@
+"""The runtime on a skin that is not the paper's: everything follows the bundle's description."""
+
+import json
+import zipfile
+from dataclasses import replace
+from pathlib import Path
+
+import msgpack
+import numpy as np
+import pytest
+from tests.second_skin import SECOND, rolled
+
+import eitskin
+from eitskin.acquisition.capture import capture
+from eitskin.errors import BundleError, ControlError, FrameError, MismatchError
+from eitskin.messaging.control import ControlServer
+from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.publish import Publisher
+from eitskin.messaging.regions import WHOLE, Region, pixels, union
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import load_bundle
+from eitskin.model.engine import engines
+from eitskin.model.geometry import GeometryGraph
+from eitskin.model.skin_in_use import use_skin
+from eitskin.pipeline.gate_audit import GateAudit
+from eitskin.reference import captured as references
+from eitskin.reference.builder import ReferenceBuilder
+from eitskin.reference.plausible import check_prediction
+from eitskin.skin import Skin
+from eitskin_proto.skin.cloud_file import Surface, save_surface
+from eitskin_proto.skin.parts import Layer, Map
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
+from eitskin_proto.wire import config_toml
+
+PATH = Path(__file__).parents[1] / "golden" / "second.eitskin"
+SHAPE = SECOND.grid.shape
+OTHER = replace(SECOND, layer=Layer(gauge_factor=Quantity(1.0)))
+KNOWN_BETTER = replace(OTHER, name="ours", calibrated_from=SECOND.digest)
+
+
+@pytest.fixture(scope="module")
+def second():
+    return load_bundle(PATH)
+
+
+def remade(path, change, files=None):
+    """Write the bundle with some of its manifest or files changed; checksums follow."""
+    from eitskin_proto.files.digest import sha256_of
+
+    with zipfile.ZipFile(PATH) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()} | (files or {})
+    manifest = json.loads(parts.pop("manifest.json")) | change
+    manifest["files"] = {name: {"sha256": sha256_of(data)} for name, data in parts.items()}
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in {"manifest.json": json.dumps(manifest), **parts}.items():
+            archive.writestr(name, data)
+    return path
+
+
+def test_a_bundle_carries_its_skin(second, tiny, tmp_path):
+    assert second.skin == SECOND
+    assert tiny.skin is PAPER
+    assert second.tikhonov().shape == (18 * 45, 104)
+    with pytest.raises(MismatchError, match=rf"skin_digest: found feed, expected {SECOND.digest}; .*eitskin export"):
+        load_bundle(remade(tmp_path / "b.eitskin", {"skin_digest": "feed"}))
+    with pytest.raises(MismatchError, match=rf"grid_id: found {PAPER.grid_id}, expected {SECOND.grid_id}"):
+        load_bundle(remade(tmp_path / "b.eitskin", {"grid_id": PAPER.grid_id}))
+    with pytest.raises(MismatchError, match=r"skin_digest: found None"):
+        load_bundle(remade(tmp_path / "b.eitskin", {"skin_digest": None}))
+    for text in (b"\xff", b"format = 1", b"x" * 2_000_000):
+        with pytest.raises(BundleError, match=r"b\.eitskin: skin\.toml: .*; make it again with 'eitskin export'"):
+            load_bundle(remade(tmp_path / "b.eitskin", {}, {"skin.toml": text}))
+
+
+def test_a_description_must_be_the_bundle_s_or_the_same_known_better(second, tmp_path):
+    (tmp_path / "skin.toml").write_text(to_toml(SECOND))
+    assert use_skin(second, None) is second.skin
+    assert use_skin(second, tmp_path / "skin.toml") == SECOND
+    assert use_skin(second, KNOWN_BETTER) is KNOWN_BETTER
+    with pytest.raises(MismatchError, match=rf"skin_digest: found {SECOND.digest}, expected .* \(second\); .*build"):
+        use_skin(second, OTHER)
+    with pytest.raises(MismatchError, match=r"grid_id: found .*, expected .*eitskin build"):
+        use_skin(second, PAPER)
+    with pytest.raises(MismatchError, match=r"sheet and map: found .*\(18, 45\).* expected .*\(20, 50\)"):
+        use_skin(second, replace(KNOWN_BETTER, map=Map((20, 50), (2, 2))))
+
+
+def test_every_solver_fills_its_map_and_regions_of_it(second):
+    wanted = pixels((Region(2, 9, 5, 20),), SHAPE)
+    assert np.array_equal(np.unique(wanted // 45), np.arange(2, 9))
+    whole, part = Buffers(second), Buffers(second)
+    for buffers in (whole, part):
+        buffers.take(GeometryGraph(second).geometry(rolled(SECOND, 60.0), None, 1))
+        buffers.change[:] = np.random.default_rng(2).normal(0, 0.1, (1, 104))
+    for one, other in zip(engines(second, whole), engines(second, part, wanted), strict=True):
+        part.map[:] = 0.0
+        one.infer()
+        other.infer()
+        assert whole.map.shape == (1, 810)
+        assert whole.map.any()
+        if one.name != "tikhonov":
+            assert np.array_equal(part.map[0, wanted], whole.map[0, wanted])
+            assert not part.map[0, np.setdiff1d(np.arange(810), wanted)].any()
+
+
+def test_the_look_at_a_map_counts_its_pixels():
+    audit = GateAudit(810, SECOND.grid.n_pixels)
+    assert audit.overrules(np.ones(810, np.float32))
+
+
+def test_frames_have_its_shape_within_bounds():
+    packer = FramePacker(configuration="c", bundle="b", serial_number="s", run="r", shape=SHAPE)
+    values = np.linspace(0.0, 1.0, 810, dtype=np.float32)
+    packer.put_map(memoryview(values).cast("B"))
+    packer.put_texts("vd2t", (), ())
+    frame = unpack_frame(bytes(packer.message()), 0)
+    assert np.array_equal(frame.map, values.reshape(SHAPE))
+    assert frame.regions == (Region(0, 18, 0, 45),)
+    fields = msgpack.unpackb(bytes(packer.message()))
+    wrong = [[30, 45], [18, 45, 1], [-18, -45], [810, 1], [18.0, 45], [True, 810], 810]
+    for change in (*({"shape": shape} for shape in wrong), {"regions": [[0, 19, 0, 45]]}):
+        with pytest.raises(FrameError):
+            unpack_frame(msgpack.packb(fields | change), 0)
+    short = msgpack.packb({key: value for key, value in fields.items() if key not in ("shape", "map")})
+    assert np.array_equal(unpack_frame(short, 0, frame).map, frame.map)
+
+
+def test_the_largest_map_fits_a_message():
+    packer = FramePacker(
+        configuration="c" * 128, bundle="b" * 16, serial_number="s" * 16, run="r" * 8, shape=(120, 120)
+    )
+    packer.put_map(bytes(57_600))
+    texts = tuple(f"{number:0128d}" for number in range(16))
+    packer.put_texts("vd2t", texts, texts, tuple(Region(0, 1, 0, k + 1) for k in range(16)), texts)
+    assert unpack_frame(bytes(packer.message()), 0).map.shape == (120, 120)
+
+
+def test_regions_are_of_its_pixels(tmp_path):
+    assert Region.from_mm(0, 0, 220, 90, SECOND.grid) == Region(0, 18, 0, 45)
+    assert Region.from_mm(0, 0, 9.7, 5.1, SECOND.grid) == Region(0, 2, 0, 2)
+    assert Region.from_topic(WHOLE, SHAPE) == Region(0, 18, 0, 45)
+    assert Region.from_topic(b"eitskin/region/0/30/0/45", SHAPE) is None
+    assert union([Region(0, 18, 0, 45), Region(0, 1, 0, 1)], SHAPE) == (Region(0, 18, 0, 45),)
+    with pytest.raises(ValueError, match="x is 0 to 220, y 0 to 90 mm"):
+        eitskin.subscribe(f"ipc://{tmp_path}/none", region_mm=(0, 0, 220, 91), skin=SECOND)
+
+
+def test_a_prediction_of_a_stretched_sheet_of_any_proportions_passes():
+    flat = np.linspace(1.0, 2.0, 104)
+    square = replace(SECOND, outline=replace(SECOND.outline, size_mm=(155.0, 155.0)))
+    for skin, along, across in ((SECOND, 0.08, 1.88), (square, 0.98, 0.98)):
+        cloud = skin.grid.flat_cloud_mm() * np.array([1.2, 1.1, 1.0]).reshape(3, 1, 1)
+        explained = 1.2**along * 1.1**across
+        check_prediction(cloud, flat * explained * 1.28, flat, None, skin)  # exp(0.25) = 1.284
+        with pytest.raises(ValueError, match=r"expected \S+ to \S+ times for this cloud"):
+            check_prediction(cloud, flat * explained * 1.29, flat, None, skin)
+    gauge = replace(SECOND, layer=Layer(gauge_factor=Quantity(2.0)))
+    cloud = SECOND.grid.flat_cloud_mm() * np.array([1.2, 1.0, 1.0]).reshape(3, 1, 1)
+    check_prediction(cloud, flat * 1.2**2.08, flat, None, gauge)
+    with pytest.raises(ValueError, match="times for this cloud"):
+        check_prediction(cloud, flat * 1.2**2.08, flat, None, SECOND)
+
+
+def test_a_reference_of_another_skin_is_refused(hello, counts, tmp_path):
+    builder = ReferenceBuilder(2, SECOND)
+    rng = np.random.default_rng(0)
+    for _ in range(2):
+        builder.add(1e-9 * counts * (1 + 1e-3 * rng.standard_normal(104)))
+    path = tmp_path / "reference.json"
+    references.save(builder.finish(hello), path)
+    assert references.load(path, SECOND).skin_digest == SECOND.digest
+    references.load(path, KNOWN_BETTER).check_skin(KNOWN_BETTER)
+    references.load(path)  # to be shown
+    for wrong, what in ((PAPER, "grid_id"), (OTHER, "skin_digest")):
+        with pytest.raises(MismatchError, match=rf"{path}: {what}: found .*, expected .*eitskin reference --port"):
+            references.load(path, wrong)
+        with pytest.raises(MismatchError, match=rf"{what}: found .*, expected .*eitskin reference --port"):
+            references.load(path).check_skin(wrong)
+
+
+@pytest.mark.process
+def test_a_whole_stream_of_another_skin(virtual_skin, tmp_path):
+    saved = tmp_path / "reference.json"
+    with virtual_skin(touches=[[0.0, 60.0, 0.3]]) as port, Skin(port, bundle=PATH, skin=KNOWN_BETTER) as skin:
+        skin.capture_reference(10, force=True)
+        references.save(skin.reference, saved)
+        assert skin.reference.skin_digest == KNOWN_BETTER.digest
+        assert skin.status()["skin"] == f"ours/{KNOWN_BETTER.digest}"
+        frame = next(skin.frames(timeout_s=60))
+        assert frame.map.shape == SHAPE
+        publisher = Publisher(f"ipc://{tmp_path}/frames", shape=SHAPE)
+        control = ControlServer(f"ipc://{tmp_path}/control", skin)
+        try:
+            save_surface(tmp_path / "cloud.npz", Surface(rolled(SECOND, 40.0)), skin=SECOND)
+            assert eitskin.send_cloud(control.endpoint, tmp_path / "cloud.npz", skin=SECOND) == 1
+            assert eitskin.send_cloud(control.endpoint, rolled(SECOND, 40.0), skin=KNOWN_BETTER) == 2
+            with pytest.raises(ControlError, match=rf"skin_digest: found {OTHER.digest}, expected .*eitskin surface"):
+                eitskin.send_cloud(control.endpoint, rolled(SECOND, 40.0), skin=OTHER)
+            with pytest.raises(ControlError, match=r"found 16200 bytes, expected 9720 bytes of <f4 \(3, 18, 45\)"):
+                eitskin.send_cloud(control.endpoint, PAPER.grid.flat_cloud_mm())
+            with pytest.raises(MismatchError, match="grid_id"):
+                eitskin.send_cloud(control.endpoint, tmp_path / "cloud.npz")
+        finally:
+            control.close()
+            publisher.close()
+    with pytest.raises(MismatchError, match=r"skin_digest: found .*eitskin reference"):
+        Skin("/dev/none", bundle=PATH, reference=saved)  # known better than what is in use now
+
+
+@pytest.mark.process
+def test_a_device_that_states_its_skin_is_taken_for_no_other(virtual_skin, tmp_path):
+    stated = replace(config_toml.named("paper"), skin=SECOND.digest)
+    (tmp_path / "device.toml").write_text(config_toml.to_toml(stated))
+    with virtual_skin(configuration=str(tmp_path / "device.toml")) as port:
+        for skin in (None, KNOWN_BETTER):
+            with Skin(port, bundle=PATH, skin=skin) as found:
+                assert found.device.hello.skin_digest == SECOND.digest
+        with pytest.raises(MismatchError, match=rf"found {SECOND.digest}, expected {PAPER.digest} .*--bundle.*flash"):
+            Skin(port)
+        with pytest.raises(MismatchError, match=rf"the device's skin: found {SECOND.digest}"):
+            capture(port, 10)
+
+
+@pytest.mark.process
+def test_subscribers_name_a_region_by_its_skin(virtual_skin, running, tmp_path):
+    with virtual_skin(touches=[[0.2, 60, 0.3]]) as port, running(port, tmp_path, bundle=PATH) as runtime:
+        endpoint = runtime.publisher.endpoint
+        with eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), skin=SECOND, timeout_s=60) as first:
+            frame = next(frame for frame in first if frame.regions == (first.region,) and frame.solver != "none")
+            assert frame.map.shape == SHAPE
+            assert frame.map[first.region.slices].any()
+            with eitskin.subscribe(endpoint, skip_unchanged=True, timeout_s=60) as everything:
+                assert next(frame for frame in everything if frame.regions == (Region(0, 18, 0, 45),))
+        wrong = eitskin.subscribe(endpoint, region_mm=(0, 0, 50, 30), timeout_s=60)
+        with wrong, pytest.raises(MismatchError, match=r"found \[18, 45\], expected \[30, 45\]; name .*--skin"):
+            next(wrong)
+
+
+def test_a_bundle_is_held_against_a_skin_before_the_port_is_opened():
+    with pytest.raises(MismatchError, match="eitskin build"):
+        Skin("/dev/none", bundle=PATH, skin=PAPER)
