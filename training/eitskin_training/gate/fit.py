@@ -9,6 +9,9 @@ logarithms are whitened by the covariance of noisy untouched sheets first ::
     log(max(1 + dV, floor)) (104) -> - mean, whiten -> 96 -> ReLU -> 32 -> ReLU -> 1 = logit
     touched: logit > threshold
 
+Of devices that drift, the factor common to all rows is taken out of the logarithms before they are whitened: a drift
+however large moves no logit, and what a press loses by it the card states (:mod:`eitskin_training.gate.observer`).
+
 Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
 bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
 gate judges the rows of the few drives that an idle device scans.
@@ -28,7 +31,8 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
 from eitskin_training.gate.idle import idle_choice
 from eitskin_training.gate.material import Array, Material
-from eitskin_training.gate.rates import measured, threshold_at
+from eitskin_training.gate.observer import ideal_observer, without_common
+from eitskin_training.gate.rates import found_presses, measured, threshold_at
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
 
@@ -46,6 +50,9 @@ FALSE_ALARM_RATE: Final = 0.003
 
 IDLE_FALSE_ALARM_RATE: Final = 0.01
 """The same of idle frames: one costs half a second of whole scans."""
+
+FRAMES: Final = 16_384
+"""Untouched frames whose covariance is taken."""
 
 STEPS: Final = 5500
 """Steps of AdamW; the idle gate takes half as many."""
@@ -140,10 +147,13 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
             return logits(arrays, dv[:, rows])
 
-        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, data.skin)
+        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, data.skin, bends.devices)
         arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
         found |= {prefix + name: value for name, value in arrays.items()}
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
+        if not prefix and bends.probes and (bends.devices is not None or data.touches != "hard"):
+            measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data, rng)
+            measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate, data.skin)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
     idle = {"drives": drives_to_list(drives), **measures["idle_"]}
     return Gate(found, {**measures[""], "idle": idle})
@@ -162,8 +172,9 @@ def _trained(
     def logarithms(dv: Array) -> Array:
         return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
 
-    mean, whitening = _whitening(logarithms(material.draw(16_384, rng, touched=0.0)[0]))
-    layers = [nn.Linear(len(rows), hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
+    without = None if material.devices is None else without_common(len(rows))
+    mean, whitening = _whitening(logarithms(material.draw(FRAMES, rng, touched=0.0)[0]), without)
+    layers = [nn.Linear(whitening.shape[1], hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=max(steps, 2))
@@ -193,8 +204,15 @@ def _trained(
     return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
 
 
-def _whitening(logarithms: Array) -> tuple[Array, Array]:
-    """Return the (r,) mean and the (r, r) matrix that gives logarithms of untouched sheets unit covariance."""
-    values, directions = np.linalg.eigh(np.cov(logarithms.T))
+def _whitening(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:
+    """Return the (r,) mean and the (r, k) matrix that gives logarithms of untouched sheets unit covariance.
+
+    Args:
+        logarithms: (n, r).
+        directions: (r, k) orthonormal ones, outside which nothing is looked at; None looks at all.
+    """
+    seen = logarithms if directions is None else logarithms @ directions
+    values, own = np.linalg.eigh(np.cov(seen.T))
     # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
-    return logarithms.mean(axis=0), directions / np.sqrt(values + 1e-8)
+    whitening = own / np.sqrt(values + 1e-8)
+    return logarithms.mean(axis=0), whitening if directions is None else directions @ whitening

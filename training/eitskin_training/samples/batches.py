@@ -26,6 +26,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
+from eitskin_sim.freeform.presses import TouchKind
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.mirror import Mirror, mirrors
@@ -62,6 +63,9 @@ class TrainingData:
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
         skin: What it was made for; a network learned from it is for this skin.
+        touches: Which touches it has.
+        drift: (N,) by which each sample's resistances had changed since the reference, of random devices of the skin;
+            None of the nominal device.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -80,6 +84,8 @@ class TrainingData:
     seed: int
     protocol_id: str = PROTOCOL_ID
     skin: Skin = PAPER
+    touches: TouchKind = "hard"
+    drift: npt.NDArray[np.float32] | None = None
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
@@ -281,4 +287,6 @@ def load(directory: str) -> TrainingData:
         digest=found.digest,
         seed=found.seed,
         skin=found.skin,
+        touches=found.touch_kind,
+        drift=found.drift,
     )

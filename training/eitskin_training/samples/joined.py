@@ -70,4 +70,14 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests))
+    return replace(first, **whole, **numbered_on, **_kinds(sets), held_out=held_out, digest="+".join(digests))
+
+
+def _kinds(sets: Sequence[TrainingData]) -> dict[str, Any]:
+    """Return which touches several sets have, and the drift of their samples."""
+    touches = {one.touches for one in sets}
+    drifts = [np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets]
+    return {
+        "touches": touches.pop() if len(touches) == 1 else "both",
+        "drift": None if all(one.drift is None for one in sets) else np.concatenate(drifts),
+    }
