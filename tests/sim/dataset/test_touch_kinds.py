@@ -23,15 +23,15 @@ def test_plans_of_hard_touches_have_the_digests_that_they_had() -> None:
 
 @pytest.mark.parametrize("name", ["units", "free"])
 def test_a_kind_of_touches_is_part_of_the_plan(name: str) -> None:
-    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in ("hard", "press", "both")}
-    assert len(digests) == 3
+    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in ("hard", "press", "raise", "both")}
+    assert len(digests) == 4
     assert make_plan(name, 7, deformations=2).touches == "hard"
 
 
 def test_what_no_set_has_is_refused() -> None:
     with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set is as"):
         make_plan("paper", touches="press")
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, both"):
+    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both"):
         make_plan("free", touches="soft")
 
 
