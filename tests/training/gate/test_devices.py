@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_ratio
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_change, log_of_ratio
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
@@ -17,7 +17,7 @@ from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
-from eitskin_training.gate import fit, material, moments, observer, presses, rates, untouched
+from eitskin_training.gate import filters, fit, material, moments, observer, presses, rates, untouched
 from eitskin_training.gate.touches import Probe
 from eitskin_training.gate.untouched import Bends, bends_of
 from eitskin_training.gate.wide_bends import wide_bends
@@ -34,7 +34,7 @@ FLAT = replace(LAB, may_be_off=replace(LAB.may_be_off, reference_stretch=Quantit
 @pytest.fixture(scope="module")
 def data(toy_data: Any) -> TrainingData:
     made: TrainingData = toy_data("area", bends=12, samples=2400)
-    return replace(made, skin=LAB, touches="press", drift=np.ones(len(made.voltages), dtype=np.float32))
+    return replace(made, skin=LAB, touch_kind="lowering", drift=np.ones(len(made.voltages), dtype=np.float32))
 
 
 @pytest.fixture(scope="module")
@@ -103,6 +103,8 @@ def test_a_row_whose_sign_turns_is_held_at_the_floor(data: TrainingData) -> None
     logs = moments.moments(wide_bends(3, 1, wild), wild, 1)
     assert np.isfinite(logs).all()
     assert logs.min() >= np.log(RATIO_RANGE[0])
+    readings_V = np.array([-1.0, 1e-3, 1.0, 9.0])
+    np.testing.assert_allclose(log_of_ratio(readings_V, np.ones(4)), log_of_change(readings_V - 1.0))
     turned = data.untouched.copy()
     turned[:, 5] *= -1.0
     odd = replace(data, untouched=turned)
@@ -127,6 +129,29 @@ def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data
     logs = np.zeros((1, 104))
     usual, moved = (fit.logits(found.arrays, np.expm1(logs + drift)) for drift in (0.0, 0.3))
     assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
+
+
+def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
+    """The network's output is above 0 where the largest filter is above the limit, and twice the moment is no touch."""
+    rng = np.random.default_rng(0)
+    whitening = rng.standard_normal((20, 12))
+    own = filters.bank(rng.standard_normal((300, 12)), rng)
+    assert own.shape == (filters.FILTERS, 12)
+    np.testing.assert_allclose(np.linalg.norm(own, axis=1), 1.0)
+    logs = rng.standard_normal((500, 20)) * rng.choice((0.1, 1.0, 10.0), (500, 1))
+    ratios = filters.ratios(logs @ whitening, own)
+    limit = float(np.median(ratios))
+    first, second, bias = filters.layers(whitening, own, limit)
+    out = np.maximum(np.maximum(logs @ first, 0.0) @ second + bias, 0.0).sum(axis=1)
+    np.testing.assert_array_equal(out > 1e-9, ratios > limit + 1e-9)
+    assert filters.ratios(np.full((1, 12), 1e6), own) == pytest.approx(filters.ratios(np.full((1, 12), 2e6), own), 1e-5)
+
+
+def test_patterns_are_of_small_touches_and_of_a_data_sets_and_none_is_nothing() -> None:
+    rng = np.random.default_rng(0)
+    found = filters.patterns(np.concatenate([np.ones((50, 3)), np.zeros((5, 3)), 2.0 * np.ones((40, 3))]), 40, rng)
+    assert sorted(found[:, 0]) == [1.0] * 50 + [2.0] * 40
+    assert len(filters.patterns(np.ones((9, 3)), 0, rng)) == 9
 
 
 def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) -> None:

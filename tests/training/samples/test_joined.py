@@ -25,10 +25,10 @@ def pair(toy_data: Any) -> tuple[TrainingData, TrainingData]:
 
 def test_sets_of_other_touches_and_devices_are_both(pair: tuple[TrainingData, TrainingData]) -> None:
     one, other = pair
-    assert (join(pair).touches, join(pair).drift) == ("hard", None)
+    assert (join(pair).touch_kind, join(pair).drift) == ("raising", None)
     drift = np.full(len(other.voltages), 1.1, dtype=np.float32)
-    both = join([one, replace(other, touches="press", drift=drift)])
-    assert both.touches == "both"
+    both = join([one, replace(other, touch_kind="lowering", drift=drift)])
+    assert both.touch_kind == "both"
     assert both.drift is not None
     np.testing.assert_array_equal(both.drift, np.concatenate([np.ones(len(one.voltages)), drift]).astype(np.float32))
 
@@ -60,6 +60,11 @@ def test_what_one_set_holds_out_stays_held_out(pair: tuple[TrainingData, Trainin
     np.testing.assert_array_equal(both.held_out["A"], in_a)
     np.testing.assert_array_equal(both.held_out["B"], second.held_out["B"] + start)
     assert not set(both.touch_set[both.train]) & set(both.touch_set[both.validation])
+
+
+def test_a_joined_set_has_the_touches_of_all(pair: tuple[TrainingData, TrainingData]) -> None:
+    assert join(pair).touch_kind == "raising"
+    assert join((pair[0], replace(pair[1], touch_kind="lowering"))).touch_kind == "both"
 
 
 def test_sets_that_do_not_go_together_are_refused(pair: tuple[TrainingData, TrainingData]) -> None:

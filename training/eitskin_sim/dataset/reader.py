@@ -19,7 +19,7 @@ with it.
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -28,31 +28,22 @@ from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
 from eitskin_proto.files.arrays import parse_npz
 from eitskin_proto.files.digest import sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.files.reading import FileError, read_bytes, read_json
-from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.files.reading import read_bytes
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.skin.toml import parse
-from eitskin_sim.dataset.checked import array_of, bend_from_json
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.dataset.index import HINT, is_soft, read_index, skin_of, touch_kind_of
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
-from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
 from eitskin_sim.unit_grid.units import TOUCHED
 
-FORMAT: Final = "eitskin-dataset"
-VERSION: Final = 1
-VERSION_OF_SOFT: Final = 2
-"""Of data sets whose touches are not hard ones alone, which a reader of version 1 would take for such."""
 PIECE_COLUMNS: Final = {False: 7, True: 8}
 """Of a table of touches that are hard ones alone, or may be soft: these have a border."""
-HINT: Final = "make it again with 'eitskin dataset'"
 
 LARGEST_FILE: Final = 1 << 30
 """Bytes of a file; 700,000 free touch sets take 120 MB."""
-
-MOST_SHARDS: Final = 10_000
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -90,7 +81,8 @@ class DataSet:
     """Of touches on the unit grid, where they are not the paper's of 50."""
     skin: Skin = PAPER
     """What it was made for."""
-    touch_kind: TouchKind = "hard"
+    touch_kind: TouchKind = "raising"
+    """Which way its touches change conductance."""
     drift: npt.NDArray[np.float32] | None = None
     """(N,) by which each sample's resistances had changed since the reference, of random devices; None of the nominal
     one."""
@@ -162,17 +154,17 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
     n_units = skin.grid.n_units
     units = np.empty((0, n_units), dtype=np.bool_)
     if unit_bits is not None:
-        units = unpack(array_of(unit_bits, "u", (None, -(-n_units // 8))), n_units)
-    first = array_of(touches.get("first", np.zeros(1, dtype=np.int64)), "i", (None,))
-    held_out = array_of(touches["validation"], "b", (None,))
+        units = unpack(_of(unit_bits, "u", (None, -(-n_units // 8))), n_units)
+    first = _of(touches.get("first", np.zeros(1, dtype=np.int64)), "i", (None,))
+    held_out = _of(touches["validation"], "b", (None,))
     if first[0] != 0 or np.any(np.diff(first) < 0) or first[-1] != len(pieces):
         raise ValueError("the pieces of touches do not follow each other")
     for shard in shards:
-        count = len(array_of(shard["touch_set"], "i", (None,)))
-        array_of(shard["voltages"], "f", (count, N_ROWS))
+        count = len(_of(shard["touch_set"], "i", (None,)))
+        _of(shard["voltages"], "f", (count, N_ROWS))
         if count and not 0 <= shard["touch_set"].min() <= shard["touch_set"].max() < len(held_out):
             raise ValueError("a sample names a touch set that is not there")
-    name, soft = index["set"], _is_soft(index)
+    name, soft = index["set"], is_soft(index)
     sets = len(first) - 1 if name == "free" else len(units)
     if name not in SET_NAMES or sets != len(held_out):
         raise ValueError(f"set {quoted(name)} with {sets} touch sets and {len(held_out)} that are told apart")
@@ -180,9 +172,9 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         set_name=name,
         seed=int(index["seed"]),
         digest=str(index["digest"]),
-        reference_V=array_of(touches["reference"], "f", (N_ROWS,)),
-        untouched_V=np.array([array_of(shard["untouched"], "f", (N_ROWS,)) for shard in shards]),
-        clouds=np.array([array_of(shard["cloud"], "f", (3, *skin.grid.shape)) for shard in shards]),
+        reference_V=_of(touches["reference"], "f", (N_ROWS,)),
+        untouched_V=np.array([_of(shard["untouched"], "f", (N_ROWS,)) for shard in shards]),
+        clouds=np.array([_of(shard["cloud"], "f", (3, *skin.grid.shape)) for shard in shards]),
         bends=tuple(bend_from_json(entry["bend"]) for entry in index["deformations"]),
         deformation_split=tuple(str(entry["split"]) for entry in index["deformations"]),
         voltages_V=np.concatenate([shard["voltages"] for shard in shards]),
@@ -192,89 +184,29 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         touch_set=np.concatenate([shard["touch_set"] for shard in shards]),
         touch_split=held_out,
         units=units,
-        free=TouchTable(array_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
+        free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
         skin=skin,
-        touch_kind=_touch_kind(index),
+        touch_kind=touch_kind_of(index),
         drift=_drift(index, shards),
     )
-
-
-def _touch_kind(index: dict[str, Any]) -> TouchKind:
-    kind = index.get("touch_kind", "hard")
-    if kind not in TOUCH_KINDS:
-        raise ValueError(f"touches are {quoted(kind)}, expected one of {', '.join(TOUCH_KINDS)}")
-    return cast(TouchKind, kind)
 
 
 def _drift(index: dict[str, Any], shards: list[Arrays]) -> npt.NDArray[np.float32] | None:
     if index.get("devices", "ideal") == "ideal":
         return None
-    return np.concatenate([array_of(one["drift"], "f", one["touch_set"].shape) for one in shards])
+    return np.concatenate([_of(one["drift"], "f", one["touch_set"].shape) for one in shards])
 
 
 def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:
     """The contrasts of units, where the touches are not hard ones."""
     if "contrast" not in touches:
         return None
-    number = array_of(touches["contrast_class"], "u", units.shape)
-    contrast = array_of(touches["contrast"], "f", (None,))
+    number = _of(touches["contrast_class"], "u", units.shape)
+    contrast = _of(touches["contrast"], "f", (None,))
     if len(contrast) > 255 or np.any(contrast <= 0) or np.any(number[units] >= len(contrast)):
         raise ValueError("the contrasts of units are not those of their classes")
     return UnitContrasts(number.astype(np.uint8), contrast)
-
-
-def _is_soft(index: dict[str, Any]) -> bool:
-    return bool(index.get("touch_kind", "hard") != "hard")
-
-
-def skin_of(index: dict[str, Any]) -> Skin:
-    """Return the skin that a data set was made for; one made before skins had descriptions is of the paper's.
-
-    Raises:
-        ValueError: The description is none, or not that of the digest.
-    """
-    if "skin_digest" not in index:
-        return PAPER
-    skin = parse(str(index.get("skin")))
-    if skin.digest != index["skin_digest"]:
-        raise ValueError(f"skin_digest is {quoted(index['skin_digest'])}, its description has {skin.digest}")
-    return skin
-
-
-def read_index(folder: Path) -> dict[str, Any]:
-    """Return ``index.json``, its ids checked.
-
-    Raises:
-        MismatchError: It was made for another protocol, grid or version.
-        ProtocolError: The folder holds no finished data set.
-        OSError: The file cannot be read.
-    """
-    path = folder / "index.json"
-    if folder.is_dir() and not path.exists():
-        raise ProtocolError(f"{folder} holds no finished data set: index.json is missing; go on with 'eitskin dataset'")
-    try:
-        index = read_json(path)
-    except FileError as error:
-        raise ProtocolError(f"{error}; {HINT}") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
-        raise ProtocolError(f"{path} is no index of a data set; {HINT}")
-    version = VERSION_OF_SOFT if _is_soft(index) else VERSION
-    try:
-        skin = skin_of(index)
-    except ValueError as error:
-        raise ProtocolError(f"{path}: {plain(str(error))}; {HINT}") from error
-    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", skin.grid_id)):
-        if index.get(name) != expected:
-            raise MismatchError(
-                f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT
-            )
-    shards = index.get("deformations")
-    if not isinstance(shards, list) or not 1 <= len(shards) <= MOST_SHARDS:
-        raise ProtocolError(
-            f"{path}: deformations found {quoted(shards)}, expected a list of up to {MOST_SHARDS}; {HINT}"
-        )
-    return index
 
 
 def _read(folder: Path, entry: dict[str, Any]) -> Arrays:
@@ -289,5 +221,33 @@ def _read(folder: Path, entry: dict[str, Any]) -> Arrays:
     return parse_npz(content, LARGEST_FILE, name)
 
 
+def _of(values: npt.NDArray[Any], kind: str, shape: tuple[int | None, ...]) -> npt.NDArray[Any]:
+    """Return an array that has a kind and a shape, of which None leaves a size open; floats are finite."""
+    fits = len(values.shape) == len(shape) and all(
+        wanted in (None, size) for wanted, size in zip(shape, values.shape, strict=True)
+    )
+    if values.dtype.kind != kind or not fits:
+        raise ValueError(f"an array is {values.dtype} {values.shape}, expected kind {kind} of shape {shape}")
+    if kind == "f" and not np.isfinite(values).all():
+        raise ValueError("an array holds numbers that are not finite")
+    return values
+
+
 def _told(error: Exception) -> str:
     return f"{quoted(error.args[0])} is missing" if isinstance(error, KeyError) and error.args else plain(str(error))
+
+
+def bend_from_json(value: dict[str, Any]) -> Bend:
+    """Return the bend that ``dataclasses.asdict`` made JSON of.
+
+    Raises:
+        ValueError: A number is none, or not finite.
+        TypeError: A key is unknown.
+    """
+    for name, number in value.items():
+        if name != "bumps_mm" and (
+            isinstance(number, bool) or not isinstance(number, int | float) or not abs(number) < 1e9
+        ):
+            raise ValueError(f"a bend's {quoted(name)} is {quoted(number)}, expected a finite number")
+    bumps = tuple((float(x), float(y), float(height), float(sigma)) for x, y, height, sigma in value["bumps_mm"])
+    return Bend(**{**value, "bumps_mm": bumps})

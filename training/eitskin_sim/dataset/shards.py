@@ -14,9 +14,9 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import to_toml
-from eitskin_sim.dataset.checked import bend_from_json
 from eitskin_sim.dataset.device_files import device_file, device_job, job_skin, moment_of, referenced_device, true_bend
 from eitskin_sim.dataset.plan import Plan
+from eitskin_sim.dataset.reader import bend_from_json
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.mesh import shared_mesh

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.freeform.presses import TouchKind
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.family import draw
@@ -51,7 +51,9 @@ class Probe:
 
 
 @lru_cache(maxsize=KEPT)
-def small_touches(bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEED, kind: TouchKind = "hard") -> Array:
+def small_touches(
+    bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEED, kind: TouchKind = "raising"
+) -> Array:
     """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
 
     Args:
@@ -59,11 +61,11 @@ def small_touches(bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEE
         skin: Of the sheet.
         each: Touches at each.
         seed: Of both.
-        kind: "press" for faint presses instead, "both" for every second one.
+        kind: "lowering" for faint presses instead, "both" for every second one.
     """
     rng = np.random.default_rng(seed)
     members = [Bend(), *wide_bends(bends - 1, seed, skin)]
-    hard = {"hard": each, "press": 0, "both": each // 2}[kind]
+    hard = {"raising": each, "lowering": 0, "both": each // 2}[kind]
     found = []
     for bend in members:
         sets = [_drawn_touches(hard, rng, skin), drawn_presses(each - hard, rng, skin)]
@@ -137,10 +139,10 @@ def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
     return found
 
 
-def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "hard") -> tuple[Probe, ...]:
+def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "raising") -> tuple[Probe, ...]:
     """Return touches of a kind at the flat sheet, at ``bends`` bends of A and at as many of B."""
-    hard = _probes(bends, seed, skin, False) if kind != "press" else ()
-    return hard + (_probes(bends, seed, skin, True) if kind != "hard" else ())
+    hard = _probes(bends, seed, skin, False) if kind != "lowering" else ()
+    return hard + (_probes(bends, seed, skin, True) if kind != "raising" else ())
 
 
 @lru_cache(maxsize=KEPT)

@@ -99,8 +99,8 @@ def solved_bends(
     return replace(
         found,
         train=np.concatenate([bends_of(data).train, found.train]),
-        touches=small_touches(touched_bends, data.skin, kind=data.touches),
-        probes=probes(probed_bends, PROBE_SEED, data.skin, data.touches),
+        touches=small_touches(touched_bends, data.skin, kind=data.touch_kind),
+        probes=probes(probed_bends, PROBE_SEED, data.skin, data.touch_kind),
     )
 
 

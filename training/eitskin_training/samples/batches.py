@@ -24,9 +24,9 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
-from eitskin_sim.freeform.presses import TouchKind
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.mirror import Mirror, mirrors
@@ -63,7 +63,7 @@ class TrainingData:
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
         skin: What it was made for; a network learned from it is for this skin.
-        touches: Which touches it has.
+        touch_kind: Which way its touches change conductance: what a network learned from it knows.
         drift: (N,) by which each sample's resistances had changed since the reference, of random devices of the skin;
             None of the nominal device.
     """
@@ -84,7 +84,7 @@ class TrainingData:
     seed: int
     protocol_id: str = PROTOCOL_ID
     skin: Skin = PAPER
-    touches: TouchKind = "hard"
+    touch_kind: TouchKind = "raising"
     drift: npt.NDArray[np.float32] | None = None
 
     def require(self, recipe: Recipe) -> None:
@@ -287,6 +287,6 @@ def load(directory: str) -> TrainingData:
         digest=found.digest,
         seed=found.seed,
         skin=found.skin,
-        touches=found.touch_kind,
+        touch_kind=found.touch_kind,
         drift=found.drift,
     )

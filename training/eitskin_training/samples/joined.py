@@ -8,8 +8,10 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.touch_kind import together
 from eitskin_training.samples.batches import TrainingData, load
 
 
@@ -70,14 +72,13 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    return replace(first, **whole, **numbered_on, **_kinds(sets), held_out=held_out, digest="+".join(digests))
+    kinds: dict[str, Any] = {"touch_kind": together(one.touch_kind for one in sets), "drift": _drift(sets)}
+    return replace(first, **whole, **numbered_on, **kinds, held_out=held_out, digest="+".join(digests))
 
 
-def _kinds(sets: Sequence[TrainingData]) -> dict[str, Any]:
-    """Return which touches several sets have, and the drift of their samples."""
-    touches = {one.touches for one in sets}
-    drifts = [np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets]
-    return {
-        "touches": touches.pop() if len(touches) == 1 else "both",
-        "drift": None if all(one.drift is None for one in sets) else np.concatenate(drifts),
-    }
+def _drift(sets: Sequence[TrainingData]) -> npt.NDArray[np.float32] | None:
+    """Return the drift of every sample; None where none has any."""
+    if all(one.drift is None for one in sets):
+        return None
+    still = (np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets)
+    return np.concatenate(list(still))
