@@ -128,7 +128,7 @@ def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
 def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
     """Return what is true of a device at a random moment after its reference was taken."""
     doubts = skin.may_be_off
-    rms = float(rng.uniform(*doubts.late_rms) * walked(1, rng)[0])
+    rms = float(rng.uniform(*doubts.late_rms) * _walked(1, rng)[0])
     turn = float(rng.uniform(0.0, np.pi / 2))
     late = Late(
         gradient_rms=rms * float(np.sin(turn)),
@@ -146,12 +146,12 @@ def draw_moment(skin: Skin, rng: np.random.Generator) -> Moment:
 
 def draw_drift(skin: Skin, count: int, rng: np.random.Generator) -> Array:
     """Return (count,) common factors of samples' resistances since the reference was taken."""
-    whole, way = skin.may_be_off.drift.draw(rng, count), walked(count, rng)
+    whole, walked = skin.may_be_off.drift.draw(rng, count), _walked(count, rng)
     old = rng.random(count) < OLD
-    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, way) * whole, -MOST_DRIFT, MOST_DRIFT)))
+    return np.asarray(np.exp(np.clip(np.where(old, OLD_FACTOR, walked) * whole, -MOST_DRIFT, MOST_DRIFT)))
 
 
-def walked(count: int, rng: np.random.Generator) -> Array:
+def _walked(count: int, rng: np.random.Generator) -> Array:
     """Return (count,) how far random walks have come, as shares of a session's."""
     return np.sqrt(np.exp(rng.uniform(np.log(FIRST), 0.0, count)))
 
