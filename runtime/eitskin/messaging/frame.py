@@ -74,8 +74,7 @@ class Frame:
     """One tactile frame, as a subscriber sees it.
 
     Attributes:
-        map: (rows, columns) of the runtime's skin, (30, 45) of the paper's, read-only: touched area fraction, or touch
-            probability, of each pixel; row 0 at y = 0.
+        map: (rows, columns) of the skin, read-only: touched area fraction, or touch probability; row 0 at y = 0.
         touched: What the gate says; an untouched frame's map is 0.
         sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
         number: Of the runtime, counting published frames; a gap is a frame lost on the way to the subscriber.
@@ -86,7 +85,7 @@ class Frame:
         solver: ``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed.
         skipped: What was left out, and why: ``inference:untouched``.
         events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
-        electrodes: Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``.
+        electrodes: Those that are not well, what is wrong, what stands in for their rows: ``5:detached:imputed``.
         drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None: unknown.
         drift_sd_percent: Its standard deviation; None while unknown.
         drift_uneven_percent: Rms over the rows of what has moved besides; None while unknown.

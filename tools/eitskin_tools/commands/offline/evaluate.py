@@ -100,12 +100,8 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
     devices.add_argument("--trials", default=every, metavar="A,B", help="which trials (default: all five)")
     drifts = "left in, or taken out as the runtime does: met after a start, or followed since the reference"
     devices.add_argument("--drift", choices=("left", "met", "followed"), default="left", help=drifts)
-    group.add_argument(
-        "--contrast",
-        type=float,
-        metavar="C",
-        help="of --single: conductivity over the sheet's, below 1 for a press (default: 50)",
-    )
+    contrast = "of --single: conductivity over the sheet's, below 1 for a press (default: 50)"
+    group.add_argument("--contrast", type=float, metavar="C", help=contrast)
     group.add_argument("--border", type=float, metavar="MM", help="of --single: width of a graded border (default: 0)")
     group.add_argument("--disc", action="store_true", help="of --single: a disc, not a square")
 
