@@ -60,7 +60,7 @@ def test_a_touch_that_a_clean_scan_hides_moves_less_than_what_is_taken_from_scan
 
 def test_a_touch_held_for_an_hour_is_not_learned_at_any_noise(touches, consistency):
     rng = np.random.default_rng(0)
-    for noise in (0.0032, 0.035):
+    for noise, most in ((0.0032, 0.05), (0.035, 0.15)):  # 50 and 29 dB
         for contrast, logs in touches[6:9:2]:
             assert taken(consistency, logs, noise, 1, rng) < 0.01, (contrast, noise)
-            assert taken(consistency, logs, noise, 400, rng) < 0.05, (contrast, noise)
+            assert taken(consistency, logs, noise, 400, rng) < most, (contrast, noise)
