@@ -16,9 +16,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.correction import NAMES
-from eitskin.health.drift import estimates
 from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
+from eitskin.health.untouched import estimates
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe

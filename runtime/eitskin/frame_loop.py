@@ -150,9 +150,14 @@ class FrameLoop:
 
     # -- reference -----------------------------------------------------------------------------------------------------
 
-    def use(self, found: Reference) -> None:
-        """Normalise against a reference from the next frame on; before the loop runs, or in its thread."""
-        self._pipeline.use_reference(found)
+    def use(self, found: Reference, *, fresh: bool = False) -> None:
+        """Normalise against a reference from the next frame on; before the loop runs, or in its thread.
+
+        Args:
+            found: The reference.
+            fresh: It was taken of the sheet as it is now, not read from a file.
+        """
+        self._pipeline.use_reference(found, fresh=fresh)
         self.reference = found
 
     def capture(self, frames: int, *, force: bool = False) -> Reference:
@@ -173,7 +178,7 @@ class FrameLoop:
                 builder.leave_out(unfit)
             elif builder.add(self._pipeline.normaliser.voltages()):
                 found = builder.finish(self._device.hello, yardstick, force=force)
-                self.use(found)
+                self.use(found, fresh=True)
                 return found
         if self.source.stopping:
             raise BadReference("stopped while the reference was captured")
@@ -232,7 +237,7 @@ class FrameLoop:
         self._recapture = None
         try:
             found = recapture.finish(self._device.hello)
-            self.use(found)
+            self.use(found, fresh=True)
             self._pipeline.record.note("reference")
         except SkinError as error:
             recapture.settle(error)

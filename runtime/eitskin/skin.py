@@ -51,7 +51,7 @@ class Skin:
         idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long
             (:mod:`eitskin.pipeline.idle`); None scans all of them always.
         exclude: Electrodes to go on without; what fails while the stream goes on is found by itself.
-        compensate_drift: Whether frames are freed of what the reference has drifted (:mod:`eitskin.health.drift`).
+        compensate_drift: Whether frames are freed of drift (:mod:`eitskin.health.drift`); None if the bundle can.
         skin: Its description, or that file's path, which the bundle must fit; None takes the bundle's.
 
     Raises:
@@ -76,7 +76,7 @@ class Skin:
         skip_unchanged: bool = False,
         idle_after_s: float | None = None,
         exclude: tuple[int, ...] = (),
-        compensate_drift: bool = False,
+        compensate_drift: bool | None = None,
         skin: Given = None,
     ) -> None:
         if budget_ms is not None and not 0 < budget_ms < 1e6:

@@ -15,7 +15,7 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
         pipeline: The skin's.
         loop: Between the two.
     """
-    record, intake, found = pipeline.record, pipeline.intake, loop.reference
+    record, intake, found, health = pipeline.record, pipeline.intake, loop.reference, pipeline.health
     return {
         "frames": loop.statistics.frames,
         "published": loop.published,
@@ -41,5 +41,6 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
         "skin": f"{pipeline.skin.name}/{pipeline.skin.digest}",
         "reference_utc": found.captured_utc if found else "",
         "weak_rows": found.weak.tolist() if found else [],
-        "electrodes": [] if pipeline.health is None else list(pipeline.health.electrodes.texts),
+        "electrodes": [] if health is None else list(health.electrodes.texts),
+        "drift": {} if health is None else health.drift.summary(),
     }

@@ -1,36 +1,37 @@
-"""Has the sheet's conductivity changed since its one reference was taken? Drying and warmth move every row alike.
+"""How far is the sheet from its one reference? Drying and warmth move every row alike, or nearly so.
 
-A uniform change by a factor moves l = log(V / V0) by one number c in all rows. So does a stretch that is the same in
-every direction: voltages alone cannot tell the two apart, and what is left of c is known to a tenth. With a cloud,
-V_pred says what the shape does, and c is known to half a percent. In both cases the untouched sheet is a Gaussian, of
-mean m and precision P, made at export from deformations ::
+What is followed is taken out of the frames, and of two kinds. The sheet that is known to be untouched is followed from
+look to look (:mod:`eitskin.health.resting`), from the moment of a reference that was taken just now: common drift,
+uneven drift and after-effects of presses. And where a scan says what the shape does, a common factor c of at least
+``LEAST`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
+rested for ``HOLD``, and if the scan explains the rest to D <= ``CLEAN``: no touch of 16 to 25 mm within that has a
+common part of half of ``LEAST``. So no scan takes any touch out. Otherwise what was found stays, for as long as it
+lasts, and its standard deviation grows by that of real sheets ::
 
-    r = l - log(V_pred / V0) - m          c = 1^T P r / 1^T P 1          D = (r - c 1)^T P (r - c 1) / 103
+    frame = (1 + dV) exp(-drift) - 1          drift (104,) in log
 
-D above its limit is no untouched sheet at any uniform drift, so such a frame says nothing of drift: a touch is a
-pattern, and c is the one pattern that it is not. Frames are averaged, and c is reported once it has been plausible for
-``HOLD`` frames. A sheet that dries more at one end than at the other is beyond the limit as well: if it is so by
-``UNEVEN`` times, nothing touches it for as long by the gate, and there is a V_pred, its reference is called ``uneven``:
-no number, and nothing to take out. Between the two nothing is said. Compensation, if it is asked for, takes out c and
-nothing else, moves by ``SLOPE`` a frame at most, and only where there is a prediction.
+A reference from a file says nothing of what the sheet did since: nothing is taken out before the sheet was seen to read
+like it, but for a common factor, or a scan was. Until then the Gaussian's c is what is reported, with its error: half a
+percent with a cloud, a tenth without, since a stretch that is the same in every direction looks just like it. Untouched
+by the gate, and yet beyond ``UNEVEN`` times the limit of D for ``HOLD`` frames, the reference is called ``uneven``.
 """
 
+import math
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.imputation import Array, Consistency
+from eitskin.health.resting import Resting
+from eitskin.health.untouched import Untouched
 from eitskin_proto.sensor.table import N_ROWS
 
 HOLD: Final = 400
-"""Plausible frames in a row before drift is reported: two seconds at 200 frames/s."""
+"""Frames at rest before a scan is believed, or drift reported by it: two seconds at 200 frames/s."""
 
-AVERAGED: Final = 50.0
-"""Frames over which l is averaged."""
-
-SLOPE: Final = 1e-5
-"""Most that the compensation moves a frame, in log: 0.2 % a second at 200 frames/s; a sheet dries in hours."""
+CLEAN: Final = 0.7
+"""D of a scan that explains the sheet; of sheets as modelled nine in ten are below, of touches those of 1 % rms."""
 
 UNEVEN: Final = 2.0
 """Times the limit: one in nine bends of family B, whose clouds tell less than A's, lies between once and 1.7 times."""
@@ -39,138 +40,189 @@ SIGMAS: Final = 3.0
 """Drift is an event above so many of its standard deviations, and above ``LEAST``."""
 
 LEAST: Final = 0.02
-"""Smallest drift worth an event, in log."""
+"""Smallest common drift worth an event, and the smallest that is taken over from a scan, in log."""
+
+LEAST_UNEVEN: Final = 0.01
+"""Smallest uneven drift worth an event: rms, in log."""
+
+WALK: Final = 1e-9
+"""Variance of common drift a frame: 0.1 % a press and a press in five seconds, at 200 frames/s."""
+
+PRIOR: Final = 0.1
+"""Standard deviation of what a sheet may have drifted since a reference that comes from a file."""
+
+TRACKED: Final = 5e-4
+"""Standard deviation of what is followed from the reference on."""
+
+FEW: Final = 30
+"""Frames of a reference whose spread is not believed below ``USUAL``."""
+
+USUAL: Final = 0.005
+"""Relative."""
+
+_ONE: Final = np.ones((), dtype=np.float32)
 
 
 class Drift:
-    """Follows the reference's drift, one frame after another.
+    """Follows the reference's drift, some frames after others.
 
     Args:
         consistency: Of the bundle.
         compensate: Whether to take it out of the frames.
     """
 
-    def __init__(self, consistency: Consistency, *, compensate: bool = False) -> None:
-        self._models = (
-            _Model(consistency.untouched_mean, consistency.untouched_covariance, *consistency.drift_limits[0]),
-            _Model(consistency.predicted_mean, consistency.predicted_covariance, *consistency.drift_limits[1]),
-        )
+    def __init__(self, consistency: Consistency, *, compensate: bool = True) -> None:
+        self._models = Untouched.of(consistency, predicted=False), Untouched.of(consistency, predicted=True)
         self._low_high = (float(consistency.ratio_range[0]) - 1.0, float(consistency.ratio_range[1]) - 1.0)
         self._compensate = compensate
-        self._average = np.zeros(N_ROWS)
-        self._plausible = 0
-        self._seen = 0
-        self._told = False
-        self._strange = 0
-        self.uneven = False
-        """The sheet is untouched, yet far from what reference and cloud say, and not by a common factor."""
-        self._steady = np.zeros(0)
-        self.taken_out = 0.0
-        """What compensation has taken out so far, in log."""
-        self.percent = float("nan")
-        """Change of the voltages against the reference, all rows alike; not a number while unknown."""
-        self.sigma_percent = float("nan")
-        """Its standard deviation, measured on deformations that nothing was learned from."""
+        self.resting = Resting()
+        """What the untouched sheet reads."""
+        self._factor = np.ones(N_ROWS, dtype=np.float32)
+        self._gone = np.zeros(N_ROWS, dtype=np.bool_)
+        self._scan = np.zeros(N_ROWS, dtype=np.float32)
+        self.percent = self.sigma_percent = self.uneven_percent = math.nan
+        """How far all voltages are from the reference alike, its standard deviation, and the rms of what is not alike;
+        not a number while unknown."""
+        self.distance = (self.percent, self.sigma_percent, self.uneven_percent)
+        """All three, for a frame."""
+        self.restart(np.full(N_ROWS, USUAL), 100)
 
-    def restart(self) -> None:
-        """Forget everything: there is a new reference."""
-        self._average[:] = 0.0
-        self._plausible = self._seen = self._strange = 0
-        self._told = self.uneven = False
-        self.taken_out = 0.0
-        self.percent = self.sigma_percent = float("nan")
+    def restart(self, sigma: Array, frames: int, *, fresh: bool = False) -> None:
+        """Forget everything: there is a new reference.
+
+        Args:
+            sigma: (104,) relative standard deviation of its single frames.
+            frames: Of which it is the mean.
+            fresh: It was taken of the sheet as it is now, not read from a file.
+        """
+        believed = sigma if frames >= FEW else np.maximum(sigma, USUAL)
+        self.resting.start(believed, frames, known=fresh)
+        self._followed = fresh
+        self._variance = TRACKED**2 if fresh else PRIOR**2
+        self._scene_variance = TRACKED**2
+        self._fresh_scan = True
+        self._strange = 0
+        self.uneven = self._told = self._told_uneven = False
+        self.active = False
+        self.percent = self.sigma_percent = self.uneven_percent = math.nan
+        self._report()
+
+    def leave_out(self, rows: npt.NDArray[np.bool_]) -> None:
+        """Go by the other rows from now on.
+
+        Args:
+            rows: (104,) those that are filled in.
+        """
+        self._gone = rows.copy()
+        self.resting.leave_out(rows)
+
+    @property
+    def taken_out(self) -> float:
+        """The common part of what is taken out of the frames, in log."""
+        return self.resting.common if self._compensate and self._followed else 0.0
+
+    @property
+    def known(self) -> bool:
+        """Whether the sheet is followed now; else what was found is held."""
+        return self.resting.known
+
+    def summary(self) -> dict[str, float | bool | None]:
+        """Return how far the sheet is from its reference, for a person: numbers in percent, None while unknown."""
+        names = ("percent", "sd_percent", "uneven_percent")
+        numbers = {name: None if math.isnan(x) else round(x, 3) for name, x in zip(names, self.distance, strict=True)}
+        after = round(100.0 * self.resting.after_effect, 2)
+        held_frames = self.resting.left
+        return {
+            **numbers,
+            "after_effect_percent": after,
+            "followed": self.known,
+            "held_frames": held_frames,
+            "taken_out": self.active,
+        }
 
     def correct(self, change: npt.NDArray[np.float32]) -> None:
-        """Take the drift out of (104,) dV, in place, as far as compensation has come."""
-        if self.taken_out:
-            factor = float(np.exp(-self.taken_out))
-            np.add(change, np.float32(1.0), out=change)
-            np.multiply(change, np.float32(factor), out=change)
-            np.subtract(change, np.float32(1.0), out=change)
+        """Take the drift out of (104,) dV, in place."""
+        if self.active:
+            np.add(change, _ONE, out=change)
+            np.multiply(change, self._factor, out=change)
+            np.subtract(change, _ONE, out=change)
 
-    def look(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32], *, touched: bool) -> bool:
-        """Take the evidence of one frame or of several and return whether a frame should say that there is drift.
+    def look(
+        self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32], *, touched: bool
+    ) -> tuple[str, ...]:
+        """Take the evidence of one frame or of several and return what a frame should say of it: events, mostly none.
 
         Args:
             change: (104,) or (n, 104) dV before compensation, failed rows filled in.
             predicted: (104,) log(V_pred / V0) of the cloud in use; zeros without one.
-            touched: What the gate says of the frame, or of any of them.
+            touched: What the gate says of the frame, or of most of them.
         """
-        logs = np.maximum(np.atleast_2d(change), self._low_high[0], dtype=np.float64)
-        np.minimum(logs, self._low_high[1], out=logs)
-        np.log1p(logs, out=logs)
-        frames = len(logs)
-        weights = self._weights(frames)
-        np.multiply(self._average, weights[0], out=self._average)
-        np.add(self._average, weights[1:] @ logs, out=self._average)
-        with_scan = bool(predicted.any())
-        model = self._models[with_scan]
-        drift, distance = model.estimate(self._average - predicted)
-        if distance > model.limit:
-            self._plausible = 0
-            return self._is_uneven(frames, touched=touched or not with_scan or distance <= UNEVEN * model.limit)
-        self._strange, self.uneven = 0, False
-        self._plausible += frames
-        if self._plausible < HOLD:
-            return False
-        self.percent = 100.0 * float(np.expm1(drift))
-        self.sigma_percent = 100.0 * model.sigma
-        if self._compensate and with_scan and not (touched and abs(drift - self.taken_out) < LEAST):
-            most = SLOPE * frames
-            self.taken_out += min(max(drift - self.taken_out, -most), most)
-        told = abs(drift) > max(SIGMAS * model.sigma, LEAST)
-        fresh = told and not self._told
-        self._told = told
-        return fresh
+        seen = np.atleast_2d(change)
+        frames, resting = len(seen), self.resting
+        mean = np.clip(seen.mean(axis=0, dtype=np.float64), *self._low_high)
+        if not np.array_equal(predicted, self._scan):
+            self._scan, self._fresh_scan, self._strange = predicted.copy(), True, 0
+        was_known = resting.known
+        resting.take(np.log1p(mean), frames, touched=touched)
+        if resting.known:
+            self._followed = True
+            self._variance = self._scene_variance
+        elif self._followed:
+            self._variance = (self._scene_variance if was_known else self._variance) + WALK * frames
+        model = self._models[bool(self._scan.any())]
+        more, distance = model.estimate(resting.mean - self._scan - resting.drift)
+        rested = resting.steady >= max(HOLD, resting.span)
+        if rested and self._fresh_scan and self._scan.any() and not resting.known:
+            self._enter(more, distance, model.sigma, touched=touched)
+        self._count_strange(frames, distance, model, touched=touched)
+        if not self._followed and rested and distance <= model.limit:
+            self.percent, self.sigma_percent = 100.0 * math.expm1(more), 100.0 * model.sigma
+        self._report()
+        return self._news()
 
-    def _is_uneven(self, frames: int, *, touched: bool) -> bool:
-        """Count frames that fit no untouched sheet though nothing touches it; return whether they are news.
+    def _enter(self, more: float, distance: float, sigma: float, *, touched: bool) -> None:
+        """Go on from the sheet as it lies if its scan explains it, and take its common factor over if that is large."""
+        clear = abs(more) >= LEAST
+        if distance > CLEAN or more**2 > 16.0 * (self._variance + sigma**2) or (touched and not clear):
+            return
+        if not (clear or self._followed):
+            return  # too little to be told from a touch, and nothing before it
+        self.resting.enter(more if clear else 0.0)
+        self._scene_variance = sigma**2 if clear else min(self._variance, more**2 + sigma**2)
+        self._variance, self._followed, self._fresh_scan = self._scene_variance, True, False
 
-        Args:
-            frames: How many.
-            touched: They are touched, or may be a sheet that the cloud does not say enough of.
-        """
-        self._strange = 0 if touched else self._strange + frames
-        before, self.uneven = self.uneven, self._strange >= HOLD
-        if self.uneven:
-            self.percent = float("nan")
-        return self.uneven and not before
+    def _count_strange(self, frames: int, distance: float, model: Untouched, *, touched: bool) -> None:
+        """Count frames that fit no untouched sheet, though the gate says untouched and a scan what the shape does."""
+        far = distance > UNEVEN * model.limit and model is self._models[1] and not touched
+        self._strange = self._strange + frames if far else 0
+        self.uneven = self._strange >= HOLD
+        if self.uneven and not self._followed:
+            self.percent = self.sigma_percent = math.nan
 
-    def _weights(self, frames: int) -> Array:
-        """Return (1 + n,) how much of the running mean and of each of n frames is in the mean after them."""
-        if self._seen >= AVERAGED and len(self._steady) == 1 + frames:
-            return self._steady
-        weights = np.ones(1 + frames)
-        for row in range(1, 1 + frames):
-            self._seen += 1
-            weights[row] = 1.0 / min(float(self._seen), AVERAGED)
-            weights[:row] *= 1.0 - weights[row]
-        if self._seen - frames >= AVERAGED:
-            self._steady = weights
-        return weights
+    def _report(self) -> None:
+        """Say how far the sheet is, and make that what is taken out."""
+        resting = self.resting
+        if self._followed:
+            self.percent, self.sigma_percent = 100.0 * math.expm1(resting.common), 100.0 * math.sqrt(self._variance)
+            self.uneven_percent = 100.0 * resting.uneven
+        self.distance = self.percent, self.sigma_percent, self.uneven_percent
+        if not self._followed:
+            return
+        drift = resting.drift
+        self.active = self._compensate and bool(np.abs(drift).max() > 1e-5)
+        if self.active:
+            drift[self._gone] = resting.common
+            np.exp(-drift, out=drift)
+            self._factor[:] = drift
 
-
-class _Model:
-    """The untouched sheet, as a Gaussian around a common factor."""
-
-    def __init__(self, mean: Array, covariance: Array, sigma: float, limit: float) -> None:
-        self._mean, self.sigma, self.limit = mean, float(sigma), float(limit)
-        precision = np.linalg.inv(covariance)
-        self._precision = np.asarray((precision + precision.T) / 2.0)
-        self._ones = self._precision.sum(axis=0)
-        self._weight = float(self._ones.sum())
-
-    def estimate(self, logs: Array) -> tuple[float, float]:
-        """Return c, and the distance D of what is left from an untouched sheet."""
-        rest = logs - self._mean
-        drift = float(self._ones @ rest) / self._weight
-        rest = rest - drift
-        return drift, float(rest @ self._precision @ rest) / (N_ROWS - 1)
-
-
-def estimates(consistency: Consistency, logs: Array, *, predicted: bool) -> Array:
-    """Return (n, 2) c and D of (n, 104) l, prediction subtracted: what a bundle's limits are measured by."""
-    mean = consistency.predicted_mean if predicted else consistency.untouched_mean
-    covariance = consistency.predicted_covariance if predicted else consistency.untouched_covariance
-    model = _Model(mean, covariance, 0.0, 0.0)
-    return np.array([model.estimate(row) for row in logs]).reshape(-1, 2)
+    def _news(self) -> tuple[str, ...]:
+        """Return the events of drift, or of its unevenness, that is above what is worth one and was not before."""
+        told = abs(self.percent) > 100.0 * LEAST and abs(self.percent) > SIGMAS * self.sigma_percent
+        self.uneven = self.uneven or self.uneven_percent > 100.0 * LEAST_UNEVEN
+        events: tuple[str, ...] = ()
+        if told and not self._told:
+            events = (f"drift:{self.percent:+.0f}%",)
+        if self.uneven and not self._told_uneven:
+            events += ("drift:uneven",)
+        self._told, self._told_uneven = told, self.uneven
+        return events

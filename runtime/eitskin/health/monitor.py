@@ -44,7 +44,7 @@ class Health:
     """
 
     def __init__(
-        self, consistency: Consistency, *, exclude: tuple[int, ...] = (), compensate_drift: bool = False
+        self, consistency: Consistency, *, exclude: tuple[int, ...] = (), compensate_drift: bool = True
     ) -> None:
         self._consistency = consistency
         self._lock = threading.Lock()
@@ -55,7 +55,8 @@ class Health:
         self._followed = np.zeros((DRIFT_TOGETHER, N_ROWS), dtype=np.float32)
         self._following = 0
         """Frames of ``_followed`` that drift has not seen yet."""
-        self._touched = False
+        self._touched = 0
+        """Frames since then that the gate called touched."""
         self._events: tuple[str, ...] = ()
         self._unclear = False
         self.drift = Drift(consistency, compensate=compensate_drift)
@@ -72,6 +73,9 @@ class Health:
         reference_V: npt.NDArray[np.float64],
         spread_V: npt.NDArray[np.float64],
         gate: Gate | None = None,
+        *,
+        frames: int = 100,
+        fresh: bool = False,
     ) -> None:
         """Hold frames against another reference from now on.
 
@@ -79,6 +83,8 @@ class Health:
             reference_V: (104,) V.
             spread_V: (104,) V, standard deviation of its single frames.
             gate: What judges the frames; its threshold is set by what they can show.
+            frames: Of which the reference is the mean.
+            fresh: It was taken of the sheet as it is now.
         """
         by_hand = tuple(finding.electrode for finding in self.electrodes.findings if finding.state == "excluded")
         self.electrodes = ElectrodeWatch(self._consistency, reference_V, spread_V, by_hand)
@@ -88,10 +94,11 @@ class Health:
             self.gate_without_rows = GateWithoutRows(self._consistency, gate, self.electrodes.sigma)
             self.gate_without_rows.leave_out(self.electrodes.missing)
             self.gate_without_rows.finish()
-        self.drift.restart()
+        self.drift.restart(self.electrodes.sigma, frames, fresh=fresh)
+        self.drift.leave_out(self.electrodes.missing)
         self.reciprocity.restart()
         self._reciprocal_again = {}
-        self._waiting = self._following = 0
+        self._waiting = self._following = self._touched = 0
 
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Leave these electrodes out by hand from the next frame on; may be called from another thread.
@@ -134,7 +141,7 @@ class Health:
             self.reciprocity.take(counts, frozenset(finding.electrode for finding in self.electrodes.findings))
             self._count_reciprocal()
         self._waiting += 1
-        self._touched |= touched
+        self._touched += touched
         return self._waiting == MOST_TOGETHER
 
     @property
@@ -169,6 +176,7 @@ class Health:
                 self.gate_without_rows.step()
             return False
         self._rows_before = electrodes.missing
+        self.drift.leave_out(electrodes.missing)
         if self.gate_without_rows is not None:
             self.gate_without_rows.leave_out(electrodes.missing)
         return True
@@ -207,9 +215,8 @@ class Health:
         self._following = end
         if end + MOST_TOGETHER <= DRIFT_TOGETHER:
             return
-        touched, self._following, self._touched = self._touched, 0, False
-        if self.drift.look(self._followed[:end], predicted, touched=touched):
-            self._tell(("drift:uneven" if self.drift.uneven else f"drift:{self.drift.percent:+.0f}%",))
+        touched, self._following, self._touched = 2 * self._touched > end, 0, 0
+        self._tell(self.drift.look(self._followed[:end], predicted, touched=touched))
 
     def projection(self, matrix: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the bundle's projection without the rows that are missing."""
@@ -224,8 +231,13 @@ class Health:
         self._events += tuple(event for event in events if event not in self._events)
 
 
-def health_of(bundle: Bundle, *, exclude: tuple[int, ...] = (), compensate_drift: bool = False) -> Health | None:
+def health_of(bundle: Bundle, *, exclude: tuple[int, ...] = (), compensate_drift: bool | None = None) -> Health | None:
     """Return what watches over electrodes and drift, or None for a bundle that cannot.
+
+    Args:
+        bundle: The solvers.
+        exclude: Electrodes left out by hand.
+        compensate_drift: Whether drift is taken out of the frames; None wherever the bundle can.
 
     Raises:
         BundleError: It cannot, but something of it is asked for; or its arrays are damaged.
@@ -237,4 +249,4 @@ def health_of(bundle: Bundle, *, exclude: tuple[int, ...] = (), compensate_drift
             wish = "excluding electrodes" if exclude else "compensating drift"
             raise BundleError(f"{bundle.path}: {wish} is {MISSING}")
         return None
-    return Health(Consistency.of(arrays), exclude=exclude, compensate_drift=compensate_drift)
+    return Health(Consistency.of(arrays), exclude=exclude, compensate_drift=compensate_drift is not False)

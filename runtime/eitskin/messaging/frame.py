@@ -35,8 +35,8 @@ COUNTS: Final = ("lost", "corrupt", "withheld", "overrun")
 """Totals since the runtime started."""
 
 NUMBERS: Final = (
-    "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift", *STAGES,
-    *COUNTS,
+    "n", "seq", "device_us", "age_us", "touched", "gate_logit", "cloud", "weak_rows", "map_seq", "drift",
+    "drift_sd", "drift_uneven", *STAGES, *COUNTS,
 )  # fmt: skip
 """What changes with each frame, in the order of the message."""
 
@@ -74,27 +74,25 @@ class Frame:
     """One tactile frame, as a subscriber sees it.
 
     Attributes:
-        map: (rows, columns) of the runtime's skin, (30, 45) of the paper's, read-only: touched area fraction, or touch
-            probability, of each pixel; row 0 at y = 0.
+        map: (rows, columns) of the skin, read-only: touched area fraction, or touch probability; row 0 at y = 0.
         touched: What the gate says; an untouched frame's map is 0.
         sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
-        number: Of the runtime, counting published frames; a gap is a frame lost between runtime and subscriber.
+        number: Of the runtime, counting published frames; a gap is a frame lost on the way to the subscriber.
         device_us: Device clock at the end of the scan, unwrapped past 2^32.
         host_ns: ``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``.
         received_ns: ``perf_counter_ns`` of this machine when the frame was taken from the socket.
         age_us: From the scan to publishing, against the fastest frame seen.
         solver: ``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed.
         skipped: What was left out, and why: ``inference:untouched``.
-        events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``reference``,
-            ``lost``.
-        electrodes: Those that are not well, what is wrong, and what stands in for their rows: ``5:detached:imputed``.
-        drift_percent: How far the voltages have moved against the reference, all rows alike; None while that is
-            unknown.
+        events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
+        electrodes: Those that are not well, what is wrong, what stands in for their rows: ``5:detached:imputed``.
+        drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None: unknown.
+        drift_sd_percent: Its standard deviation; None while unknown.
+        drift_uneven_percent: Rms over the rows of what has moved besides; None while unknown.
         gate_logit: The gate's logit; compare it with the bundle's threshold.
         cloud: Revision of the cloud in use; 0 is the flat sheet.
         weak_rows: Rows of the reference that carry no information, and are filled in from the others.
-        map_sequence: ``sequence`` of the frame that the map was computed for; an older one if nothing changed since,
-            beyond noise.
+        map_sequence: ``sequence`` of the frame that the map was computed for; an older one if only noise changed.
         regions: What of the map was computed: the union of these rectangles; the rest is 0.
         counts: Totals of the runtime: ``COUNTS``.
         configuration: Name and digest of the device's active configuration.
@@ -117,6 +115,8 @@ class Frame:
     events: tuple[str, ...]
     electrodes: tuple[str, ...]
     drift_percent: float | None
+    drift_sd_percent: float | None
+    drift_uneven_percent: float | None
     gate_logit: float
     cloud: int
     weak_rows: int
@@ -203,7 +203,9 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         skipped=_texts(fields, "skipped"),
         events=_texts(fields, "events"),
         electrodes=_texts(fields, "electrodes") if "electrodes" in fields else (),
-        drift_percent=_drift(fields),
+        drift_percent=_drift(fields, "drift"),
+        drift_sd_percent=_drift(fields, "drift_sd"),
+        drift_uneven_percent=_drift(fields, "drift_uneven"),
         gate_logit=gate_logit,
         cloud=_count(fields, "cloud"),
         weak_rows=_count(fields, "weak_rows"),
@@ -255,9 +257,7 @@ def _strict_map(message: bytes) -> dict[str, Any]:
             message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=LARGEST_MAP, max_array_len=MAX_TEXTS,
             max_map_len=64, max_ext_len=0,
         )  # fmt: skip
-    except (
-        Exception
-    ) as error:  # msgpack's exceptions have no common base: ValueError, StackError, UnicodeDecodeError, ...
+    except Exception as error:  # msgpack's have no common base: ValueError, StackError, UnicodeDecodeError, ...
         raise FrameError(f"a message of {len(message)} bytes is no frame ({type(error).__name__})") from error
     if not isinstance(fields, dict):
         raise FrameError(f"a message is no frame: found {type(fields).__name__}, expected a map")
@@ -271,11 +271,11 @@ def _count(fields: Mapping[str, Any], name: str) -> int:
     return value
 
 
-def _drift(fields: Mapping[str, Any]) -> float | None:
-    """Return the drift in percent; a message without it, or with a number that is none, says that it is unknown."""
-    value = fields.get("drift", math.nan)
+def _drift(fields: Mapping[str, Any], name: str) -> float | None:
+    """Return a number on drift; a message without it, or with a number that is none, says that it is unknown."""
+    value = fields.get(name, math.nan)
     if not isinstance(value, float):
-        raise FrameError(f"frame drift: found {str(value)[:40]}, expected a float")
+        raise FrameError(f"frame {name}: found {str(value)[:40]}, expected a float")
     return value if math.isfinite(value) else None
 
 

@@ -70,7 +70,7 @@ class FrameMessages:
         age_us = max(0, (stamps[PUBLISH] - record.scanned_ns) // 1000)
         packer.put_numbers(
             (self.published, record.sequence, record.device_us, age_us, TOUCHED[record.touched], record.gate_logit,
-             record.cloud, record.weak_rows, record.map_sequence, record.drift_percent, *stamps, record.lost,
+             record.cloud, record.weak_rows, record.map_sequence, *record.drift, *stamps, record.lost,
              record.corrupt, record.withheld, record.overrun)
         )  # fmt: skip
         return packer.short_message() if self._short else packer.message()

@@ -63,7 +63,8 @@ class FramePacker:
         constant = {"configuration": configuration, "bundle": bundle, "serial": serial_number, "run": run}
         self._constant: dict[str, object] = {**constant, "host": host_id()}
         plain = (("n", "u"), ("seq", "u"), ("device_us", "u"), ("age_us", "u"), ("touched", "b"), ("gate_logit", "f"),
-                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"))  # fmt: skip
+                 ("cloud", "u"), ("weak_rows", "u"), ("map_seq", "u"), ("drift", "f"), ("drift_sd", "f"),
+                 ("drift_uneven", "f"))  # fmt: skip
         assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
         entries = 1 + len(plain) + 4 + 5 + len(self._constant)
         head += FIRST_BYTE + struct.pack(">H", entries)

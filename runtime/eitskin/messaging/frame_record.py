@@ -27,7 +27,7 @@ class FrameRecord:
     """
 
     __slots__ = (
-        "_computed_map", "_nothing", "cloud", "corrupt", "device_us", "drift_percent", "electrodes", "events",
+        "_computed_map", "_nothing", "cloud", "corrupt", "device_us", "drift", "electrodes", "events",
         "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence",
         "skipped", "solver", "stamps", "touched", "weak_rows", "withheld",
     )  # fmt: skip
@@ -59,8 +59,9 @@ class FrameRecord:
         """What of the map is computed."""
         self.electrodes: tuple[str, ...] = ()
         """Those that are not well."""
-        self.drift_percent = math.nan
-        """Of the reference; not a number while unknown."""
+        self.drift = math.nan, math.nan, math.nan
+        """Of the reference, in percent: alike in all rows, its standard deviation, and the rms of what is not alike;
+        not a number while unknown."""
         self.cloud = 0
         """Revision of the cloud in use."""
         self.weak_rows = 0

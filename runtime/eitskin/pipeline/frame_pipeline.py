@@ -116,14 +116,14 @@ class Pipeline:
         self.intake.greet(hello)
         self.normaliser.use_scale(hello.volts_per_count)
 
-    def use_reference(self, reference: Reference) -> None:
-        """Normalise against a reference from the next frame on."""
+    def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
+        """Normalise against a reference from the next frame on; a fresh one is of the sheet as it is now."""
         self.normaliser.use(reference.voltages_V, reference.weak)
         step_V = self.normaliser.volts_per_count
         self.front_end.use(reference, step_V)
         if self.health is not None:
             spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))  # of rounding
-            self.health.use(reference.voltages_V, spread_V, self._gate)
+            self.health.use(reference.voltages_V, spread_V, self._gate, frames=reference.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(reference.voltages_V, reference.spread_V, reference.frames, step_V)
 
@@ -244,7 +244,7 @@ class Pipeline:
         self.intake.name_withheld()
         record.weak_rows = self.normaliser.weak_count
         if health is not None:
-            record.drift_percent, record.electrodes = health.drift.percent, health.electrodes.texts
+            record.drift, record.electrodes = health.drift.distance, health.electrodes.texts
 
     def _take_over(self) -> bool:
         """Use what other threads brought since the last frame, and return whether it was a cloud."""

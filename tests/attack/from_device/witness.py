@@ -29,7 +29,7 @@ class Seen:
     logit: float
     peak: float
     finite: bool
-    """Whether every number in it is, but for ``drift``, which may be unknown."""
+    """Whether every number in it is, but for those on drift, which may be unknown."""
     events: list[str]
     counts: dict[str, int]
     skipped: list[str]
@@ -37,7 +37,7 @@ class Seen:
 
 def _finite(value: Any, key: str = "") -> bool:
     if isinstance(value, float):
-        return key == "drift" or math.isfinite(value)
+        return key.startswith("drift") or math.isfinite(value)
     if isinstance(value, dict):
         return all(_finite(inner, name) for name, inner in value.items())
     return all(map(_finite, value)) if isinstance(value, list) else True

@@ -1,22 +1,25 @@
-"""A common factor is found, reported and, if asked for, taken out; a touch is none."""
+"""How far the sheet is from its reference is told and taken out: by rest, by a scan, and never by a touch."""
+
+import math
 
 import numpy as np
 import pytest
 
-from eitskin.health.drift import HOLD, LEAST, SLOPE, Drift
+from eitskin.health.drift import HOLD, LEAST, TRACKED, WALK, Drift
 from eitskin.health.imputation import Consistency
 from eitskin_proto.sensor.table import N_ROWS
 
 CAUSES = 0.1 * np.random.default_rng(11).standard_normal((6, N_ROWS))
 BENDS = 0.05 * np.random.default_rng(12).standard_normal((4, N_ROWS))
 NOISE = 0.003
+TOGETHER = 24
 
 NO_PREDICTION = np.zeros(N_ROWS, dtype=np.float32)
 PREDICTION = np.full(N_ROWS, 1e-6, dtype=np.float32)
 
 
 def consistency():
-    """Return an untouched sheet of four bends, known to a hundredth where there is a prediction."""
+    """Return an untouched sheet of four bends, known to a tenth where there is a prediction."""
     noise, zero = NOISE**2 * np.eye(N_ROWS), np.zeros(N_ROWS)
     return Consistency(
         mean=zero,
@@ -26,93 +29,171 @@ def consistency():
         untouched_mean=zero,
         untouched_covariance=BENDS.T @ BENDS + noise,
         predicted_mean=zero,
-        predicted_covariance=1e-4 * BENDS.T @ BENDS + noise,
+        predicted_covariance=1e-2 * BENDS.T @ BENDS + noise,
         drift_limits=np.array([[0.02, 3.0], [0.002, 3.0]]),
         projection_inverse=np.eye(N_ROWS),
         thresholds=np.array([30.0, 5.0]),
     )
 
 
-def frames(logs, count, seed=0):
-    noise = NOISE * np.random.default_rng(seed).standard_normal((count, N_ROWS))
-    return np.expm1(logs + noise).astype(np.float32)
+def followed(*, fresh=True, compensate=True):
+    drift = Drift(consistency(), compensate=compensate)
+    drift.restart(np.full(N_ROWS, NOISE), 100, fresh=fresh)
+    return drift
 
 
-def show(drift, shown, predicted, touched=False):
-    return [number for number, frame in enumerate(shown) if drift.look(frame, predicted, touched=touched)]
+def show(drift, logs, looks, predicted=NO_PREDICTION, touched=False, seed=0):
+    """Show a sheet that reads ``logs`` and return the events."""
+    rng, events = np.random.default_rng(seed), []
+    for _ in range(looks):
+        noise = NOISE * rng.standard_normal((TOGETHER, N_ROWS))
+        events += drift.look(np.expm1(logs + noise).astype(np.float32), predicted, touched=touched)
+    return events
 
 
-@pytest.mark.parametrize("true", [-0.2, 0.1, 0.4])
-@pytest.mark.parametrize("predicted", [NO_PREDICTION, PREDICTION])
-def test_a_common_factor_is_found_whatever_the_bend(true, predicted):
-    drift = Drift(consistency())
-    bend = np.array([1.0, -0.5, 0.3, 0.2]) @ BENDS * (0.01 if predicted.any() else 1.0)
-    told = show(drift, frames(true + bend, HOLD + 100), predicted)
-    assert len(told) == 1
-    assert told[0] >= HOLD - 1
-    # Half a percent: the mean of 50 frames of 0.3 %, and what four bends hide of a constant over 104 rows.
-    assert drift.percent == pytest.approx(100 * np.expm1(true), abs=1.5)
+def corrected(drift, logs):
+    change = np.expm1(np.broadcast_to(logs, N_ROWS)).astype(np.float32)
+    drift.correct(change)
+    return np.log1p(change.astype(np.float64))
 
 
-def test_a_sheet_without_drift_tells_nothing():
-    drift = Drift(consistency())
-    assert show(drift, frames(0.5 * BENDS[0], HOLD + 200), NO_PREDICTION) == []
-    assert abs(drift.percent) < 100 * LEAST
+RESTED = HOLD // TOGETHER + 5
 
 
-def test_nothing_is_said_while_the_sheet_is_touched():
-    drift = Drift(consistency(), compensate=True)
-    assert show(drift, frames(0.1 + CAUSES[0], HOLD + 200), PREDICTION, touched=True) == []
-    assert np.isnan(drift.percent)
-    assert drift.taken_out == 0.0
+@pytest.mark.parametrize("true", [-0.1, 0.1, 0.4])
+def test_a_reference_that_was_just_taken_is_followed_without_any_scan(true):
+    drift = followed()
+    assert (drift.percent, drift.known) == (0.0, True)
+    events = show(drift, true, 40)
+    assert len(events) == 1
+    assert events[0].startswith("drift:")
+    assert drift.percent == pytest.approx(100 * np.expm1(true), abs=0.1)
+    assert drift.sigma_percent == pytest.approx(100 * TRACKED)
+    np.testing.assert_allclose(corrected(drift, true), 0.0, atol=0.005)
 
 
-def test_compensation_takes_out_the_factor_slowly_and_a_touch_stays():
-    drift = Drift(consistency(), compensate=True)
-    drifted = frames(np.full(N_ROWS, 0.01), HOLD + 1500)
-    show(drift, drifted, PREDICTION)
-    assert 0 < drift.taken_out <= 1500 * SLOPE + 1e-9
-    assert drift.taken_out == pytest.approx(0.01, abs=1e-3)
+@pytest.mark.parametrize("true", [-0.1, 0.1])
+def test_a_reference_from_a_file_is_corrected_once_its_sheet_is_seen_or_scanned(true):
+    bent = 0.1 * BENDS[0]
+    drift = followed(fresh=False)
+    assert math.isnan(drift.percent)
+    show(drift, true, 40)
+    assert drift.taken_out == pytest.approx(true, abs=1e-3)
+    scanned = followed(fresh=False)
+    show(scanned, true + bent, RESTED, PREDICTION, touched=True)  # the gate is as wrong as the reference is
+    assert scanned.taken_out == pytest.approx(true, abs=5e-3)
+    assert scanned.sigma_percent == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_bend_that_no_scan_explains_holds_what_was_found_and_says_how_sure_that_is():
+    drift = followed()
+    show(drift, 0.05, 40)
     before = drift.taken_out
-    touch = np.expm1(0.01 + 0.5 * CAUSES[1]).astype(np.float32)
-    show(drift, frames(0.01 + 0.5 * CAUSES[1], 3000, seed=4), PREDICTION, touched=True)
-    assert drift.taken_out == pytest.approx(before, abs=2 * SLOPE * 50)  # at most until the average shows the touch
-    drift.correct(touch)
-    np.testing.assert_allclose(np.log1p(touch), 0.5 * CAUSES[1], atol=2e-3)
+    show(drift, 0.3 + BENDS[0], 200)
+    assert not drift.known
+    assert drift.taken_out == before
+    assert drift.sigma_percent == pytest.approx(100 * math.sqrt(TRACKED**2 + 200 * TOGETHER * WALK), rel=0.01)
+    show(drift, 0.05, RESTED)
+    assert drift.known
+    assert drift.sigma_percent == pytest.approx(100 * TRACKED)
 
 
-def test_without_a_prediction_nothing_is_taken_out():
-    drift = Drift(consistency(), compensate=True)
-    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), NO_PREDICTION)
-    assert drift.percent == pytest.approx(10.5, abs=1.5)
+def test_a_scan_that_contradicts_what_was_followed_is_not_believed():
+    drift = followed()
+    show(drift, 0.0, 40)
+    show(drift, BENDS[0], RESTED)
+    show(drift, 0.1 + 0.1 * BENDS[1], 3 * RESTED, PREDICTION)  # a tenth at once, with another shape: gauge, not drift
+    assert not drift.known
+    assert abs(drift.taken_out) < 1e-3
+
+
+def test_a_scan_takes_the_sheet_as_untouched_and_leaves_small_differences():
+    drift = followed()
+    show(drift, 0.0, 40)
+    show(drift, 0.1 * BENDS[0] + 0.2 * LEAST, RESTED, PREDICTION)
+    assert drift.known
+    assert abs(drift.taken_out) < 2e-3, "as much as a light touch could have"
+    show(drift, 0.1 * BENDS[0] + 0.2 * LEAST + 0.03, 40, PREDICTION)
+    assert drift.taken_out == pytest.approx(0.03, abs=2e-3)
+
+
+def test_a_touch_is_neither_followed_nor_scanned_away():
+    touch = 0.3 * CAUSES[0] + 0.01
+    for fresh in (True, False):
+        drift = followed(fresh=fresh)
+        show(drift, touch, 10 * RESTED, PREDICTION)  # the gate asleep
+        assert not drift.known
+        assert drift.taken_out == pytest.approx(0.0, abs=2e-4)
+        np.testing.assert_allclose(corrected(drift, touch), touch, atol=2e-3)
+
+
+def test_nothing_is_followed_while_the_gate_says_touched():
+    drift = followed()
+    show(drift, 0.1, 100, touched=True)
     assert drift.taken_out == 0.0
+
+
+def test_compensation_can_be_left_out_and_the_report_stays():
+    drift = followed(compensate=False)
+    show(drift, 0.1, 40)
+    assert drift.percent == pytest.approx(10.5, abs=0.1)
+    assert drift.taken_out == 0.0
+    assert corrected(drift, 0.1)[0] == pytest.approx(0.1, abs=1e-6)
+    assert not drift.summary()["taken_out"]
+
+
+@pytest.mark.parametrize(("predicted", "bend"), [(NO_PREDICTION, 1.0), (PREDICTION, 0.1)])
+def test_before_anything_is_known_the_gaussian_says_what_it_can(predicted, bend):
+    drift = followed(fresh=False)
+    show(drift, 0.5 * LEAST + bend * np.array([1.0, -0.5, 0.3, 0.2]) @ BENDS, RESTED, predicted)
+    assert drift.percent == pytest.approx(50 * LEAST, abs=1.0)
+    assert drift.sigma_percent == pytest.approx(0.2 if predicted.any() else 2.0)
+    assert drift.taken_out == 0.0
+    assert math.isnan(drift.uneven_percent)
 
 
 def test_a_new_reference_begins_anew():
-    drift = Drift(consistency(), compensate=True)
-    show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 200), PREDICTION)
-    drift.restart()
+    drift = followed()
+    show(drift, 0.1, 40)
+    drift.restart(np.full(N_ROWS, NOISE), 100)
     assert drift.taken_out == 0.0
-    assert np.isnan(drift.percent)
+    assert math.isnan(drift.percent)
+    assert corrected(drift, 0.1)[0] == pytest.approx(0.1, abs=1e-6)
+
+
+def test_the_spread_of_few_frames_is_not_believed():
+    drift = Drift(consistency())
+    drift.restart(np.zeros(N_ROWS), 2, fresh=True)
+    show(drift, 0.01, 40)
+    assert drift.known
 
 
 GRADIENT = np.linspace(-0.05, 0.05, N_ROWS)
 
 
 def test_an_untouched_sheet_that_no_factor_explains_is_called_uneven_once():
-    drift = Drift(consistency())
-    assert show(drift, frames(np.full(N_ROWS, 0.1), HOLD + 50), PREDICTION) == [HOLD - 1]
-    told = show(drift, frames(GRADIENT, HOLD + 100), PREDICTION)
-    assert len(told) == 1
-    assert HOLD - 1 <= told[0] < HOLD + 60  # the running mean first has to leave the uniform drift
+    drift = followed(fresh=False)
+    assert show(drift, GRADIENT, 2 * RESTED, PREDICTION) == ["drift:uneven"]
     assert drift.uneven
-    assert np.isnan(drift.percent), "no number stands for it"
-    show(drift, frames(np.zeros(N_ROWS), 300), PREDICTION)
+    assert math.isnan(drift.percent), "no number stands for it"
+    show(drift, 0.0, RESTED, PREDICTION)
     assert not drift.uneven
 
 
 @pytest.mark.parametrize(("predicted", "touched"), [(PREDICTION, True), (NO_PREDICTION, False)])
 def test_what_may_be_a_touch_or_a_bend_is_not_called_uneven(predicted, touched):
-    drift = Drift(consistency())
-    assert show(drift, frames(GRADIENT, 2 * HOLD), predicted, touched=touched) == []
+    drift = followed(fresh=False)
+    assert show(drift, GRADIENT, 2 * RESTED, predicted, touched=touched) == []
     assert not drift.uneven
+
+
+def test_uneven_drift_that_was_followed_is_told_and_taken_out():
+    drift, field = followed(), 0.015 * np.linspace(-1.7, 1.7, N_ROWS)
+    for number, part in enumerate(np.linspace(0.0, 1.0, 2000)):
+        mean = np.expm1(part * field + NOISE / 11 * np.random.default_rng(number).standard_normal(N_ROWS))
+        drift.look(np.broadcast_to(mean.astype(np.float32), (120, N_ROWS)), NO_PREDICTION, touched=False)
+    show(drift, field, 300)
+    assert drift.known
+    assert drift.uneven
+    assert drift.uneven_percent == pytest.approx(1.47, abs=0.1)
+    assert np.sqrt(np.mean(corrected(drift, field) ** 2)) < 0.001

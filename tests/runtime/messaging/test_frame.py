@@ -32,7 +32,7 @@ def filled(packer, **numbers):
     values |= {"weak_rows": 1, "map_seq": 7}
     values |= {name: 10 + index for index, name in enumerate(COUNTS)}
     values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
-    values |= {"touched": TOUCHED[True], "drift": math.nan} | numbers
+    values |= {"touched": TOUCHED[True], "drift": math.nan, "drift_sd": math.nan, "drift_uneven": math.nan} | numbers
     packer.put_numbers(tuple(values[name] for name in NUMBERS))
     packer.put_map(np.linspace(0, 1, 1350, dtype="<f4").tobytes())
     packer.put_texts("vd2t", ("geometry:cloud_unchanged",), ("lost", "overrun"))
@@ -60,17 +60,30 @@ def test_a_packed_frame_comes_back_field_by_field(packer):
 
 
 def test_numbers_put_together_are_those_put_one_by_one(packer):
-    together = filled(packer, drift=0.25)
+    drift = {"drift": 0.25, "drift_sd": 0.125, "drift_uneven": 0.5}
+    together = filled(packer, **drift)
     for name in reversed(NUMBERS):
         packer.put(name, TOUCHED[False] if name == "touched" else 0)
     assert bytes(packer.message()) != together
     values = {"n": 3, "seq": 7, "device_us": 2**33, "age_us": 400, "gate_logit": -1.5, "cloud": 2, "weak_rows": 1}
-    values |= {"map_seq": 7, "drift": 0.25, "touched": TOUCHED[True]}
+    values |= {"map_seq": 7, "touched": TOUCHED[True], **drift}
     values |= {name: 10 + index for index, name in enumerate(COUNTS)}
     values |= {name: 1000 * (index + 1) for index, name in enumerate(STAGES)}
     for name, value in values.items():
         packer.put(name, value)
     assert bytes(packer.message()) == together
+
+
+def test_how_far_the_sheet_is_from_its_reference_comes_along(packer):
+    frame = unpack_frame(filled(packer, drift=-1.5, drift_sd=0.125, drift_uneven=0.5), 0)
+    assert (frame.drift_percent, frame.drift_sd_percent, frame.drift_uneven_percent) == (-1.5, 0.125, 0.5)
+    unknown = unpack_frame(filled(packer), 0)
+    assert (unknown.drift_percent, unknown.drift_sd_percent, unknown.drift_uneven_percent) == (None, None, None)
+    fields = msgpack.unpackb(filled(packer))
+    for name in ("drift", "drift_sd", "drift_uneven"):
+        del fields[name]  # of a runtime before this one
+    older = unpack_frame(msgpack.packb(fields), 0)
+    assert (older.drift_percent, older.drift_sd_percent, older.drift_uneven_percent) == (None, None, None)
 
 
 def test_any_messagepack_reader_sees_one_plain_map(packer):

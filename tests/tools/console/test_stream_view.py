@@ -21,6 +21,7 @@ def frame(number, touched=True, **changes):
     fields = {
         "map": image, "touched": touched, "sequence": number, "number": number, "solver": "vd2t-int8",
         "age_s": 0.0013, "counts": {"lost": 4}, "electrodes": (), "events": (),
+        "drift_percent": None, "drift_sd_percent": None,
     }  # fmt: skip
     return SimpleNamespace(**{**fields, **changes})
 
@@ -59,6 +60,11 @@ def test_a_single_frame_is_shown_with_its_number():
     view.show(frame(17, touched=False))
     view.end()
     assert stream.getvalue().startswith("frame 17  untouched  vd2t-int8")
+
+
+def test_how_far_the_sheet_is_from_its_reference_is_shown_once_it_is_known():
+    text = describe(frame(1, drift_percent=-1.26, drift_sd_percent=0.05), 200.0)
+    assert text.endswith("drift -1.3 +- 0.1 %")
 
 
 def test_failed_electrodes_and_events_are_named():

@@ -39,6 +39,23 @@ def test_classical_solvers_find_presses(tmp_path, capsys):
     assert found["rows"][0]["press04"]["missed"] == 0.0
 
 
+def test_drift_is_taken_out_as_the_runtime_does(tmp_path, capsys):
+    (tmp_path / "drift.json").write_text(json.dumps([{"name": "drift", "drift_percent": 10}]))
+    few = ["--deformations", "1", "--each", "1", "--draws", "1", "--trials", "single", "--json"]
+    found = {}
+    for drift in ("left", "met"):
+        assert cli.main(["evaluate", "--devices", str(tmp_path / "drift.json"), *few, "--drift", drift]) == 0
+        report = json.loads(capsys.readouterr().out)
+        assert report["drift"] == drift
+        found[drift] = report["rows"][0]["single"]["cc"]
+    assert found["met"] > found["left"] + 0.01
+
+
+def test_drift_is_only_taken_out_of_what_drifts(capsys):
+    assert cli.main(["evaluate", "--single", "10", "--drift", "met"]) == 2
+    assert "--drift met needs --devices" in capsys.readouterr().err
+
+
 def test_people_read_a_table(tmp_path, capsys):
     assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov-units")) == 0
     lines = capsys.readouterr().out.splitlines()

@@ -40,7 +40,7 @@ class Status:
 
     def fields(self) -> dict[str, object]:
         """Return what a log line holds as plain values."""
-        shown = ("frames", "published", *WATCHED, "cloud", "idle")
+        shown = ("frames", "published", *WATCHED, "cloud", "idle", "drift")
         return {
             "rate_hz": round(self.rate_hz, 1),
             "touched": self.touched,
@@ -68,7 +68,22 @@ class Status:
             parts.append(f"electrodes: {', '.join(electrodes)}")
         elif not trouble:
             parts.append("electrodes well")
+        if drift := drift_text(counters.get("drift")):
+            parts.append(drift)
         return ", ".join(parts)
+
+
+def drift_text(drift: Mapping[str, Any] | None) -> str:
+    """Return how far the sheet is from its reference, in a few words; nothing where it is unknown.
+
+    Args:
+        drift: As ``Skin.status()`` has it.
+    """
+    if not drift or drift.get("percent") is None:
+        return ""
+    held = "" if drift["followed"] else ", held"
+    uneven = "" if drift["uneven_percent"] is None else f", uneven {drift['uneven_percent']:.1f} %"
+    return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}{held}"
 
 
 class RunStatus(Lookout):

@@ -10,6 +10,7 @@ from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_r
 from eitskin_sim.evaluation.harness import SOLVERS
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
+from eitskin_tools.evaluation.drift_removed import DriftRemoved
 from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_for, named
 
@@ -40,7 +41,12 @@ def trials_of(kinds: Sequence[str], deformations: int, each: int) -> list[Trial]
 
 
 def evaluate_devices(
-    rows: Sequence[Row], kinds: Sequence[Trial], request: Request, plan: Plan, progress: Progress | None = None
+    rows: Sequence[Row],
+    kinds: Sequence[Trial],
+    request: Request,
+    plan: Plan,
+    progress: Progress | None = None,
+    drift: str = "left",
 ) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --devices --json`` prints.
 
@@ -50,6 +56,7 @@ def evaluate_devices(
         request: Solver, reference ("pre" or "predicted"), bundle; a bundle serves the trials of its labels alone.
         plan: Draws, seed, noise.
         progress: Called with devices done and all devices.
+        drift: "left" in, or how the runtime meets it (:mod:`eitskin_tools.evaluation.drift_removed`).
 
     Raises:
         ValueError: The request needs the untouched voltages at every shape.
@@ -58,14 +65,17 @@ def evaluate_devices(
         raise ValueError("--devices knows no untouched voltages of a bent device; leave --reference post and true out")
     reference = request.reference or ("predicted" if request.name in SOLVERS else "pre")
     solvers: dict[str, Named] = {}
-    judges = {}
-    bundles = {}
+    judges, bundles = {}, {}
+    followers: dict[str, DriftRemoved] = {}
     for kind in kinds:
         bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
         bundles[kind.name] = bundle.id
         solvers[kind.name] = named(Request(request.name, reference, bundle.path, request.prediction), kind.labels)
         judges[kind.name] = judge_of(bundle)
-    found = run_rows(rows, kinds, {name: one.run for name, one in solvers.items()}, judges, plan, progress)
+        if drift != "left":
+            followers[kind.name] = DriftRemoved(bundle, drift)
+    runs = {name: one.run for name, one in solvers.items()}
+    found = run_rows(rows, kinds, runs, judges, plan, progress, followers or None)
     return {
         "solver": request.name,
         "noise": plan.noise,
@@ -73,6 +83,7 @@ def evaluate_devices(
         "draws": plan.draws,
         "seed": plan.seed,
         "reference": reference,
+        "drift": drift,
         "bundles": bundles,
         "rows": found,
     }

@@ -2,7 +2,7 @@
 
 Deformations of families A and B that no bundle learned from, each with a common factor on all voltages, with and
 without the prediction that a cloud gives; how often a drift is told of sheets that have none, touched or not; then
-a touch that lies still for minutes while compensation runs.
+touches of both signs that lie still for an hour while drift is taken out.
 """
 
 from itertools import pairwise
@@ -12,6 +12,7 @@ import numpy as np
 
 from eitskin.health.drift import HOLD, Drift
 from eitskin.health.imputation import Consistency
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import assemble, flat_metric
 from eitskin_sim.fem.meshing import scene_mesh
@@ -41,8 +42,15 @@ STILL: Final = 1200
 TOGETHER: Final = 24
 """Frames that are looked at together, as the runtime does."""
 
-STILL_FRAMES: Final = 12_000
-"""A touch that lies still for a minute at 200 frames/s."""
+UNTOUCHED: Final = 300
+SLOWLY: Final = 400
+"""Looks of ``TOGETHER`` frames: 36 s untouched, and a touch that comes on in 48 s, at 200 frames/s."""
+
+HOUR: Final = 720_000
+LONG_TOGETHER: Final = 480
+"""Frames that a touch lies still, in fewer looks than the runtime takes, since nothing happens."""
+
+NO_SCAN: Final = np.zeros(N_ROWS, dtype=np.float32)
 
 
 def drifting(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
@@ -119,9 +127,10 @@ def told(consistency: Consistency, bends: int) -> list[dict[str, Any]]:
 def _events(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator, *, touched: bool) -> int:
     """Return how many events a sheet that is held still for ``STILL`` frames gives."""
     drift, events = Drift(consistency), 0
+    drift.restart(np.full(len(logs), NOISE), 100)
     for _ in range(STILL // TOGETHER):
         noisy = logs + NOISE * rng.standard_normal((TOGETHER, len(logs)))
-        events += drift.look(np.expm1(noisy).astype(np.float32), predicted, touched=touched)
+        events += len(drift.look(np.expm1(noisy).astype(np.float32), predicted, touched=touched))
     return events
 
 
@@ -145,8 +154,9 @@ def settle(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.G
 def still(consistency: Consistency, logs: Any, predicted: Any, rng: np.random.Generator) -> Drift:
     """Return what is known of a sheet that is held still for a little longer than it takes."""
     drift = Drift(consistency)
-    for _ in range(HOLD + 20):
-        change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
+    drift.restart(np.full(len(logs), NOISE), 100)
+    for _ in range(HOLD // TOGETHER + 2):
+        change = np.expm1(logs + NOISE * rng.standard_normal((TOGETHER, len(logs)))).astype(np.float32)
         drift.look(change, predicted, touched=False)
     return drift
 
@@ -170,23 +180,43 @@ def uneven(consistency: Consistency, flat: Any, rng: np.random.Generator) -> lis
 
 
 def absorbed(consistency: Consistency, flat: Any, rng: np.random.Generator) -> list[dict[str, Any]]:
-    """Return what compensation takes, in a minute, of touches that lie still on a sheet without drift."""
+    """Return what is taken out, in an hour, of touches that lie still on a sheet without drift, the gate asleep.
+
+    Touches come on at once or within ``SLOWLY`` looks; shares are of a touch's own rms.
+    """
     rows = []
-    for radius in (3.0, 5.0, 8.0, 15.0):
-        taken, sizes = [], []
-        for x, y in ((40.0, 30.0), (75.0, 50.0), (120.0, 80.0)):
-            scene = Scene(touches=(Touch((Disc(x, y, radius),)),), element_size_mm=ELEMENT_MM)
-            logs = np.log(factorise_scene(scene).voltages() / flat)
-            drift = Drift(consistency, compensate=True)
-            predicted = np.full(len(logs), 1e-9, dtype=np.float32)  # a flat cloud's prediction
-            for frame in range(STILL_FRAMES):
-                if frame % 100 == 0:
-                    change = np.expm1(logs + NOISE * rng.standard_normal(len(logs))).astype(np.float32)
-                drift.look(change, predicted, touched=False)  # the gate asleep: the worst case
-            taken.append(abs(drift.taken_out))
-            sizes.append(float(np.sqrt(np.mean(logs**2))))
-        rows.append(
-            {"what": "drift", "touch_radius_mm": radius, "touch_rms_percent": round(100 * float(np.mean(sizes)), 2),
-             "taken_out_percent": round(100 * max(taken), 3)}
-        )  # fmt: skip
+    for snr_db in (50.0, 29.0):
+        for contrast in (0.2, 0.6, 0.85, 1.2, 2.0, 50.0):
+            shares = []
+            for x, y, radius in ((40.0, 30.0, 8.0), (75.0, 50.0, 8.0), (120.0, 80.0, 12.5)):
+                border = 0.0 if contrast > 1.0 else 4.0
+                touch = Touch((Disc(x, y, radius),), contrast=contrast, border_mm=border)
+                scene = Scene(touches=(touch,), element_size_mm=ELEMENT_MM)
+                logs = np.log(factorise_scene(scene).voltages() / flat)
+                shares += [taken(consistency, logs, 10 ** (-snr_db / 20), looks, rng) for looks in (1, SLOWLY)]
+            rows.append(
+                {"what": "drift", "touch_contrast": contrast, "snr_db": snr_db,
+                 "taken_out_at_once_percent": round(100 * max(shares[::2]), 2),
+                 "taken_out_slowly_percent": round(100 * max(shares[1::2]), 2)}
+            )  # fmt: skip
     return rows
+
+
+def taken(consistency: Consistency, logs: Any, noise: float, looks: int, rng: np.random.Generator) -> float:
+    """Return the share of a touch that is taken out when it has come on within some looks and lain for an hour."""
+    drift = Drift(consistency)
+    drift.restart(np.full(len(logs), noise), 100, fresh=True)
+    own = noise / 10.0 * rng.standard_normal(len(logs))
+
+    def show(shown: Any, frames: int) -> None:
+        mean = np.expm1(own + shown + noise / np.sqrt(frames) * rng.standard_normal(len(logs)))
+        drift.look(np.broadcast_to(mean.astype(np.float32), (frames, len(logs))), NO_SCAN, touched=False)
+
+    for _ in range(UNTOUCHED):
+        show(0.0, TOGETHER)
+    before = drift.resting.drift
+    for look in range(looks):
+        show(logs * (look + 1) / looks, TOGETHER)
+    for _ in range(HOUR // LONG_TOGETHER):
+        show(logs, LONG_TOGETHER)
+    return float(np.sqrt(np.mean((drift.resting.drift - before) ** 2) / np.mean(logs**2)))

@@ -68,7 +68,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--exclude-electrode", type=int, action="append", default=[], metavar="N", help="go on without it; repeatable"
     )
     parser.add_argument(
-        "--compensate-drift", action="store_true", help="take out what the reference drifts, where a cloud predicts it"
+        "--compensate-drift",
+        action=argparse.BooleanOptionalAction,
+        help="take out what the sheet is known to have drifted since the reference (default: wherever the bundle can)",
     )
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")

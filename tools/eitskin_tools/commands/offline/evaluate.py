@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
     what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
     what.add_argument(
-        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single or a JSON file"
+        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
     )
     parser.add_argument(
         "--solver",
@@ -96,15 +96,12 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
     devices = parser.add_argument_group("devices")
     devices.add_argument("--draws", type=int, default=3, metavar="N", help="devices of each mismatch (default: 3)")
     devices.add_argument("--seed", type=int, default=0, metavar="S", help="names the devices drawn (default: 0)")
-    devices.add_argument(
-        "--trials", default="mm,units,single,press04,press06", metavar="A,B", help="which trials (default: all five)"
-    )
-    group.add_argument(
-        "--contrast",
-        type=float,
-        metavar="C",
-        help="of --single: conductivity over the sheet's, below 1 for a press (default: 50)",
-    )
+    every = "mm,units,single,press04,press06"
+    devices.add_argument("--trials", default=every, metavar="A,B", help="which trials (default: all five)")
+    drifts = "left in, or taken out as the runtime does: met after a start, or followed since the reference"
+    devices.add_argument("--drift", choices=("left", "met", "followed"), default="left", help=drifts)
+    contrast = "of --single: conductivity over the sheet's, below 1 for a press (default: 50)"
+    group.add_argument("--contrast", type=float, metavar="C", help=contrast)
     group.add_argument("--border", type=float, metavar="MM", help="of --single: width of a graded border (default: 0)")
     group.add_argument("--disc", action="store_true", help="of --single: a disc, not a square")
 
@@ -134,6 +131,8 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(
             f"--skin {arguments.skin}: --measured, --devices and --tank are of the paper's sheet; leave it out"
         )
+    if arguments.drift != "left" and arguments.devices is None:
+        raise UsageError(f"--drift {arguments.drift} needs --devices: nothing else drifts")
     if arguments.measured is not None:
         return _measured(arguments, request)
     if arguments.tank is not None:
@@ -166,7 +165,7 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     rows = drawn() if drawn else mismatch.load_rows(files.find(arguments.devices, files.MISMATCHES))
     kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
     plan = runs.Plan(arguments.draws, arguments.seed, arguments.noise, arguments.snr_db)
-    found = evaluate_devices(rows, kinds, request, plan, _progress())
+    found = evaluate_devices(rows, kinds, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 

@@ -13,7 +13,7 @@ device has the same directions in each of them, so that rows differ by the misma
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any, Final, Literal
+from typing import Any, Final, Literal, Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -43,6 +43,22 @@ Judge = Callable[[Array, Array], bool]
 """Voltages and reference (104,) -> whether the gate calls the sheet touched."""
 
 Progress = Callable[[int, int], None]
+
+Noisy = Callable[[Array, int], Array]
+"""Voltages (104,) and a number n of frames -> what a device reads of them (n, 104)."""
+
+
+class Follower(Protocol):
+    """Takes out of a device's frames what it has drifted, by what was seen of it while it was untouched."""
+
+    def begin(self, reference: Array, drifted: Array, noisy: Noisy) -> None:
+        """Take a device over, flat and untouched: (104,) V when its reference was taken, and once it has drifted."""
+
+    def meet(self, untouched: Array, predicted_log: Array | None, noisy: Noisy) -> None:
+        """See the next deformation (104,) V, untouched, and log V_pred (104,) of its scan against the flat sheet."""
+
+    def correct(self, volts: Array) -> Array:
+        """Return (104,) V without drift."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +118,7 @@ def run_rows(
     judges: Mapping[str, Judge],
     plan: Plan,
     progress: Progress | None = None,
+    followers: Mapping[str, Follower] | None = None,
 ) -> list[dict[str, Any]]:
     """Return a row of figures for every mismatch.
 
@@ -112,6 +129,7 @@ def run_rows(
         judges: Gate by trial.
         plan: Draws, seed, noise.
         progress: Called with devices done and all devices.
+        followers: What takes drift out, by trial; None leaves it in.
     """
     found = []
     for index, (name, mismatch) in enumerate(rows):
@@ -123,7 +141,10 @@ def run_rows(
             drawn.append(deviations(off))
             for kind in kinds:
                 if not (kind.labels == "units" and off.alters_touches):
-                    outcomes[kind.name] += _run(device, kind, runs[kind.name], judges[kind.name], plan, number)
+                    follower = None if followers is None else followers[kind.name]
+                    outcomes[kind.name] += _run(
+                        device, kind, runs[kind.name], judges[kind.name], plan, number, follower
+                    )
             if progress is not None:
                 progress(index * plan.draws + number + 1, len(rows) * plan.draws)
         found.append(
@@ -142,17 +163,30 @@ def _random(plan: Plan, number: int) -> Mismatch:
     return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]))
 
 
-def _run(device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int) -> list[Outcome]:
+def _run(
+    device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int, follower: Follower | None
+) -> list[Outcome]:
     taken = voltages_of(device.reference())
     seeds = [DRAW_SEED, plan.seed, number]
     if device.mismatch.reference_snr_db is not None:
         taken = add_noise(taken, taken, "N2", device.mismatch.reference_snr_db, np.random.default_rng([*seeds, 0]))
+    read = np.random.default_rng([*seeds, 2])
+
+    def reads(volts: Array, frames: int) -> Array:
+        return add_noise(np.tile(volts, (frames, 1)), taken, plan.noise, plan.snr_db, read)
+
+    if follower is not None:
+        follower.begin(taken, voltages_of(device.scene(Scene(), as_it_is=True)), reads)
     found = []
     for index, phantom in enumerate(kind.phantoms):
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
         noisy = add_noise(voltages_of(scene), taken, plan.noise, plan.snr_db, rng)
         sheet = _sheet(device, phantom, rng)
+        if follower is not None:
+            predicted = np.log(sheet.predicted() / flat_voltages()) if device.mismatch.scan else None
+            follower.meet(voltages_of(replace(scene, touches=())), predicted, reads)
+            noisy = follower.correct(noisy)
         held = sheet.predicted() * taken / flat_voltages() if run.reference == "predicted" else taken
         image = run.solver(Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering))
         truth = truth_map(phantom)

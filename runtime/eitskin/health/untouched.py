@@ -1,0 +1,60 @@
+"""The untouched sheet as a Gaussian around a common factor: what a bundle knows of bends, without and with a scan.
+
+A uniform change by a factor moves l = log(V / V0) by one number c in all rows. With mean m and precision P, made at
+export from deformations, and log(V_pred / V0) of the cloud in use, zeros without one ::
+
+    r = l - log(V_pred / V0) - m          c = 1^T P r / 1^T P 1          D = (r - c 1)^T P (r - c 1) / 103
+
+D above a limit is no untouched sheet at any uniform drift. Below it, it may be one, or a touch: of presses of contrast
+0.6 half are below the limit, and c takes up to 0.9 of their rms. So c is a report; what may be taken out by it is
+stricter (:mod:`eitskin.health.drift`).
+"""
+
+import numpy as np
+
+from eitskin.health.imputation import Array, Consistency
+from eitskin_proto.sensor.table import N_ROWS
+
+
+class Untouched:
+    """The untouched sheet.
+
+    Args:
+        mean: (104,) of l.
+        covariance: (104, 104)
+        sigma: Error of c on deformations that nothing was learned from.
+        limit: D of the farthest of them, and a margin.
+    """
+
+    def __init__(self, mean: Array, covariance: Array, sigma: float, limit: float) -> None:
+        self._mean, self.sigma, self.limit = mean, float(sigma), float(limit)
+        precision = np.linalg.inv(covariance)
+        self._precision = np.asarray((precision + precision.T) / 2.0)
+        self._ones = self._precision.sum(axis=0)
+        self._weight = float(self._ones.sum())
+
+    @classmethod
+    def of(cls, consistency: Consistency, *, predicted: bool) -> "Untouched":
+        """Return a bundle's, without or with a prediction."""
+        if predicted:
+            mean, covariance = consistency.predicted_mean, consistency.predicted_covariance
+        else:
+            mean, covariance = consistency.untouched_mean, consistency.untouched_covariance
+        return cls(mean, covariance, *consistency.drift_limits[int(predicted)])
+
+    def estimate(self, logs: Array) -> tuple[float, float]:
+        """Return c, and the distance D of what is left from an untouched sheet.
+
+        Args:
+            logs: (104,) l, prediction subtracted.
+        """
+        rest = logs - self._mean
+        drift = float(self._ones @ rest) / self._weight
+        rest = rest - drift
+        return drift, float(rest @ self._precision @ rest) / (N_ROWS - 1)
+
+
+def estimates(consistency: Consistency, logs: Array, *, predicted: bool) -> Array:
+    """Return (n, 2) c and D of (n, 104) l, prediction subtracted: what a bundle's limits are measured by."""
+    model = Untouched.of(consistency, predicted=predicted)
+    return np.array([model.estimate(row) for row in logs]).reshape(-1, 2)
