@@ -23,10 +23,10 @@ from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
-from eitskin.messaging.frame import FIRST_BYTE, Frame, MapMissing, unpack_frame
+from eitskin.messaging.frame import Frame, MapMissing
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.regions import ALWAYS, EVERYWHERE, UNCHANGED, WHOLE, Region, other_skin
-from eitskin_proto.skin.skin import PAPER
+from eitskin.messaging.received.wishes import NotAsked, TouchesMissing, Wishes
+from eitskin.messaging.regions import other_skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MODES: Final = ("latest", "all")
@@ -63,10 +63,13 @@ class Subscription:
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
         skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
+        touches: Each frame has its list of touches; those that come without, at first, are passed over.
+        maps: False for touches without maps, a sixth of the bytes; it goes with none of the three above.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
+        ValueError: A bound is not positive, the mode does not exist, the region is not on the sheet, or something is
+            asked of maps that are not wanted.
         EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
 
@@ -80,6 +83,8 @@ class Subscription:
         region_mm: tuple[float, float, float, float] | None = None,
         skin: SkinDescription | None = None,
         skip_unchanged: bool = False,
+        touches: bool = False,
+        maps: bool = True,
         keys: ClientKeys | None = None,
     ) -> None:
         if mode not in MODES:
@@ -87,10 +92,9 @@ class Subscription:
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        self._grid = None if region_mm is None else (skin or PAPER).grid
-        self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, (skin or PAPER).grid)
+        self._wishes = wishes = Wishes.of(region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps)
+        self.region = wishes.region
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
-        modest = region_mm is not None or skip_unchanged
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
         self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
         self._waits_ms = -1
@@ -107,8 +111,10 @@ class Subscription:
         """How often the connection was made anew because it was gone, or nothing had ever come over it."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        self.touchless = 0
+        """Frames without touches that were asked for: at the start, or of a runtime that knows none."""
         self._known: Frame | None = None
-        self._newest_only = mode == "latest" and modest
+        self._newest_only = mode == "latest" and len(wishes.topics) > 1
         self._connection: Connection | None = None
         """Over which the last message came, as far as it is known; looked at anew after silence."""
         self._patience_s = PATIENCE_S
@@ -120,14 +126,13 @@ class Subscription:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
-        if mode == "latest" and not modest:
+        if mode == "latest" and not self._newest_only:
             self._socket.setsockopt(zmq.CONFLATE, 1)
         if keys is not None:
             keys.apply(self._socket)
         # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
         # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
-        needed = WHOLE if region_mm is None else self.region.topic
-        for topic in [needed, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]:
+        for topic in wishes.topics:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         try:
             self._socket.connect(self.endpoint)
@@ -159,6 +164,8 @@ class Subscription:
                 self._look_at_connection()
                 if left_ms == waits_ms:
                     why = explain_silence(self.endpoint, timeout_ms / 1000)
+                    if self.touchless and not self.received:
+                        why = f"{self.touchless} came without touches: the runtime is older than they are"
                     raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
                 frame = None
             if frame is None:
@@ -177,15 +184,19 @@ class Subscription:
             message = self._socket.recv() if self._connection is not None else self._recv_first()
             self._heard_ns = time.perf_counter_ns()
             try:
-                frame = unpack_frame(message, self._heard_ns, self._known)
+                frame = self._wishes.frame(message, self._heard_ns, self._known)
             except MapMissing:
                 self.mapless += 1
+            except TouchesMissing:
+                self.touchless += 1
+            except NotAsked:
+                pass
             except FrameError:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
-                if self._grid is not None and frame.map.shape != self._grid.shape:
-                    raise other_skin(self.endpoint, frame.map.shape, self._grid)
+                if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
+                    raise other_skin(self.endpoint, frame.map.shape, grid)
             if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
                 if frame is not None:
                     self._count(frame)
@@ -257,6 +268,8 @@ def subscribe(
     region_mm: tuple[float, float, float, float] | None = None,
     skin: SkinDescription | None = None,
     skip_unchanged: bool = False,
+    touches: bool = False,
+    maps: bool = True,
     keys: ClientKeys | None = None,
 ) -> Subscription:
     """Return an open subscription to a runtime's frames, to be iterated.
@@ -271,10 +284,13 @@ def subscribe(
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
         skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
+        touches: Each frame has its list of touches, ``frame.touches``.
+        maps: False for touches without maps, a sixth of the bytes; ``frame.map`` is then (0, 0).
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
+        ValueError: A bound is not positive, the mode does not exist, the region is not on the sheet, or something is
+            asked of maps that are not wanted.
         EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
     return Subscription(
@@ -285,5 +301,7 @@ def subscribe(
         region_mm=region_mm,
         skin=skin,
         skip_unchanged=skip_unchanged,
+        touches=touches,
+        maps=maps,
         keys=keys,
     )
