@@ -3,9 +3,9 @@
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
 
-A subscriber may say that it needs a region only, or that it does without maps that have not changed; it still finds
-one in every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads everything that
-waits and returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
+A subscriber may say that it needs a region only, or does without maps that have not changed; it still finds one in
+every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and
+returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
 
 Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within
 ``FIRST_FRAME_S``. Once one has come, the next may take as long as it likes.
@@ -25,7 +25,7 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import Frame, MapMissing
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.received.wishes import NotAsked, TouchesMissing, Wishes
+from eitskin.messaging.received.wishes import NotAsked, Wishes
 from eitskin.messaging.regions import other_skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
@@ -43,7 +43,6 @@ PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
 
 MOST_PATIENCE_S: Final = 16.0
-
 LONGEST_WAIT_MS: Final = 1000
 """How long the socket waits at a time."""
 
@@ -63,13 +62,11 @@ class Subscription:
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
         skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
-        touches: Each frame has its list of touches; those that come without, at first, are passed over.
-        maps: False for touches without maps, a sixth of the bytes; it goes with none of the three above.
+        touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, the mode does not exist, the region is not on the sheet, or something is
-            asked of maps that are not wanted.
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
         EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
 
@@ -111,8 +108,8 @@ class Subscription:
         """How often the connection was made anew because it was gone, or nothing had ever come over it."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
-        self.touchless = 0
-        """Frames without touches that were asked for: at the start, or of a runtime that knows none."""
+        self.passed_over = 0
+        """Touch messages where frames were asked for, and frames without the touches that were."""
         self._known: Frame | None = None
         self._newest_only = mode == "latest" and len(wishes.topics) > 1
         self._connection: Connection | None = None
@@ -164,8 +161,8 @@ class Subscription:
                 self._look_at_connection()
                 if left_ms == waits_ms:
                     why = explain_silence(self.endpoint, timeout_ms / 1000)
-                    if self.touchless and not self.received:
-                        why = f"{self.touchless} came without touches: the runtime is older than they are"
+                    if self.passed_over and not self.received:
+                        why = f"{self.passed_over} came without touches: the runtime is older than they are"
                     raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
                 frame = None
             if frame is None:
@@ -187,10 +184,8 @@ class Subscription:
                 frame = self._wishes.frame(message, self._heard_ns, self._known)
             except MapMissing:
                 self.mapless += 1
-            except TouchesMissing:
-                self.touchless += 1
             except NotAsked:
-                pass
+                self.passed_over += 1
             except FrameError:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
@@ -203,7 +198,7 @@ class Subscription:
                 return frame
 
     def _recv_first(self) -> bytes:
-        """Receive a message and keep in mind over which connection it came."""
+        """Receive a message, and keep its connection in mind."""
         message = self._socket.recv(copy=False)
         with suppress(zmq.ZMQError):  # libzmq does not know
             self._connection = connection_at(message.get(zmq.SRCFD))
@@ -234,11 +229,10 @@ class Subscription:
         self._run, self._number = frame.run, frame.number
         self.received += 1
 
+    __next__ = next_frame
+
     def __iter__(self) -> Self:
         return self
-
-    def __next__(self) -> Frame:
-        return self.next_frame()
 
     def __enter__(self) -> Self:
         return self
@@ -285,12 +279,11 @@ def subscribe(
         skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches, ``frame.touches``.
-        maps: False for touches without maps, a sixth of the bytes; ``frame.map`` is then (0, 0).
+        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
-        ValueError: A bound is not positive, the mode does not exist, the region is not on the sheet, or something is
-            asked of maps that are not wanted.
+        ValueError: A bound is not positive, the mode does not exist, or the region is not on the sheet.
         EndpointError: ZeroMQ cannot make sense of the endpoint, or there is no folder for the default one.
     """
     return Subscription(

@@ -65,6 +65,15 @@ class Touch:
     normal: tuple[float, float, float]
     surface_mm2: float
 
+    def __str__(self) -> str:
+        """Return one line: where it is, how large, which way the surface faces, how old."""
+        x, y, z = self.place_mm
+        return (
+            f"touch {self.id} at x {self.centre_mm[0]:.1f}, y {self.centre_mm[1]:.1f} mm, in space "
+            f"{x:.1f} {y:.1f} {z:.1f} mm facing {self.normal[0]:.2f} {self.normal[1]:.2f} {self.normal[2]:.2f}, "
+            f"{self.area_mm2:.0f} mm2, peak {self.peak:.2f}, {self.age_s:.2f} s"
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class TouchEvent:

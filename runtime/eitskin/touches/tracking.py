@@ -90,10 +90,11 @@ class Tracker:
         xs, ys, *_, peaks = found.numbers.tolist()
         count = len(xs)
         now, before = self._now, self._before
+        now[found.pixels] = found.touch  # with those right around it; its own ones then are nobody else's
         now[found.core] = found.core_touch
         lies_in = [int(now[self._pixel(track.x_mm, track.y_mm)]) for track in self._tracks]
         lay_in = [int(before[self._pixel(x, y)]) for x, y in zip(xs, ys, strict=True)]
-        now[found.core] = -1
+        now[found.pixels] = -1
         result, taken = self._paired(xs, ys, lies_in, lay_in)
         events: list[Event] = []
         goes_on = {track.id for track in result if track is not None}
@@ -117,9 +118,10 @@ class Tracker:
                 left.append(track)
         self._tracks = left + [track for track in result if track is not None]
         before[self._used] = 0
-        self._used = found.core
+        self._used = found.pixels
         if count:
             ids = np.array([0 if track is None else track.id for track in result])
+            before[found.pixels] = ids[found.touch]
             before[found.core] = ids[found.core_touch]
         return result, events
 

@@ -1,20 +1,20 @@
 """What a subscriber asks for, as topics (:mod:`eitskin.messaging.publish` has the list), and what a message is then."""
 
+import struct
 from dataclasses import dataclass
-from typing import Self
+from typing import Final, Self
 
-from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, Frame, unpack_frame
+from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, TOUCH_VERSION, Frame, unpack_frame
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 
+TOUCH_HEAD: Final = struct.pack(">cI3s", TOUCH_FIRST_BYTE, 0, b"\xa1v" + bytes([TOUCH_VERSION]))
+"""How a touch message begins; its fifth byte is the number of its keys."""
+
 
 class NotAsked(Exception):  # noqa: N818 -- nothing went wrong
-    """A message that this side did not ask for."""
-
-
-class TouchesMissing(Exception):  # noqa: N818 -- as above
-    """A frame without the touches that were asked for."""
+    """Not what was asked for: a touch message instead of a frame, or a frame without the touches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,13 +60,12 @@ class Wishes:
         """Return the frame of a message; arguments as of :func:`eitskin.messaging.frame.unpack_frame`.
 
         Raises:
-            NotAsked: It is a touch message, and frames were asked for.
-            TouchesMissing: It is a frame, but has none.
+            NotAsked: It is a touch message, and frames were asked for; or it has no touches, and they were.
             FrameError: As of ``unpack_frame``.
         """
-        if self.maps and message[:1] == TOUCH_FIRST_BYTE:
+        if self.maps and message[:4] == TOUCH_HEAD[:4] and message[5:8] == TOUCH_HEAD[5:8]:
             raise NotAsked
         frame = unpack_frame(message, received_ns, known)
         if self.touches and frame.touch_list is None:
-            raise TouchesMissing
+            raise NotAsked
         return frame
