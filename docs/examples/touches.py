@@ -1,4 +1,4 @@
-"""Touches without maps: where each is on the bent surface, which way that faces, how large, and when it begins and ends.
+"""Touches without maps: where each is on the bent surface, which way that faces, how large, when it comes and goes.
 
     python docs/examples/touches.py [ENDPOINT]
 

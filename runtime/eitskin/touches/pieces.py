@@ -138,8 +138,8 @@ def divided(at: Sequence[int], values: Sequence[float], width: int) -> list[int]
     """Return the part of each pixel of one piece: 0, 1, ... by the first pixel of each, or -1 on the saddles between.
 
     From the highest pixel down, each joins the part that it touches, or begins one. Where it touches several, those
-    that rise less than ``SADDLE`` above it join the highest; if several are left, it is on the saddle of them. Pixels of
-    equal height go in the order of the map.
+    that rise less than ``SADDLE`` above it join the highest; if several are left, it is on the saddle of them. Equal
+    pixels go in the order of the map.
 
     Args:
         at: Indices of the pixels in a map with a border, ascending.

@@ -8,6 +8,7 @@ import pytest
 
 from eitskin_proto.errors import MismatchError
 from eitskin_sim.dataset.generate import generate
+from eitskin_sim.dataset.index import touch_kind_of
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import load
 from eitskin_sim.dataset.shards import unit_contrasts
@@ -35,12 +36,22 @@ def test_what_no_set_has_is_refused() -> None:
         make_plan("free", touches="soft")
 
 
+@pytest.mark.parametrize(("said", "way"), [({}, "raising"), ({"touch_kind": "raise"}, "raising")])
+def test_a_set_says_which_way_its_touches_go(said: dict[str, str], way: str) -> None:
+    assert touch_kind_of(said) == way
+    assert touch_kind_of({"touch_kind": "press"}) == "lowering"
+    for wrong in ("soft", 1):
+        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, raise, press, both"):
+            touch_kind_of({"touch_kind": wrong})
+
+
 @pytest.mark.heavy
 def test_a_free_set_of_both_ways_keeps_contrast_border_and_shape_and_labels_outlines(tmp_path: Path) -> None:
     plan = make_plan("free", 3, deformations=1, kept=0, per_deformation=60, touches="both")
     index = generate(plan, tmp_path, workers=0)
     data = load(tmp_path)
     assert (index["touch_kind"], index["version"], index["digest"]) == ("both", 2, data.digest)
+    assert data.touch_kind == "both"
     assert data.free.pieces.shape[1] == 8
     contrast = data.free.pieces[:, 6]
     assert 0.2 < np.mean(contrast < 1.0) < 0.8

@@ -1,8 +1,9 @@
 """``eitskin bench touches``: what the list of touches takes for a frame, and how far off it is with a shipped network.
 
-Time: maps of 1 to 6 discs of 10 mm with noise, another one each frame, as a runtime goes through them; paced at 5 ms, as a robot sees them (caches have cooled), and back to back. Accuracy: the trials of ``eitskin evaluate
---single 10``, one hard square touch on bent sheets, and those of ``--pair 10``; a pair is told apart if two touches are
-listed, each within 5 mm of its own.
+Time: maps of 1 to 6 discs of 10 mm with noise, another one each frame, as a runtime goes through them; paced at 5 ms,
+as a robot sees them (caches have cooled), and back to back. Accuracy: the trials of ``eitskin evaluate --single 10``,
+one hard square touch on bent sheets, and those of ``--pair 10``; a pair is told apart if two touches are listed, each
+within 5 mm of its own.
 """
 
 import argparse
@@ -82,9 +83,9 @@ def _timed(count: int, frames: int) -> dict[str, Any]:
             if kind == "paced":
                 due = max(due + PERIOD_S, time.perf_counter())
                 time.sleep(max(due - time.perf_counter(), 0.0))
-            image = maps[frame % len(maps)]
+            values = maps[frame % len(maps)]
             start = time.perf_counter_ns()
-            watch.look(image, (kind, frame), surface, 5000 * frame)
+            watch.look(values, (kind, frame), surface, 5000 * frame)
             found.append(time.perf_counter_ns() - start)
     paced, warm = (percentiles_us(np.array(spans[kind])) for kind in ("paced", "warm"))
     return {
