@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         BadReference,
         BudgetError,
         BundleError,
+        CalibrationError,
         CloudWarning,
         ControlError,
         EndpointError,
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     from eitskin.reference.captured import Reference
     from eitskin.serving import serve
     from eitskin.skin import Skin
+    from eitskin.touches.force import ForceTable
+    from eitskin.touches.touch import Touch, TouchEvent, TouchList
     from eitskin_proto.skin.cloud import pixel_centres_mm
 
     __version__: str
@@ -53,11 +56,13 @@ __all__ = [
     "BudgetError",
     "Bundle",
     "BundleError",
+    "CalibrationError",
     "ClientKeys",
     "CloudWarning",
     "ControlError",
     "ControlServer",
     "EndpointError",
+    "ForceTable",
     "Frame",
     "FrameError",
     "HandshakeError",
@@ -74,6 +79,9 @@ __all__ = [
     "SkinError",
     "StaleFrame",
     "Subscription",
+    "Touch",
+    "TouchEvent",
+    "TouchList",
     "Transport",
     "TransportError",
     "__version__",
@@ -91,11 +99,15 @@ _HOMES: Final = {
     "Bundle": "eitskin.model.bundle",
     "ClientKeys": "eitskin.messaging.curve_keys",
     "ControlServer": "eitskin.messaging.control",
+    "ForceTable": "eitskin.touches.force",
     "Frame": "eitskin.messaging.frame",
     "Publisher": "eitskin.messaging.publish",
     "Reference": "eitskin.reference.captured",
     "Skin": "eitskin.skin",
     "Subscription": "eitskin.messaging.subscription",
+    "Touch": "eitskin.touches.touch",
+    "TouchEvent": "eitskin.touches.touch",
+    "TouchList": "eitskin.touches.touch",
     "Transport": "eitskin.acquisition.transport",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",

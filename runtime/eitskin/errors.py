@@ -103,6 +103,10 @@ class BadReference(SkinError):
     """A reference cannot be used; the builtin ``ReferenceError`` is about weak references."""
 
 
+class CalibrationError(SkinError):
+    """A table of one's own, from strength to force, cannot be used."""
+
+
 class EndpointError(SkinError):
     """An endpoint may not be used, or cannot be bound or reached."""
 

@@ -18,7 +18,7 @@ from typing import Final, Protocol
 from eitskin.acquisition.device import Device
 from eitskin.errors import BadReference, HandshakeError, SkinError, TransportError
 from eitskin.frame_source import FrameSource
-from eitskin.messaging.frame_message import FrameMessages
+from eitskin.messaging.frame_message import Asked, FrameMessages
 from eitskin.messaging.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
@@ -27,13 +27,22 @@ from eitskin.reference.builder import ReferenceBuilder
 from eitskin.reference.captured import Reference
 from eitskin.reference.judged import Yardstick, yardstick_of
 from eitskin.reference.recapture import Recapture
+from eitskin.touches.watch import TouchWatch
 
 CAPTURE_S: Final = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
 
 
+PLAIN: Final = Asked()
+"""Frames, and no touches."""
+
+
 class Taker(Protocol):
-    """Who takes the messages of frames: a publisher, or this process."""
+    """Who takes the messages of frames: a publisher, or this process.
+
+    One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Asked`; one without takes frames, and no
+    touches.
+    """
 
     @property
     def wanted(self) -> bool:
@@ -60,6 +69,7 @@ class FrameLoop:
         self._device, self._pipeline, self.idle = device, pipeline, idle
         shape = pipeline.bundle.skin.grid.shape
         self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number, shape)
+        self._touches: TouchWatch | None = None
         self.statistics = Statistics()
         self.source = FrameSource(device, pipeline)
         self.reference: Reference | None = None
@@ -97,7 +107,7 @@ class FrameLoop:
                 if pipeline.compute(wanted):
                     self._choose_mode(whole=recapture is not None)
                     if wanted:
-                        taker.send(self._pack(short=taker.short))
+                        self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     self._finish()
@@ -134,9 +144,33 @@ class FrameLoop:
             if mode is not None:
                 self._device.ask_mode(mode)
 
-    def _pack(self, *, short: bool) -> memoryview:
+    def _hand_over(self, taker: Taker) -> None:
+        """Give the taker what it asks for."""
+        asked: Asked = getattr(taker, "asked", PLAIN)
+        if asked.touches or self._pipeline.record.touches is not None:
+            self._look_for_touches(wanted=asked.touches)
+        message = self._pack(short=taker.short, frames=asked.frames)
+        if asked.alone:
+            taker.send(memoryview(self._messages.touch_message()))
+        if asked.frames:
+            taker.send(message)
+
+    def _look_for_touches(self, *, wanted: bool) -> None:
+        """Put the touches into the record, or forget them when nobody asks any more."""
+        pipeline, record, touches = self._pipeline, self._pipeline.record, self._touches
+        if touches is None:
+            self._touches = touches = TouchWatch(pipeline.bundle.skin.grid)
+        if not wanted:
+            touches.forget()
+            record.touches = None
+            return
+        values = pipeline.buffers.map[0] if record.touched and not record.map_is_zero else None
+        which = record.solver, record.map_sequence
+        record.touches = touches.look(values, which, pipeline.buffers.surface, record.device_us)
+
+    def _pack(self, *, short: bool, frames: bool) -> memoryview:
         record = self._pipeline.record
-        self._messages.begin(record, short=short)
+        self._messages.begin(record, short=short, frames=frames)
         self._pipeline.judge(record.stamps[PACK])
         record.corrupt = self._device.deframer.corrupt
         return self._messages.finish(record)

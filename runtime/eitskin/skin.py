@@ -186,20 +186,20 @@ class Skin:
         """
         self.pipeline.exclude(electrodes)
 
-    def frames(self, *, timeout_s: float | None = None) -> Iterator[Frame]:
+    def frames(self, *, timeout_s: float | None = None, touches: bool = False) -> Iterator[Frame]:
         """Yield frames as they come, in this process; each owns its map.
 
         Args:
             timeout_s: End after so long; None goes on until ``stop``.
+            touches: Whether each has ``frame.touches``.
 
         Raises:
             BadReference: There is no reference yet.
             PortLost: The port vanished.
             HandshakeError: The device fell silent and does not answer, or came back as another one.
         """
-        until_ns = None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)
-        here = LastMessage()
-        for _ in self.loop.run(here, until_ns):
+        here = LastMessage(touches=touches)
+        for _ in self.loop.run(here, None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)):
             yield unpack_frame(here.message, time.perf_counter_ns())
 
     def publish(self, taker: Taker, until_ns: int | None = None) -> Iterator[FrameRecord]:

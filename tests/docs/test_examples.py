@@ -32,6 +32,12 @@ def test_a_region_shows_its_rows_and_columns(example, runtime):
         assert "(30, 9)" in program.until("left edge")
 
 
+def test_touches_come_without_maps(example, runtime):
+    with example("touches.py", runtime.frames) as program:
+        assert "born" in program.until(": touch ")
+        assert "facing (" in program.until("touch 1 at")
+
+
 def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
     (tmp_path / "eitskin.py").write_text("raise ModuleNotFoundError('eitskin is not installed here')\n")
     with example("without_eitskin.py", runtime.frames, PYTHONPATH=str(tmp_path)) as program:

@@ -10,7 +10,6 @@ A subscriber trusts nothing: sizes, types, shape and finiteness are checked, wha
 """
 
 import math
-import operator
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -18,12 +17,13 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final
 
-import msgpack  # type: ignore[import-untyped]
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import FrameError
-from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions, whole
+from eitskin.messaging.received.parts import map_of, regions_of, strict_map
+from eitskin.messaging.regions import MOST_PIXELS, Regions
+from eitskin.touches.touch import NAMES, Touch, TouchList, unpack_touches
 
 VERSION: Final = 1
 """Of the message; a subscriber refuses another one."""
@@ -43,6 +43,12 @@ NUMBERS: Final = (
 TOUCHED: Final = (0xC2, 0xC3)
 """False and true in MessagePack."""
 
+TOUCH_FIRST_BYTE: Final = b"\xdf"
+"""A touch message, which has no map, begins with it: the same, with a wider count."""
+
+TOUCH_VERSION: Final = 2
+"""Of a touch message: who reads version 1 only leaves it alone."""
+
 LARGEST_MAP: Final = 4 * MOST_PIXELS[0] * MOST_PIXELS[1]
 """Bytes; the paper's has 5400."""
 
@@ -51,6 +57,9 @@ FIRST_BYTE: Final = b"\xde"
 
 LARGEST_MESSAGE: Final = 68608
 """Bytes; a frame of the paper's skin has about 6000, of the largest map about 58,200."""
+
+NO_MAP: Final = np.zeros((0, 0), dtype=np.float32)
+"""Of a frame from a touch message."""
 
 LARGEST_REST: Final = LARGEST_MESSAGE - LARGEST_MAP
 """Bytes of a message without its map."""
@@ -74,7 +83,8 @@ class Frame:
     """One tactile frame, as a subscriber sees it.
 
     Attributes:
-        map: (rows, columns) of the skin, read-only: touched area fraction, or touch probability; row 0 at y = 0.
+        map: (rows, columns) of the runtime's skin, (30, 45) of the paper's, read-only: touched area fraction, or touch
+            probability, of each pixel; row 0 at y = 0. (0, 0) where touches were asked for without maps.
         touched: What the gate says; an untouched frame's map is 0.
         sequence: Of the device, unwrapped; a gap is a frame lost before the runtime.
         number: Of the runtime, counting published frames; a gap is a frame lost on the way to the subscriber.
@@ -99,6 +109,7 @@ class Frame:
         bundle: Id of the bundle.
         serial_number: Of the device.
         run: Differs after each start of the runtime.
+        touch_list: Touches and what happened to them; None unless somebody asked the runtime for them.
         same_host: Whether the runtime runs on this machine, so that its stamps compare with ours.
     """
 
@@ -128,12 +139,20 @@ class Frame:
     serial_number: str
     run: str
     same_host: bool
+    touch_list: TouchList | None = None
 
     def __repr__(self) -> str:
         """Return one line: which frame, touched or not, by what, how old when it came."""
         state = "touched" if self.touched else "untouched"
         events = f", {' '.join(self.events)}" if self.events else ""
         return f"<Frame {self.sequence} of {self.serial_number}: {state}, {self.solver}, {self.age_us} us old{events}>"
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """The touches, by id; who did not ask for any gets a :class:`FrameError`."""
+        if self.touch_list is None:
+            raise FrameError(f"frame {self.sequence} has no touches: ask for them by subscribe(..., touches=True)")
+        return self.touch_list.touches
 
     @property
     def age_s(self) -> float:
@@ -172,19 +191,22 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         MapMissing: It has no map, and means another one than ``known`` has.
         FrameError: It is no frame, or one of another version.
     """
-    fields = _strict_map(message)
-    if fields.get("v") != VERSION:
-        raise FrameError(f"frame version: found {fields.get('v')!r}, expected {VERSION}; use the runtime's release")
+    fields = strict_map(message, LARGEST_MESSAGE, LARGEST_MAP, MAX_TEXTS)
+    alone = message[:1] == TOUCH_FIRST_BYTE
+    if fields.get("v") != (expected := TOUCH_VERSION if alone else VERSION):
+        raise FrameError(f"frame version: found {fields.get('v')!r}, expected {expected}; use the runtime's release")
     sequence = _count(fields, "seq")
     map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
     regions: Regions | None = None
-    if "map" in fields:
-        values = _map(fields)
+    if alone:
+        values = NO_MAP
+    elif "map" in fields:
+        values = map_of(fields)
     elif known is not None and (known.run, known.map_sequence) == (fields.get("run"), map_sequence):
         values, regions = known.map, known.regions
     else:
         raise MapMissing(f"frame {sequence} has the map of frame {map_sequence}, which was not received")
-    claimed = _regions(fields, (values.shape[0], values.shape[1]))
+    claimed = regions_of(fields, MOST_PIXELS if alone else (values.shape[0], values.shape[1]))
     if not isinstance(fields.get("touched"), bool):
         raise FrameError("frame touched: expected true or false")
     gate_logit = fields.get("gate_logit")
@@ -217,51 +239,8 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
         serial_number=_text(fields, "serial"),
         run=_text(fields, "run"),
         same_host=_text(fields, "host") == host_id(),
+        touch_list=unpack_touches(*map(fields.get, NAMES)) if NAMES[0] in fields else None,
     )
-
-
-def _map(fields: Mapping[str, Any]) -> npt.NDArray[np.float32]:
-    shape, raw = fields.get("shape"), fields.get("map")
-    if not isinstance(shape, list) or len(shape) != 2 or not all(map(_is_size, shape, MOST_PIXELS)):
-        raise FrameError(f"frame shape: found {str(shape)[:40]}, expected [rows, columns] up to {list(MOST_PIXELS)}")
-    if not isinstance(raw, bytes) or len(raw) != 4 * shape[0] * shape[1]:
-        raise FrameError(f"frame map: expected {4 * shape[0] * shape[1]} bytes")
-    values = np.frombuffer(raw, dtype="<f4").reshape(shape)  # of immutable bytes: read-only
-    if not np.isfinite(values).all():
-        raise FrameError("frame map: holds values that are not finite")
-    return values
-
-
-def _is_size(value: object, most: int) -> bool:
-    return type(value) is int and 1 <= value <= most
-
-
-def _regions(fields: Mapping[str, Any], shape: tuple[int, int]) -> Regions:
-    found = fields.get("regions")
-    if found is None:
-        return whole(shape)
-    try:
-        regions = tuple(Region(*map(operator.index, bounds)).check(shape) for bounds in found)
-    except (TypeError, ValueError) as error:
-        raise FrameError(f"frame regions: found {str(found)[:60]}, expected rectangles on the sheet") from error
-    if not 1 <= len(regions) <= MOST:
-        raise FrameError(f"frame regions: found {len(regions)}, expected 1 to {MOST}")
-    return regions
-
-
-def _strict_map(message: bytes) -> dict[str, Any]:
-    if len(message) > LARGEST_MESSAGE:
-        raise FrameError(f"a message of {len(message)} bytes is no frame; expected at most {LARGEST_MESSAGE}")
-    try:
-        fields = msgpack.unpackb(
-            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=LARGEST_MAP, max_array_len=MAX_TEXTS,
-            max_map_len=64, max_ext_len=0,
-        )  # fmt: skip
-    except Exception as error:  # msgpack's have no common base: ValueError, StackError, UnicodeDecodeError, ...
-        raise FrameError(f"a message of {len(message)} bytes is no frame ({type(error).__name__})") from error
-    if not isinstance(fields, dict):
-        raise FrameError(f"a message is no frame: found {type(fields).__name__}, expected a map")
-    return fields
 
 
 def _count(fields: Mapping[str, Any], name: str) -> int:

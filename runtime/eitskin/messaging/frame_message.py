@@ -8,7 +8,7 @@ Packing has two halves, since between them the frame is held against its latency
 
 import os
 import time
-from typing import Final
+from typing import Final, NamedTuple
 
 from eitskin.messaging.frame import TOUCHED
 from eitskin.messaging.frame_packer import FramePacker
@@ -43,14 +43,19 @@ class FrameMessages:
         """The frame whose map the packer holds; -1 for one that is zero."""
         self._short = False
 
-    def begin(self, record: FrameRecord, *, short: bool) -> None:
+    def begin(self, record: FrameRecord, *, short: bool, frames: bool = True) -> None:
         """Give a frame its number and copy its map.
 
         Args:
             record: The frame.
             short: Leave the map out if it is that of the frame before, which every subscriber has.
+            frames: Whether somebody takes frames; else only the touch message will be asked for, and no map is copied.
         """
         self.published += 1
+        if not frames:
+            self._short, self._sent_map = False, -1
+            record.stamps[PACK] = time.perf_counter_ns()
+            return
         self._short = short and record.map_sequence == self._sent_map
         self._sent_map = record.map_sequence
         if self._short:
@@ -66,6 +71,7 @@ class FrameMessages:
         """Return the message of the frame, with publishing stamped as now; the next frame overwrites it."""
         packer, stamps = self._packer, record.stamps
         packer.put_texts(record.solver, record.skipped, record.events, record.regions, record.electrodes)
+        packer.put_touches(record.touches)
         stamps[PUBLISH] = time.perf_counter_ns()
         age_us = max(0, (stamps[PUBLISH] - record.scanned_ns) // 1000)
         packer.put_numbers(
@@ -75,14 +81,34 @@ class FrameMessages:
         )  # fmt: skip
         return packer.short_message() if self._short else packer.message()
 
+    def touch_message(self) -> bytes:
+        """Return the message, of the frame that was finished last, of those that take touches without maps."""
+        return self._packer.touch_message()
+
+
+class Asked(NamedTuple):
+    """What takers of messages ask for besides."""
+
+    frames: bool = True
+    """Somebody takes frames, with their maps."""
+    touches: bool = False
+    """Somebody needs touches."""
+    alone: bool = False
+    """Somebody takes touches without maps."""
+
 
 class LastMessage:
-    """Takes every message, whole, in this process."""
+    """Takes every message, whole, in this process.
 
-    __slots__ = ("message",)
+    Args:
+        touches: Whether the messages have the touches.
+    """
+
+    __slots__ = ("asked", "message")
     wanted, short = True, False
 
-    def __init__(self) -> None:
+    def __init__(self, *, touches: bool = False) -> None:
+        self.asked = Asked(touches=touches)
         self.message = b""
         """A copy of the last one."""
 

@@ -4,6 +4,9 @@ Everything that changes with each frame has a fixed width and stands first, so t
 time of publishing can be stamped last. Only the texts at the end vary in length. ::
 
     v n seq device_us ... weak_rows map_seq host_ns{..} counts{..} shape map | solver skipped events regions ...
+
+While somebody asks for touches they follow at the very end. A touch message is the same without shape and map, of
+version 2, and begins with another byte.
 """
 
 import struct
@@ -19,10 +22,22 @@ from eitskin.messaging.frame import (
     MAX_TEXTS,
     NUMBERS,
     STAGES,
+    TOUCH_FIRST_BYTE,
+    TOUCH_VERSION,
     VERSION,
     host_id,
 )
 from eitskin.messaging.regions import Regions, whole
+from eitskin.touches.touch import KEYS, LAYOUT
+
+HEAD_END: Final = 6
+"""Bytes of a message up to its version."""
+
+TOUCH_HEAD: Final = bytes(msgpack.packb("v") + msgpack.packb(TOUCH_VERSION))
+TOUCHES_KEY: Final = bytes(msgpack.packb("touches"))
+BYTES_ENTRY: Final = bytes(msgpack.packb("touch_bytes") + msgpack.packb(LAYOUT.size))
+EVENTS_KEY: Final = bytes(msgpack.packb("touch_events"))
+MORE_KEY: Final = bytes(msgpack.packb("touches_more"))
 
 
 class FramePacker:
@@ -37,8 +52,8 @@ class FramePacker:
     """
 
     __slots__ = (
-        "_arguments", "_at", "_buffer", "_constant", "_end", "_layout", "_map", "_map_at", "_short", "_short_end",
-        "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
+        "_arguments", "_at", "_buffer", "_constant", "_end", "_entries", "_extra", "_layout", "_map", "_map_at",
+        "_short", "_short_end", "_short_view", "_slots", "_tail_at", "_tails", "_texts", "_view", "_whole_map",
     )  # fmt: skip
 
     _KINDS: Final = {"u": (0xCF, ">Q", 8), "f": (0xCB, ">d", 8), "b": (0xC2, ">B", 0)}
@@ -67,6 +82,7 @@ class FramePacker:
                  ("drift_uneven", "f"))  # fmt: skip
         assert tuple(name for name, _ in plain) == NUMBERS[: len(plain)]
         entries = 1 + len(plain) + 4 + 5 + len(self._constant)
+        self._entries, self._extra = entries, 0
         head += FIRST_BYTE + struct.pack(">H", entries)
         key("v")
         head.append(VERSION)
@@ -162,13 +178,39 @@ class FramePacker:
         self._view[self._tail_at : self._end] = tail
         self._short_end = self._map_at + len(tail)
 
+    def put_touches(self, touches: tuple[bytes, bytes, int] | None) -> None:
+        """Replace the touches, behind the texts.
+
+        Args:
+            touches: Their bytes, their events' bytes, and how many are not listed; None for a message without.
+        """
+        if touches is None and not self._extra:
+            return
+        extra, entries = b"", self._entries
+        if touches is not None:
+            listed, events, more = touches
+            pack = msgpack.packb
+            extra = b"".join((TOUCHES_KEY, pack(listed), BYTES_ENTRY, EVENTS_KEY, pack(events), MORE_KEY, pack(more)))
+            entries += KEYS
+        self._extra = len(extra)
+        self._view[self._end : self._end + len(extra)] = extra
+        struct.pack_into(">H", self._buffer, 1, entries)
+        struct.pack_into(">H", self._short, 1, entries - 2)
+
     def message(self) -> memoryview:
         """Return the message as it stands; the next ``put`` changes it."""
-        return self._view[: self._end]
+        return self._view[: self._end + self._extra]
 
     def short_message(self) -> memoryview:
         """Return the message as it stands without shape and map; the next call changes it."""
         short, whole, at = self._short_view, self._view, self._map_at
         short[3:at] = whole[3:at]
-        short[at : self._short_end] = whole[self._tail_at : self._end]
-        return short[: self._short_end]
+        end = self._short_end + self._extra
+        short[at:end] = whole[self._tail_at : self._end + self._extra]
+        return short[:end]
+
+    def touch_message(self) -> bytes:
+        """Return the message of those that take touches without maps."""
+        head, tail = self._view[HEAD_END : self._map_at], self._view[self._tail_at : self._end + self._extra]
+        entries = self._entries - 2 + (KEYS if self._extra else 0)
+        return b"".join((TOUCH_FIRST_BYTE, struct.pack(">I", entries), TOUCH_HEAD, head, tail))

@@ -29,7 +29,7 @@ class FrameRecord:
     __slots__ = (
         "_computed_map", "_nothing", "cloud", "corrupt", "device_us", "drift", "electrodes", "events",
         "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence",
-        "skipped", "solver", "stamps", "touched", "weak_rows", "withheld",
+        "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
     )  # fmt: skip
 
     def __init__(self, computed_map: memoryview, shape: tuple[int, int]) -> None:
@@ -70,6 +70,8 @@ class FrameRecord:
         self.withheld = 0
         self.overrun = 0
         """Totals up to this frame."""
+        self.touches: tuple[bytes, bytes, int] | None = None
+        """Touches, their events, and how many are not listed (:mod:`eitskin.touches.watch`); None if nobody asks."""
 
     @property
     def map_is_zero(self) -> bool:

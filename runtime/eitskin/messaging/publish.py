@@ -11,6 +11,11 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
     b"\xde"                        every frame, and then one of each:
     b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
     b"eitskin/unchanged"           ... or b"eitskin/always"
+    b"eitskin/touches"             besides: the list of touches, in every frame
+    b"\xdf"                        touches without maps, alone
+
+While somebody takes touches without maps, those with the empty topic get the touch messages too, and leave them alone
+for their version; they are sent first, so that who keeps one message keeps the frame.
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
 are limited to a few bytes, few of them wait, and who sends more than any honest subscriber would is ended, as is who
@@ -26,8 +31,9 @@ from eitskin.messaging.admission.door import Door
 from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
-from eitskin.messaging.frame import FIRST_BYTE
-from eitskin.messaging.regions import ALWAYS, UNCHANGED, Region, Regions, union, whole
+from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
+from eitskin.messaging.frame_message import Asked
+from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED, Region, Regions, union, whole
 from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
@@ -72,6 +78,8 @@ class Publisher:
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
+        self.asked = Asked()
+        """What else is asked for."""
         self.regions: Regions = whole(shape)
         """What of the map all subscribers together need."""
         self.takes_short = False
@@ -133,8 +141,11 @@ class Publisher:
         plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
         found = (Region.from_topic(topic, self._shape) for topic in topics)
         declared = [region for region in found if region is not None]
-        self.wanted = plain or FIRST_BYTE in topics
-        self.regions = whole(self._shape) if plain else union(declared, self._shape)
+        frames, alone = plain or FIRST_BYTE in topics, any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
+        self.asked = Asked(frames, alone or TOUCHES in topics, alone)
+        self.wanted = frames or alone
+        everywhere = plain or self.asked.touches  # a touch that a region's border cuts would lie elsewhere
+        self.regions = whole(self._shape) if everywhere else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.joined = True
 

@@ -29,6 +29,9 @@ UNCHANGED: Final = b"eitskin/unchanged"
 ALWAYS: Final = b"eitskin/always"
 """Topic of one that does not."""
 
+TOUCHES: Final = b"eitskin/touches"
+"""Topic of a subscriber that needs the list of touches in every frame."""
+
 MOST: Final = 16
 """Regions of different subscribers at once; with more, the whole sheet is computed."""
 

@@ -3,9 +3,9 @@
 ``latest`` keeps one frame, the newest, however slow the loop is: a robot that takes 50 ms a frame sees one that is a
 frame old, not seconds. ``all`` queues frames for a recorder and counts the gaps when it is too slow even for that.
 
-A subscriber may say that it needs a region only, or that it does without maps that have not changed; it still finds
-one in every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads everything that
-waits and returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
+A subscriber may say that it needs a region only, or does without maps that have not changed; it still finds one in
+every ``frame.map``. The runtime does less if all its subscribers say so. Then ``latest`` reads all that waits and
+returns the newest: libzmq's own way of keeping one message would keep only one of the topics as well.
 
 Nobody waits for ever on an address where nobody is: unless told otherwise, the first frame must come within
 ``FIRST_FRAME_S``. Once one has come, the next may take as long as it likes.
@@ -23,10 +23,10 @@ from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
-from eitskin.messaging.frame import FIRST_BYTE, Frame, MapMissing, unpack_frame
+from eitskin.messaging.frame import Frame, MapMissing
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.regions import ALWAYS, EVERYWHERE, UNCHANGED, WHOLE, Region, other_skin
-from eitskin_proto.skin.skin import PAPER
+from eitskin.messaging.received.wishes import NotAsked, Wishes
+from eitskin.messaging.regions import other_skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MODES: Final = ("latest", "all")
@@ -43,7 +43,6 @@ PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
 
 MOST_PATIENCE_S: Final = 16.0
-
 LONGEST_WAIT_MS: Final = 1000
 """How long the socket waits at a time."""
 
@@ -63,6 +62,7 @@ class Subscription:
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet that is needed; the rest of a map may be 0.
         skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
+        touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
@@ -80,6 +80,8 @@ class Subscription:
         region_mm: tuple[float, float, float, float] | None = None,
         skin: SkinDescription | None = None,
         skip_unchanged: bool = False,
+        touches: bool = False,
+        maps: bool = True,
         keys: ClientKeys | None = None,
     ) -> None:
         if mode not in MODES:
@@ -87,10 +89,9 @@ class Subscription:
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        self._grid = None if region_mm is None else (skin or PAPER).grid
-        self.region = EVERYWHERE if region_mm is None else Region.from_mm(*region_mm, (skin or PAPER).grid)
+        self._wishes = wishes = Wishes.of(region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps)
+        self.region = wishes.region
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
-        modest = region_mm is not None or skip_unchanged
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
         self._first_ms = _milliseconds(FIRST_FRAME_S) if timeout_s is None else self._timeout_ms
         self._waits_ms = -1
@@ -107,8 +108,10 @@ class Subscription:
         """How often the connection was made anew because it was gone, or nothing had ever come over it."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
+        self.passed_over = 0
+        """Touch messages where frames were asked for, and frames without the touches that were."""
         self._known: Frame | None = None
-        self._newest_only = mode == "latest" and modest
+        self._newest_only = mode == "latest" and len(wishes.topics) > 1
         self._connection: Connection | None = None
         """Over which the last message came, as far as it is known; looked at anew after silence."""
         self._patience_s = PATIENCE_S
@@ -120,14 +123,13 @@ class Subscription:
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
         self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
-        if mode == "latest" and not modest:
+        if mode == "latest" and not self._newest_only:
             self._socket.setsockopt(zmq.CONFLATE, 1)
         if keys is not None:
             keys.apply(self._socket)
         # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
         # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
-        needed = WHOLE if region_mm is None else self.region.topic
-        for topic in [needed, UNCHANGED if skip_unchanged else ALWAYS, FIRST_BYTE] if modest else [b""]:
+        for topic in wishes.topics:
             self._socket.setsockopt(zmq.SUBSCRIBE, topic)
         try:
             self._socket.connect(self.endpoint)
@@ -159,6 +161,8 @@ class Subscription:
                 self._look_at_connection()
                 if left_ms == waits_ms:
                     why = explain_silence(self.endpoint, timeout_ms / 1000)
+                    if self.passed_over and not self.received:
+                        why = f"{self.passed_over} came without touches: the runtime is older than they are"
                     raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
                 frame = None
             if frame is None:
@@ -177,22 +181,24 @@ class Subscription:
             message = self._socket.recv() if self._connection is not None else self._recv_first()
             self._heard_ns = time.perf_counter_ns()
             try:
-                frame = unpack_frame(message, self._heard_ns, self._known)
+                frame = self._wishes.frame(message, self._heard_ns, self._known)
             except MapMissing:
                 self.mapless += 1
+            except NotAsked:
+                self.passed_over += 1
             except FrameError:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
             else:
                 self._known = frame
-                if self._grid is not None and frame.map.shape != self._grid.shape:
-                    raise other_skin(self.endpoint, frame.map.shape, self._grid)
+                if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
+                    raise other_skin(self.endpoint, frame.map.shape, grid)
             if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
                 if frame is not None:
                     self._count(frame)
                 return frame
 
     def _recv_first(self) -> bytes:
-        """Receive a message and keep in mind over which connection it came."""
+        """Receive a message, and keep its connection in mind."""
         message = self._socket.recv(copy=False)
         with suppress(zmq.ZMQError):  # libzmq does not know
             self._connection = connection_at(message.get(zmq.SRCFD))
@@ -223,11 +229,10 @@ class Subscription:
         self._run, self._number = frame.run, frame.number
         self.received += 1
 
+    __next__ = next_frame
+
     def __iter__(self) -> Self:
         return self
-
-    def __next__(self) -> Frame:
-        return self.next_frame()
 
     def __enter__(self) -> Self:
         return self
@@ -257,6 +262,8 @@ def subscribe(
     region_mm: tuple[float, float, float, float] | None = None,
     skin: SkinDescription | None = None,
     skip_unchanged: bool = False,
+    touches: bool = False,
+    maps: bool = True,
     keys: ClientKeys | None = None,
 ) -> Subscription:
     """Return an open subscription to a runtime's frames, to be iterated.
@@ -271,6 +278,8 @@ def subscribe(
         region_mm: The only rectangle (x0, y0, x1, y1) of the flat sheet, in mm, that is needed.
         skin: The runtime's, which a region needs unless it is the paper's (:func:`eitskin_proto.skin.toml.load`).
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
+        touches: Each frame has its list of touches, ``frame.touches``.
+        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
@@ -285,5 +294,7 @@ def subscribe(
         region_mm=region_mm,
         skin=skin,
         skip_unchanged=skip_unchanged,
+        touches=touches,
+        maps=maps,
         keys=keys,
     )

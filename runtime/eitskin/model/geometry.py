@@ -13,6 +13,7 @@ from eitskin.errors import BundleError
 from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, open_session
+from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 
@@ -27,6 +28,8 @@ class Geometry:
     """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
     revision: int
     """Counts clouds since the start; 0 is the flat sheet."""
+    surface: Surface
+    """The cloud in the pose in which it was given."""
 
 
 class GeometryGraph:
@@ -73,7 +76,8 @@ class GeometryGraph:
             BundleError: The graph cannot be computed.
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
-        points = flushed(network_input(self._grid.flat_cloud_mm() if cloud is None else cloud, self._grid))
+        given = self._grid.flat_cloud_mm() if cloud is None else cloud
+        points = flushed(network_input(given, self._grid))
         try:
             bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
         except BundleError:
@@ -87,4 +91,4 @@ class GeometryGraph:
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted
-        return Geometry(flushed(bias), flushed(predicted), revision)
+        return Geometry(flushed(bias), flushed(predicted), revision, Surface(np.asarray(given), self._grid))

@@ -20,3 +20,12 @@ def wait_until_wanted(publisher, subscribers=1):
         time.sleep(0.005)
     assert publisher.wanted
     assert publisher.topics[b""] >= subscribers
+
+
+def wait_for(publisher, condition):
+    """Wait until a condition holds, while the publisher looks who subscribes."""
+    end = time.perf_counter() + 60
+    while not condition() and time.perf_counter() < end:
+        publisher.look()
+        time.sleep(0.002)
+    assert condition()

@@ -19,6 +19,9 @@ from eitskin_tools.command_line import skins
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
+REPEAT_S = 0.1
+"""Between two lists of touches in mode ``latest``; what happens to touches is always told."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -33,6 +36,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     skins.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
+    parser.add_argument("--touches", action="store_true", help="the list of touches, without maps")
+    parser.add_argument(
+        "--force-table", type=Path, metavar="FILE.csv", help="with --touches: strength to newtons, measured by yourself"
+    )
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
@@ -42,6 +49,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Print what comes (or, with ``--json``, one object at the end) and return 0."""
     if (arguments.server_key is None) != (arguments.client_key is None):
         raise UsageError("--server-key and --client-key belong together")
+    if arguments.touches and (arguments.region is not None or arguments.skip_unchanged):
+        raise UsageError("--touches takes no maps: leave --region and --skip-unchanged out")
+    if arguments.force_table is not None and not arguments.touches:
+        raise UsageError("--force-table goes with --touches: only a touch has a strength")
     for name in ("frames", "seconds", "timeout_s", "max_age_ms"):
         value = getattr(arguments, name)
         if value is not None and not value > 0:
@@ -68,11 +79,14 @@ def run(arguments: argparse.Namespace) -> int:
         region_mm=None if arguments.region is None else tuple(arguments.region),
         skin=skin,
         skip_unchanged=arguments.skip_unchanged,
+        maps=not arguments.touches,
         max_age_s=None if arguments.max_age_ms is None else arguments.max_age_ms / 1000,
         keys=keys,
     )
     view = StreamView(sys.stdout, grid=skin.grid)
     show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
+    if arguments.touches:
+        show = _touch_lines(arguments)
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
@@ -102,6 +116,33 @@ def _print(frame: Any) -> None:
         f"{frame.sequence} {peak} solver {frame.solver} age {frame.age_s * 1e3:.2f} ms latency "
         f"{frame.latency_s * 1e3:.2f} ms cloud {frame.cloud}{events}",
     )
+
+
+def _touch_lines(arguments: argparse.Namespace) -> Callable[[Any], None]:
+    """Return what prints the touches of a frame, and what happened to them."""
+    from eitskin.touches.force import ForceTable
+
+    table = None if arguments.force_table is None else ForceTable.load(arguments.force_table)
+
+    every_s = REPEAT_S if arguments.mode == "latest" else 0.0
+    due_s = [0.0]
+
+    def show(frame: Any) -> None:
+        for event in frame.touch_list.events:
+            say(f"{frame.sequence} touch {event.id} {event.kind}{f' {event.other}' if event.other else ''}")
+        if time.monotonic() < due_s[0]:
+            return
+        due_s[0] = time.monotonic() + every_s
+        for touch in frame.touches:
+            force = None if table is None else table.newtons(touch.strength)
+            said = (
+                "" if table is None else "  force unknown" if force is None else f"  {force[0]:.2f} +- {force[1]:.2f} N"
+            )
+            say(f"{frame.sequence} {touch}{said}")
+        if frame.touch_list.more:
+            say(f"{frame.sequence} {frame.touch_list.more} more that are not listed")
+
+    return show
 
 
 def _summary(

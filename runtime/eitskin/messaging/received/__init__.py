@@ -1,0 +1,1 @@
+"""What came in a message, checked before it is believed."""

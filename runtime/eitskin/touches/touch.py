@@ -1,0 +1,147 @@
+"""A touch as a subscriber gets it, and its bytes in a message (firmware_proto/SPEC.md, "Touches").
+
+All numbers little-endian: one touch is ``LAYOUT``, one event ``EVENT_LAYOUT``.
+"""
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Final
+
+from eitskin.errors import FrameError
+
+LAYOUT: Final = struct.Struct("<II17f")
+"""id, parent, age, then x, y, major, minor, angle, area, peak, strength, confidence, place, normal, surface area."""
+
+HEAD: Final = struct.Struct("<IIf")
+"""The first three of them, which change while the map does not."""
+
+EVENT_LAYOUT: Final = struct.Struct("<III")
+"""Kind, touch, other touch."""
+
+BORN, DIED, MERGED, SPLIT = 1, 2, 3, 4
+KINDS: Final = {BORN: "born", DIED: "died", MERGED: "merged", SPLIT: "split"}
+"""Of events."""
+
+MOST_READ: Final = 4096
+"""Bytes of touches, and of events, that are still looked at."""
+
+NAMES: Final = ("touches", "touch_bytes", "touch_events", "touches_more")
+KEYS: Final = len(NAMES)
+"""Of a message."""
+
+
+@dataclass(frozen=True, slots=True)
+class Touch:
+    """One touch of a frame.
+
+    Attributes:
+        id: Stays while the touch moves; from 1 on, and never used twice in a run.
+        parent: The touch that it split from; 0 for none.
+        age_s: Since the frame that showed it first, by the device's clock.
+        centre_mm: x and y on the flat sheet.
+        axes_mm: The longer and the shorter axis of the ellipse with the same second moments: 10 and 10 of a 10 mm disc.
+        angle_rad: Of the longer axis against x, towards y; from 0 to below pi.
+        area_mm2: On the flat sheet.
+        peak: The map's highest value.
+        strength: What the touch does to the sheet's conductance; None while nothing that runs tells it.
+        confidence: The probability that the touch is there; None while it is not calibrated.
+        place_mm: x, y and z of the centre on the surface in use, in the pose in which its cloud was given.
+        normal: The unit vector in which the surface faces there; zeros where it has no direction.
+        surface_mm2: The area on that surface.
+    """
+
+    id: int
+    parent: int
+    age_s: float
+    centre_mm: tuple[float, float]
+    axes_mm: tuple[float, float]
+    angle_rad: float
+    area_mm2: float
+    peak: float
+    strength: float | None
+    confidence: float | None
+    place_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+    surface_mm2: float
+
+    def __str__(self) -> str:
+        """Return one line: where it is, how large, which way the surface faces, how old."""
+        x, y, z = self.place_mm
+        return (
+            f"touch {self.id} at x {self.centre_mm[0]:.1f}, y {self.centre_mm[1]:.1f} mm, in space "
+            f"{x:.1f} {y:.1f} {z:.1f} mm facing {self.normal[0]:.2f} {self.normal[1]:.2f} {self.normal[2]:.2f}, "
+            f"{self.area_mm2:.0f} mm2, peak {self.peak:.2f}, {self.age_s:.2f} s"
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class TouchEvent:
+    """What happened to a touch in a frame.
+
+    Attributes:
+        kind: ``born``, ``died``, ``merged`` into another one, or ``split`` from another one.
+        id: The touch.
+        other: The other one of ``merged`` and ``split``; 0 for none.
+    """
+
+    kind: str
+    id: int
+    other: int
+
+
+@dataclass(frozen=True, slots=True)
+class TouchList:
+    """The touches of a frame.
+
+    Attributes:
+        touches: By id.
+        events: What happened since the frame before.
+        more: Touches that were found and are not listed; 0 unless the map is crowded or in shreds.
+    """
+
+    touches: tuple[Touch, ...]
+    events: tuple[TouchEvent, ...]
+    more: int
+
+
+def unpack_touches(raw: object, size: object, raw_events: object, more: object) -> TouchList:
+    """Return the touches of a message's values, whatever they are.
+
+    Args:
+        raw: Of ``touches``.
+        size: Of ``touch_bytes``.
+        raw_events: Of ``touch_events``.
+        more: Of ``touches_more``.
+
+    Raises:
+        FrameError: One of them is malformed.
+    """
+    if type(size) is not int or not LAYOUT.size <= size <= MOST_READ:
+        raise FrameError(f"frame touch_bytes: found {str(size)[:40]}, expected at least {LAYOUT.size}")
+    if not isinstance(raw, bytes) or len(raw) % size or len(raw) > MOST_READ:
+        raise FrameError(f"frame touches: expected {size} bytes for each touch, and at most {MOST_READ}")
+    if not isinstance(raw_events, bytes) or len(raw_events) % EVENT_LAYOUT.size or len(raw_events) > MOST_READ:
+        raise FrameError(f"frame touch_events: expected {EVENT_LAYOUT.size} bytes for each, and at most {MOST_READ}")
+    if type(more) is not int or more < 0:
+        raise FrameError(f"frame touches_more: found {str(more)[:40]}, expected a count")
+    events = tuple(
+        TouchEvent(KINDS.get(kind, str(kind)), touch, other)
+        for kind, touch, other in EVENT_LAYOUT.iter_unpack(raw_events)
+    )
+    return TouchList(tuple(_touch(raw, at) for at in range(0, len(raw), size)), events, more)
+
+
+def _touch(raw: bytes, at: int) -> Touch:
+    number, parent, *values = LAYOUT.unpack_from(raw, at)
+    age, x, y, major, minor, angle, area, peak, strength, confidence, *space = values
+    if not all(map(math.isfinite, (age, x, y, major, minor, angle, area, peak, *space))):
+        raise FrameError(f"frame touches: touch {number} has values that are not finite")
+    return Touch(
+        number, parent, age, (x, y), (major, minor), angle, area, peak, _known(strength), _known(confidence),
+        (space[0], space[1], space[2]), (space[3], space[4], space[5]), space[6],
+    )  # fmt: skip
+
+
+def _known(value: float) -> float | None:
+    return value if math.isfinite(value) else None

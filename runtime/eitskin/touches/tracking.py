@@ -1,0 +1,151 @@
+"""Which touch is which from one frame to the next: each keeps its number while it moves.
+
+A touch goes on as the one that is nearest, if that is within ``GATE_MM`` or one lies where the other was; the nearest
+pairs first. What goes on as nothing, and what begins::
+
+    born      no touch before it lay here, and it rises to ``BIRTH`` at least
+    split     it lies where another touch was, which goes on elsewhere: its parent
+    merged    another touch now lies where this one was; its number is never seen again
+    died      not seen for ``HOLD_FRAMES`` frames; until then it is not listed, but keeps its number if it is back
+
+A touch is listed in the first frame that shows it: who wants no flicker looks at its age. Numbers begin with 1 and are
+never used twice.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from eitskin.touches.moments import MOST_TOUCHES, Found
+from eitskin.touches.touch import BORN, DIED, MERGED, SPLIT
+from eitskin_proto.skin.grid import Grid
+
+GATE_MM: Final = 10.0
+"""How far a touch moves from one frame to the next: 2 m/s at 200 frames/s. Nearer ones are not told apart anyway."""
+
+BIRTH: Final = 0.6
+"""The peak of a new touch; one that is known goes on down to one half."""
+
+HOLD_FRAMES: Final = 5
+"""Frames for which a touch that is not seen keeps its number."""
+
+
+@dataclass(slots=True)
+class Track:
+    """A touch from frame to frame."""
+
+    id: int
+    parent: int
+    """The touch that it split from; 0 for none."""
+    born_us: int
+    x_mm: float
+    y_mm: float
+    unseen: int = 0
+    """Frames since it was seen last."""
+
+
+Event = tuple[int, int, int]
+"""What happened, the touch, and the other one or 0."""
+
+
+class Tracker:
+    """Numbers the touches of one frame after another.
+
+    Args:
+        grid: Of the skin.
+    """
+
+    __slots__ = ("_before", "_now", "_pixel_mm", "_tracks", "_used", "_width", "newest")
+
+    def __init__(self, grid: Grid) -> None:
+        self._pixel_mm, self._width = grid.pixel_mm, grid.shape[1] + 2
+        size = (grid.shape[0] + 2) * self._width
+        self._before = np.zeros(size, dtype=np.int64)
+        """The number of the touch that each pixel belonged to; 0 for none."""
+        self._used = np.zeros(0, dtype=np.intp)
+        self._now = np.full(size, -1, dtype=np.int64)
+        self._tracks: list[Track] = []
+        self.newest = 0
+        """The number given last."""
+
+    @property
+    def idle(self) -> bool:
+        """Whether no touch is known."""
+        return not self._tracks
+
+    def forget(self) -> None:
+        """Know no touch any more; numbers go on."""
+        self._before[self._used] = 0
+        self._used = self._used[:0]
+        self._tracks.clear()
+
+    def step(self, found: Found, device_us: int) -> tuple[list[Track | None], list[Event]]:
+        """Return the track of each touch of a frame, and what happened; None for one that does not rise to ``BIRTH``.
+
+        Args:
+            found: The frame's touches.
+            device_us: When it was scanned.
+        """
+        xs, ys, *_, peaks = found.numbers.tolist()
+        count = len(xs)
+        now, before = self._now, self._before
+        now[found.pixels] = found.touch  # with those right around it; its own ones then are nobody else's
+        now[found.core] = found.core_touch
+        lies_in = [int(now[self._pixel(track.x_mm, track.y_mm)]) for track in self._tracks]
+        lay_in = [int(before[self._pixel(x, y)]) for x, y in zip(xs, ys, strict=True)]
+        now[found.pixels] = -1
+        result, taken = self._paired(xs, ys, lies_in, lay_in)
+        events: list[Event] = []
+        goes_on = {track.id for track in result if track is not None}
+        for touch in range(count):
+            if result[touch] is None and peaks[touch] >= BIRTH:
+                parent = lay_in[touch] if lay_in[touch] in goes_on else 0
+                self.newest += 1
+                result[touch] = Track(self.newest, parent, device_us, xs[touch], ys[touch])
+                events.append((SPLIT if parent else BORN, self.newest, parent))
+        left: list[Track] = []
+        for index, track in enumerate(self._tracks):
+            if index in taken:
+                continue
+            other = result[lies_in[index]] if lies_in[index] >= 0 else None
+            track.unseen += 1
+            if track.unseen == 1 and other is not None:
+                events.append((MERGED, track.id, other.id))
+            elif track.unseen > HOLD_FRAMES or len(left) == MOST_TOUCHES:
+                events.append((DIED, track.id, 0))
+            else:
+                left.append(track)
+        self._tracks = left + [track for track in result if track is not None]
+        before[self._used] = 0
+        self._used = found.pixels
+        if count:
+            ids = np.array([0 if track is None else track.id for track in result])
+            before[found.pixels] = ids[found.touch]
+            before[found.core] = ids[found.core_touch]
+        return result, events
+
+    def _paired(
+        self, xs: list[float], ys: list[float], lies_in: list[int], lay_in: list[int]
+    ) -> tuple[list[Track | None], set[int]]:
+        """Return the known track of each touch, moved to its place, and which tracks these are."""
+        pairs = []
+        for index, track in enumerate(self._tracks):
+            for touch, x in enumerate(xs):
+                across, along = x - track.x_mm, ys[touch] - track.y_mm
+                distance = across * across + along * along
+                if distance <= GATE_MM * GATE_MM or lies_in[index] == touch or lay_in[touch] == track.id:
+                    pairs.append((distance, track.id, index, touch))
+        pairs.sort()
+        result: list[Track | None] = [None] * len(xs)
+        taken: set[int] = set()
+        for _, _, index, touch in pairs:
+            if index not in taken and result[touch] is None:
+                taken.add(index)
+                result[touch] = track = self._tracks[index]
+                track.x_mm, track.y_mm, track.unseen = xs[touch], ys[touch], 0
+        return result, taken
+
+    def _pixel(self, x_mm: float, y_mm: float) -> int:
+        """Return the pixel in which a place lies, by its number in the map with its border."""
+        return (int(y_mm / self._pixel_mm[1]) + 1) * self._width + int(x_mm / self._pixel_mm[0]) + 1

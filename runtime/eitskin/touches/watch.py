@@ -1,0 +1,81 @@
+"""The touches of one frame after another, as bytes for a message; made only while somebody asks for them."""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.touches.moments import Finder, Found
+from eitskin.touches.surface import Surface
+from eitskin.touches.touch import EVENT_LAYOUT, HEAD, LAYOUT
+from eitskin.touches.tracking import Tracker
+from eitskin_proto.skin.grid import Grid
+
+UNKNOWN: Final = float("nan")
+"""Strength and confidence: nothing that runs tells the one, and nothing calibrates the other."""
+
+Packed = tuple[bytes, bytes, int]
+"""Touches, events, and how many touches are not listed."""
+
+
+class TouchWatch:
+    """Finds and numbers the touches of one frame after another.
+
+    Args:
+        grid: Of the skin.
+    """
+
+    __slots__ = ("_finder", "_found", "_map", "_rows", "_surface", "tracker")
+
+    def __init__(self, grid: Grid) -> None:
+        self._finder = Finder(grid)
+        self.tracker = Tracker(grid)
+        self._found: Found = self._finder.nothing
+        self._rows: list[bytes] = []
+        self._map: object = None
+        self._surface: Surface | None = None
+
+    def forget(self) -> None:
+        """Begin anew: nobody has asked for a while."""
+        self.tracker.forget()
+        self._found, self._map = self._finder.nothing, None
+
+    def look(self, values: npt.NDArray[np.floating] | None, which: object, surface: Surface, device_us: int) -> Packed:
+        """Return the touches of a frame.
+
+        Args:
+            values: (pixels,) its map; None if it has none.
+            which: Tells its map from others; while it stays the same, the map is not looked at again.
+            surface: In use.
+            device_us: When it was scanned.
+        """
+        if values is None:
+            self._found, self._map = self._finder.nothing, None
+            if self.tracker.idle:
+                return b"", b"", 0
+        elif which != self._map or surface is not self._surface:
+            self._map, self._surface = which, surface
+            self._found = self._finder.find(values)
+            self._rows = _rows(self._found, surface)
+        tracks, events = self.tracker.step(self._found, device_us)
+        rows, pack = self._rows, HEAD.pack
+        known = sorted([(track.id, index, track) for index, track in enumerate(tracks) if track is not None])
+        parts = []
+        for number, index, track in known:
+            parts.append(pack(number, track.parent, 1e-6 * max(device_us - track.born_us, 0)))
+            parts.append(rows[index])
+        return b"".join(parts), b"".join([EVENT_LAYOUT.pack(*event) for event in events]), self._found.more
+
+
+def _rows(found: Found, surface: Surface) -> list[bytes]:
+    """Return what ``LAYOUT`` has of each touch behind id, parent and age."""
+    count = found.count
+    if not count:
+        return []
+    table = np.full((count, 16), UNKNOWN, dtype="<f4")
+    table[:, :7] = found.numbers.T
+    table[:, 9:15] = surface.at(found.numbers[0], found.numbers[1])
+    share = found.weights * surface.stretch[found.pixels]
+    table[:, 15] = np.bincount(found.touch, share, count) * found.pixel_mm2
+    raw, width = table.tobytes(), LAYOUT.size - HEAD.size
+    return [raw[at : at + width] for at in range(0, len(raw), width)]

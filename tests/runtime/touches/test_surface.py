@@ -1,0 +1,97 @@
+"""Places and directions on surfaces that have a formula: rolled, moved rigidly, stretched, collapsed."""
+
+import numpy as np
+import pytest
+
+from eitskin.touches.surface import Surface
+from eitskin.touches.touch import unpack_touches
+from eitskin.touches.watch import TouchWatch
+
+from .scripted import DX, GRID, square
+
+FLAT = GRID.flat_cloud_mm()
+RNG = np.random.default_rng(0)
+
+
+def rolled(radius):
+    """The sheet on a cylinder along y, its x = 75 mm on top: an isometry. Outwards is where the flat sheet faces."""
+    angle = (FLAT[0] - 75.0) / radius
+    return np.stack([radius * np.sin(angle), FLAT[1], radius * np.cos(angle)])
+
+
+def turned(cloud):
+    """A cloud in another pose, with the rotation and the way."""
+    rotation, _ = np.linalg.qr(RNG.standard_normal((3, 3)))
+    rotation *= np.sign(np.linalg.det(rotation))
+    way = RNG.uniform(-200, 200, 3)
+    return np.einsum("ij,jrc->irc", rotation, cloud) + way[:, None, None], rotation, way
+
+
+def touched(cloud, image):
+    packed = TouchWatch(GRID).look(image.ravel(), 1, Surface(cloud, GRID), 0)
+    (touch,) = unpack_touches(packed[0], 76, *packed[1:]).touches
+    return touch
+
+
+def test_the_flat_sheet_faces_z_up_to_its_border():
+    x, y = RNG.uniform((0, 0), (150, 100), (200, 2)).T
+    found = Surface(FLAT, GRID).at(x, y)
+    assert found[:, :3] == pytest.approx(np.stack([x, y, 0 * x], axis=1), abs=1e-9)
+    assert found[:, 3:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (200, 1)), abs=1e-12)
+
+
+@pytest.mark.parametrize("radius", [30.0, 60.0, 200.0])
+def test_on_a_cylinder_place_and_direction_are_the_formulas(radius):
+    x, y = RNG.uniform((DX, DX), (150 - DX, 100 - DX), (200, 2)).T
+    found = Surface(rolled(radius), GRID).at(x, y)
+    angle = (x - 75.0) / radius
+    faces = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
+    place = radius * faces
+    place[:, 1] = y
+    sag = DX**2 / 8 / radius  # of a chord between two points
+    assert np.abs(found[:, :3] - place).max() <= 1.1 * sag + 1e-9
+    assert np.abs(found[:, 3:] - faces).max() <= (DX / radius) ** 2
+    border = Surface(rolled(radius), GRID).at(np.array([0.0, 150.0]), np.array([50.0, 50.0]))
+    ends = np.array([-75.0, 75.0]) / radius
+    assert np.abs(border[:, 3] - np.sin(ends)).max() <= 0.6 * DX / radius  # straight on, half a pixel
+
+
+def test_rolling_the_sheet_changes_no_area():
+    image = square(51.3, 47.9)
+    for radius in (30.0, 100.0):
+        touch = touched(rolled(radius), image)
+        assert touch.area_mm2 == pytest.approx(100.0, rel=1e-6)
+        assert touch.surface_mm2 == pytest.approx(100.0, rel=(DX / radius) ** 2 / 5)  # chords: 1/6 of the square
+
+
+def test_a_stretched_sheet_has_the_larger_area():
+    cloud = FLAT * np.array([1.2, 0.9, 1.0])[:, None, None]
+    assert touched(cloud, square(70.0, 50.0)).surface_mm2 == pytest.approx(108.0, rel=1e-6)
+
+
+def test_a_rigid_motion_moves_centre_and_direction_with_it_and_nothing_else():
+    cloud = rolled(40.0)
+    image = square(61.0, 33.0)
+    still = touched(cloud, image)
+    for _ in range(5):
+        moved, rotation, way = turned(cloud)
+        touch = touched(moved, image)
+        assert touch.place_mm == pytest.approx(rotation @ still.place_mm + way, abs=1e-4)
+        assert touch.normal == pytest.approx(rotation @ still.normal, abs=1e-6)
+        assert (touch.centre_mm, touch.area_mm2) == (still.centre_mm, still.area_mm2)
+        assert touch.surface_mm2 == pytest.approx(still.surface_mm2, rel=1e-6)
+
+
+def test_a_collapsed_surface_has_no_direction_and_no_area_and_nothing_is_not_a_number():
+    line = FLAT.copy()
+    line[1:] = 0.0
+    for cloud in (np.zeros_like(FLAT), line):
+        touch = touched(cloud, square(50.0, 50.0))
+        assert touch.normal == (0.0, 0.0, 0.0)
+        assert touch.surface_mm2 == 0.0
+        assert np.isfinite(touch.place_mm).all()
+    folded = FLAT.copy()
+    folded[:, :, 20] = folded[:, :, 19] = folded[:, :, 18]
+    found = Surface(folded, GRID).at(*RNG.uniform((50, 20), (80, 80), (100, 2)).T)
+    assert np.isfinite(found).all()
+    assert np.abs(np.linalg.norm(found[:, 3:], axis=1) - 1.0).max() < 1e-9  # its neighbours say where it faces

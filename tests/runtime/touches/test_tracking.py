@@ -1,0 +1,155 @@
+"""Scripted touches: each keeps its number while it moves, and what begins and ends is said."""
+
+import numpy as np
+import pytest
+
+from eitskin.errors import FrameError
+from eitskin.touches.surface import Surface
+from eitskin.touches.touch import LAYOUT, unpack_touches
+from eitskin.touches.tracking import GATE_MM, HOLD_FRAMES
+from eitskin.touches.watch import TouchWatch
+
+from .scripted import GRID, box, square
+
+FLAT = Surface(GRID.flat_cloud_mm(), GRID)
+
+
+class Film:
+    """A watch that is shown one map after another, 5 ms apart."""
+
+    def __init__(self):
+        self.watch, self.frame = TouchWatch(GRID), 0
+
+    def show(self, image, which=None):
+        self.frame += 1
+        values = None if image is None else image.astype(np.float32).ravel()
+        packed = self.watch.look(values, which or self.frame, FLAT, 5000 * self.frame)
+        return unpack_touches(packed[0], LAYOUT.size, *packed[1:])
+
+
+@pytest.fixture
+def film():
+    return Film()
+
+
+def said(found):
+    return [(event.kind, event.id, event.other) for event in found.events]
+
+
+def ids(found):
+    return [touch.id for touch in found.touches]
+
+
+def test_a_touch_keeps_its_number_while_it_moves_and_grows_older(film):
+    first = film.show(square(20.0, 50.0))
+    assert said(first) == [("born", 1, 0)]
+    assert first.touches[0].age_s == 0.0
+    for step in range(1, 12):
+        found = film.show(square(20.0 + 9.0 * step, 50.0))
+        assert ids(found) == [1]
+        assert found.events == ()
+        assert found.touches[0].age_s == pytest.approx(0.005 * step)
+        assert found.touches[0].centre_mm[0] == pytest.approx(20.0 + 9.0 * step, abs=0.05)
+
+
+def test_a_jump_is_another_touch(film):
+    film.show(square(20.0, 50.0))
+    found = film.show(square(20.0 + 2.5 * GATE_MM, 50.0))
+    assert said(found) == [("born", 2, 0)]
+
+
+def test_two_touches_that_pass_each_other_keep_their_numbers(film):
+    seen = [film.show(square(20 + 4 * k, 30.0) + square(130 - 4 * k, 60.0)) for k in range(27)]
+    assert all(ids(found) == [1, 2] and (k == 0 or not found.events) for k, found in enumerate(seen))
+    assert [touch.centre_mm[1] < 45 for touch in seen[-1].touches] == [True, False]
+
+
+def test_two_that_meet_merge_and_two_that_part_split(film):
+    for gap in (30.0, 24.0, 18.0):
+        found = film.show(square(75 - gap / 2, 50.0) + square(75 + gap / 2, 50.0))
+        assert ids(found) == [1, 2]
+    found = film.show(box(66.0, 45.0, 84.0, 55.0))
+    assert said(found) == [("merged", 2, 1)]
+    assert ids(found) == [1]
+    found = film.show(square(66.0, 50.0) + square(85.0, 50.0))
+    assert said(found) == [("split", 3, 1)]
+    assert ids(found) == [1, 3]
+    assert [touch.parent for touch in found.touches] == [0, 1]
+    assert not film.show(square(65.0, 50.0) + square(86.0, 50.0)).events
+
+
+def test_a_large_touch_that_parts_far_from_its_middle_still_splits(film):
+    film.show(box(30.0, 40.0, 110.0, 60.0))
+    found = film.show(box(30.0, 40.0, 60.0, 60.0) + box(80.0, 40.0, 110.0, 60.0))
+    assert said(found) == [("split", 2, 1)]
+
+
+def test_a_touch_that_flickers_keeps_its_number_and_one_that_stays_away_dies(film):
+    film.show(square(50.0, 50.0))
+    for _ in range(HOLD_FRAMES):
+        gone = film.show(None)
+        assert (gone.touches, gone.events) == ((), ())
+    assert ids(film.show(square(52.0, 50.0))) == [1]
+    ends = [said(film.show(np.zeros(GRID.shape))) for _ in range(HOLD_FRAMES + 2)]
+    assert ends == [[]] * HOLD_FRAMES + [[("died", 1, 0)], []]
+    assert said(film.show(square(52.0, 50.0))) == [("born", 2, 0)]
+
+
+def test_a_faint_touch_is_not_new_but_one_that_fades_goes_on(film):
+    assert film.show(0.55 * square(50.0, 50.0)).touches == ()
+    assert ids(film.show(0.7 * square(50.0, 50.0))) == [1]
+    assert ids(film.show(0.55 * square(50.0, 50.0))) == [1]
+
+
+def test_a_map_that_has_not_changed_is_not_looked_at_again_but_grows_older(film):
+    film.show(square(50.0, 50.0), which="a")
+    found = film.show(square(90.0, 50.0), which="a")
+    assert found.touches[0].centre_mm[0] == pytest.approx(50.0, abs=0.01)
+    assert found.touches[0].age_s == pytest.approx(0.005)
+
+
+def test_numbers_are_never_used_twice_also_when_nobody_asked_for_a_while(film):
+    film.show(square(50.0, 50.0))
+    film.watch.forget()
+    found = film.show(square(50.0, 50.0))
+    assert said(found) == [("born", 2, 0)]
+
+
+def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
+    rng = np.random.default_rng(0)
+    born, ended = set(), set()
+    for _ in range(150):
+        found = film.show(rng.random(GRID.shape) ** rng.choice([1.0, 4.0, 8.0]))
+        assert len(found.touches) <= 16
+        for event in found.events:
+            if event.kind in ("born", "split"):
+                assert event.id not in born
+                born.add(event.id)
+            else:
+                assert event.id in born - ended
+                ended.add(event.id)
+        assert set(ids(found)) <= born - ended
+    assert len(ended) > 50
+
+
+@pytest.mark.parametrize(
+    ("values", "named"),
+    [
+        ((b"x" * 75, 76, b"", 0), "touches: expected 76 bytes for each"),
+        ((b"", 20, b"", 0), "touch_bytes: found 20"),
+        ((b"", 76, b"abc", 0), "touch_events: expected 12"),
+        ((b"", 76, b"", -1), "touches_more: found -1"),
+        ((None, 76, b"", 0), "touches: expected"),
+        ((LAYOUT.pack(7, 0, *[float("nan")] * 17), 76, b"", 0), "touch 7 has values that are not finite"),
+        ((b"\0" * 76 * 60, 76, b"", 0), "at most 4096"),
+    ],
+)
+def test_a_malformed_list_is_named(values, named):
+    with pytest.raises(FrameError, match=named):
+        unpack_touches(*values)
+
+
+def test_a_later_runtime_may_have_more_bytes_a_touch():
+    packed = TouchWatch(GRID).look(square(50.0, 50.0).ravel(), 1, FLAT, 0)
+    found = unpack_touches(packed[0] + b"later", LAYOUT.size + 5, *packed[1:])
+    assert ids(found) == [1]

@@ -1,0 +1,1 @@
+"""What the list of touches costs, and how right it is."""
