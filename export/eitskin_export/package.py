@@ -93,6 +93,7 @@ def export(
         "path": str(out),
         "bytes": out.stat().st_size,
         "labels": found.recipe.labels,
+        "touches": data.touch_kind,
         "parity": differences,
         "int8": int8,
         "gate": touch_gate.facts(),
@@ -151,6 +152,7 @@ def _facts(found: Trained, data: TrainingData, touch_gate: Gate, metrics: dict[s
     return {
         "created_utc": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "labels": found.recipe.labels,
+        "touches": data.touch_kind,
         "head": {
             "inputs": ["dv", "log_predicted"] if architecture.log_predicted else ["dv"],
             "bias": found.model.bias_width,

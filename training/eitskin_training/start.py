@@ -7,8 +7,8 @@ from typing import Any
 from torch import Tensor, nn
 
 from eitskin_proto.errors import MismatchError
-from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.symmetry import images
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
@@ -49,14 +49,22 @@ class Start:
     def require(self, architecture: Architecture, skin: Skin) -> None:
         """Check that a network of this shape, for this skin, can begin here.
 
+        It may have learned another sheet; what it learns now takes the place of that. Its map must fit.
+
         Raises:
-            MismatchError: It was of another shape, or for another skin.
+            MismatchError: It was of another shape, or of another map or symmetry.
         """
         what, hint = "network to start from", "start from one of this"
         if (found := self.architecture) != architecture:
             raise MismatchError(what, found=found, expected=architecture, hint=f"{hint} recipe")
-        own = self.skin
-        check_made_for(what, skin, grid_id=own.grid_id, skin_digest=own.digest, hint=f"{hint} skin")
+        if (map_found := _map_of(self.skin)) != (map_expected := _map_of(skin)):
+            raise MismatchError(f"{what}: map", found=map_found, expected=map_expected, hint=f"{hint} map")
+
+
+def _map_of(skin: Skin) -> str:
+    (rows, columns), (unit_rows, unit_columns) = skin.grid.shape, skin.grid.units
+    mirrored = "".join(f" {'x' * one.x}{'y' * one.y}" for one in images(skin)[1:]) or " none"
+    return f"{rows} x {columns} pixels, {unit_rows} x {unit_columns} units, mirror images:{mirrored}"
 
 
 def keep_statistics(model: VD2T) -> None:

@@ -4,9 +4,8 @@ Geometry, the map and the ids of everything made for a skin come from here. What
 a constant: two skins may be used in one process.
 """
 
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
-from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -24,6 +23,7 @@ from eitskin_proto.skin.parts import (
     Ring,
     Touches,
 )
+from eitskin_proto.skin.touch_kind import TouchKind
 
 
 @dataclass(frozen=True)
@@ -118,9 +118,14 @@ class Skin:
         return id_of_values(content)
 
     @property
-    def touch_kind(self) -> Literal["raising", "lowering", "both"]:
+    def touch_kind(self) -> TouchKind:
         """Which way touches change this skin's conductance."""
         return "both" if self.touches.lower and self.touches.higher else "lowering" if self.touches.lower else "raising"
+
+    def touched(self, kind: TouchKind) -> "Skin":
+        """Return this skin, touched so that conductance changes one way, or both."""
+        ways = replace(self.touches, lower=kind != "raising", higher=kind != "lowering")
+        return replace(self, touches=ways)
 
     def __hash__(self) -> int:
         return hash(self.digest)

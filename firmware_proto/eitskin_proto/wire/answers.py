@@ -65,7 +65,7 @@ class Hello(Packed):
     protocol_minor: int = PROTOCOL_MINOR
     protocol_id: str = PROTOCOL_ID
     grid_id: str = PAPER.grid_id
-    """The paper's, or the digest of the skin that the configuration states."""
+    """The paper's, or what the configuration states of its skin: ``grid_id`` or the digest."""
     tag: int = 0
 
     @classmethod
@@ -95,22 +95,23 @@ class Hello(Packed):
 
     @property
     def skin_digest(self) -> str:
-        """Of the skin that the configuration states; "" if it states none."""
+        """What the configuration states of its skin: ``grid_id`` or the digest; "" if it states none."""
         return "" if self.grid_id == PAPER.grid_id else self.grid_id
 
     def check_skin(self, skin: Skin) -> None:
-        """Refuse a device that is configured for another skin; one that states none may have any.
+        """Refuse a device that is configured for another sheet; one that states none may have any.
 
         Raises:
             MismatchError: With what was found, expected and the command.
         """
-        if self.skin_digest and self.skin_digest not in (skin.digest, skin.calibrated_from):
-            hint = (
-                "take a bundle of the device's skin (--bundle), or state this one in the device's configuration: "
-                f"skin = \"{skin.digest}\", and 'eitskin flash write'"
-            )
-            expected = f"{skin.digest} ({skin.name})"
-            raise MismatchError("the device's skin", found=self.skin_digest, expected=expected, hint=hint)
+        stated = self.skin_digest
+        if not stated or stated in (skin.grid_id, skin.digest, skin.calibrated_from) or _is_shipped(stated, skin):
+            return
+        hint = (
+            "take a bundle of the device's skin (--bundle), or state this sheet in the device's configuration: "
+            f"skin = \"{skin.grid_id}\", and 'eitskin flash write'"
+        )
+        raise MismatchError("the device's skin", found=stated, expected=f"{skin.grid_id} ({skin.name})", hint=hint)
 
     @property
     def full(self) -> bool:
@@ -164,3 +165,10 @@ class Time(Packed):
     LAYOUT: ClassVar = Layout(MessageType.TIME, (("tag", "u8"), ("device_us", "u32")))
     device_us: int
     tag: int = 0
+
+
+def _is_shipped(digest: str, skin: Skin) -> bool:
+    """Return whether a digest is that of a shipped description of the same sheet."""
+    from eitskin_proto.skin.toml import NAMED, named  # noqa: PLC0415 -- few devices state another digest
+
+    return any(one.digest == digest and one.grid_id == skin.grid_id for one in map(named, NAMED))

@@ -18,7 +18,8 @@ from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import SkinError
 from eitskin.messaging.endpoints import runtime_folder
 from eitskin.messaging.reachability import default_endpoints
-from eitskin.model.bundle import LABELS, default_path, load_bundle
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.manifest import LABELS
 from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.messages import Hello
 
@@ -39,7 +40,7 @@ def examine() -> dict[str, Any]:
     problems: list[str] = []
     ports = [_port(info, problems) for info in sorted(list_ports.comports())]
     usb = _usb(problems)
-    bundles = [_bundle(labels, problems) for labels in LABELS]
+    bundles = [_bundle(labels, path, problems) for labels, path in _shipped()]
     try:
         folder = str(runtime_folder())
     except SkinError as error:
@@ -162,14 +163,21 @@ def _usb(problems: list[str]) -> list[dict[str, Any]]:
     return listed
 
 
-def _bundle(labels: str, problems: list[str]) -> dict[str, Any]:
-    path = default_path(labels)
+def _shipped() -> list[tuple[str, Path]]:
+    """Labels and places of the shipped bundles: those of every installation, and those that there are besides."""
+    always = [(labels, default_path(labels)) for labels in LABELS]
+    besides = [(labels, default_path(labels, "lowering")) for labels in LABELS]
+    return [*always, *((labels, path) for labels, path in besides if path.exists())]
+
+
+def _bundle(labels: str, path: Path, problems: list[str]) -> dict[str, Any]:
     try:
         found = load_bundle(path)
     except SkinError as error:
         problems.append(str(error))
-        return {"path": str(path), "labels": labels, "id": "", "state": "unusable"}
-    return {"path": str(path), "labels": labels, "id": found.id, "state": f"intact, {labels} labels, {found.id}"}
+        return {"path": str(path), "labels": labels, "touches": "", "id": "", "state": "unusable"}
+    state = f"intact, {found.labels} labels, {found.touch_kind} touches, {found.id}"
+    return {"path": str(path), "labels": labels, "touches": found.touch_kind, "id": found.id, "state": state}
 
 
 def _limit(name: str, which: int) -> str:

@@ -3,7 +3,7 @@
 ::
 
     NAME.eitskin (ZIP)
-      manifest.json     format, version, ids, labels, recipe, seeds, metrics, sha256 of every file
+      manifest.json     format, version, ids, labels, touches, recipe, seeds, metrics, sha256 of every file
       skin.toml         which skin it is for (optional; without it, the paper's, whose sizes stand below)
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
@@ -26,21 +26,25 @@ from typing import Any, Final, Self
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BundleError, MismatchError
+from eitskin.errors import BundleError
 from eitskin.model.bundle_skin import skin_of
+from eitskin.model.manifest import LABELS, manifest_of
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
-from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.files.reading import FileError, opened, parse_json
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.reading import FileError, opened
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin as SkinDescription
+from eitskin_proto.skin.touch_kind import TOUCH_KINDS, TouchKind
 
-FORMAT: Final = "eitskin-bundle"
-VERSION: Final = 1
-
-LABELS: Final = {"area": "free", "units": "units"}
-"""What a bundle's maps mean -> the shipped bundle's name."""
+SHIPPED: Final = {
+    ("area", "raising"): "free",
+    ("units", "raising"): "units",
+    ("area", "lowering"): "press",
+    ("units", "lowering"): "units-press",
+}
+"""Labels and which way touches change conductance -> the shipped bundle's name."""
 
 REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files without which a bundle is no bundle."""
@@ -111,6 +115,12 @@ class Bundle:
         return str(self.manifest["labels"])
 
     @property
+    def touch_kind(self) -> TouchKind:
+        """Which touches it knows; bundles that are older than the question know those that raise conductance."""
+        kind: TouchKind = self.manifest.get("touches", "raising")
+        return kind
+
+    @property
     def bias_width(self) -> int:
         """H, the width of the first fusion layer."""
         return int(self.manifest["head"]["bias"])
@@ -161,15 +171,18 @@ class Bundle:
         return arrays
 
 
-def default_path(labels: str = "area") -> Path:
-    """Return where the shipped bundle for these labels is.
+def default_path(labels: str = "area", touches: TouchKind = "raising") -> Path:
+    """Return where the shipped bundle for these labels and touches is; that for raising ones where both are met.
 
     Raises:
-        ValueError: There are no such labels.
+        ValueError: There are no such labels, or no such touches.
     """
     if labels not in LABELS:
         raise ValueError(f"labels {labels!r} do not exist; expected one of {', '.join(LABELS)}")
-    return Path(__file__).parents[1] / "bundles" / f"{LABELS[labels]}.eitskin"
+    if touches not in TOUCH_KINDS:
+        raise ValueError(f"touches {touches!r} do not exist; expected one of {', '.join(TOUCH_KINDS)}")
+    name = SHIPPED[labels, "lowering" if touches == "lowering" else "raising"]
+    return Path(__file__).parents[1] / "bundles" / f"{name}.eitskin"
 
 
 def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bundle:
@@ -187,7 +200,7 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
     with _Opened(where) as archive:
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
-    manifest = _manifest(raw, where)
+    manifest = manifest_of(raw, where, EXPORT_HINT)
     missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
         raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")
@@ -237,43 +250,3 @@ def _member(found: Mapping[str, Member], name: str, largest: int, where: Path) -
         return found[name].read(largest)
     except BadArchiveError as error:
         raise BundleError(f"{where} is no intact bundle ({error}); {EXPORT_HINT}") from error
-
-
-def _manifest(raw: bytes, where: Path) -> dict[str, Any]:
-    try:
-        manifest = parse_json(raw)
-    except FileError as error:
-        raise BundleError(f"{where}: manifest.json {error}; {EXPORT_HINT}") from error
-    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        found = manifest.get("format") if isinstance(manifest, dict) else type(manifest).__name__
-        raise BundleError(f"{where}: format found {quoted(found)}, expected {FORMAT!r}; {EXPORT_HINT}")
-    if manifest.get("version") != VERSION:
-        raise MismatchError(
-            f"{where}: version",
-            found=stated(manifest.get("version")),
-            expected=VERSION,
-            hint=f"{EXPORT_HINT} of this release",
-        )
-    problem = _shape_problem(manifest)
-    if problem:
-        raise BundleError(f"{where}: manifest.json: {problem}; {EXPORT_HINT}")
-    return manifest
-
-
-def _shape_problem(manifest: dict[str, Any]) -> str | None:
-    files, head, labels = manifest.get("files"), manifest.get("head"), manifest.get("labels")
-    if not isinstance(labels, str) or labels not in LABELS:
-        return f"labels found {quoted(labels)}, expected one of {', '.join(LABELS)}"
-    for name in ("gate", "metrics", "recipe"):
-        if not isinstance(manifest.get(name), dict | None):
-            return f"{name} found {quoted(manifest[name])}, expected an object"
-    if not isinstance(files, dict) or len(files) > 32:
-        return "files must be an object of at most 32 names"
-    if not all(isinstance(entry, dict) and isinstance(entry.get("sha256"), str) for entry in files.values()):
-        return "every file needs a sha256"
-    if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
-        return "head.inputs must be a list"
-    bias = head.get("bias")
-    if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
-        return f"head.bias found {quoted(bias)}, expected a width from 1 to 65536"
-    return None

@@ -1,31 +1,68 @@
-"""Which skin a bundle is used with: its own, or one that its owner knows better by now."""
+"""Which bundle and which skin go together.
+
+A bundle is used with its own skin, or with another description of the same sheet; where no bundle is named, the shipped
+one that knows the skin's touches is taken.
+"""
 
 from pathlib import Path
 
-from eitskin.errors import MismatchError
-from eitskin.model.bundle import Bundle, load_bundle
+from eitskin.errors import BundleError, MismatchError
+from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind, knows
 
 Given = Skin | str | Path | None
 """A description, or the path of its file; None for the bundle's."""
 
 
 def bundle_and_skin(bundle: Bundle | str | Path | None, wanted: Given) -> tuple[Bundle, Skin]:
-    """Return a bundle, read if it is a path or the shipped one, and the skin to use with it.
+    """Return a bundle, read if it is a path or a shipped one, and the skin to use with it.
+
+    Args:
+        bundle: A bundle, or its path; None takes the shipped one that knows the skin's touches.
+        wanted: See :func:`use_skin`.
 
     Raises:
-        BundleError: See :func:`eitskin.model.bundle.load_bundle`.
+        BundleError: See :func:`eitskin.model.bundle.load_bundle`, and :func:`knowing`.
         MismatchError: See there, and :func:`use_skin`.
         ValueError: The skin's file is wrong.
         OSError: There is no such file.
     """
-    found = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
-    return found, use_skin(found, wanted)
+    skin = None if wanted is None else _read(wanted)
+    if bundle is None:
+        found = knowing("raising" if skin is None else skin.touch_kind)
+    else:
+        found = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
+    return found, use_skin(found, skin)
+
+
+def knowing(touches: TouchKind, path: str | Path | None = None) -> Bundle:
+    """Return a bundle that knows some touches.
+
+    Args:
+        touches: Which way they change conductance; of touches both ways, one that knows the raising ones will do.
+        path: Its file; None takes the shipped one.
+
+    Raises:
+        BundleError: None that is shipped knows them, or one cannot be read.
+        MismatchError: The file's bundle knows others; or see :func:`eitskin.model.bundle.load_bundle`.
+    """
+    own = default_path("area", touches)
+    found = load_bundle(path or (own if own.exists() else default_path()), lazily=True)
+    if knows(found.touch_kind, "raising" if touches == "both" else touches):
+        return found
+    make = "make one: eitskin build SKIN.toml --out FILE.eitskin"
+    if path is None:
+        raise BundleError(
+            f"no shipped bundle knows {touches} touches: {own} is not there; name one with --bundle, or {make}"
+        )
+    hint = f"name another with --bundle, or {make}"
+    raise MismatchError(f"{found.path}: touches", found=found.touch_kind, expected=touches, hint=hint)
 
 
 def use_skin(bundle: Bundle, wanted: Given) -> Skin:
-    """Return the skin to use with a bundle: the bundle's own, or one that is the same, or the same known better.
+    """Return the skin to use with a bundle: its own, another description of the same sheet, or that sheet calibrated.
 
     Args:
         bundle: A bundle.
@@ -38,12 +75,16 @@ def use_skin(bundle: Bundle, wanted: Given) -> Skin:
     """
     if wanted is None:
         return bundle.skin
-    from eitskin_proto.skin import toml  # noqa: PLC0415 -- few need it
-
-    skin = wanted if isinstance(wanted, Skin) else toml.load(wanted)
+    skin = _read(wanted)
     hint = "take a bundle of this skin, or make one: eitskin build SKIN.toml --out FILE.eitskin"
     own = bundle.skin
     check_made_for(str(bundle.path), skin, grid_id=own.grid_id, skin_digest=own.digest, hint=hint)
     if own.grid != skin.grid:
         raise MismatchError(f"{bundle.path}: sheet and map", found=own.grid, expected=skin.grid, hint=hint)
     return skin
+
+
+def _read(wanted: Skin | str | Path) -> Skin:
+    from eitskin_proto.skin import toml  # noqa: PLC0415 -- few need it
+
+    return wanted if isinstance(wanted, Skin) else toml.load(wanted)

@@ -153,7 +153,7 @@ def data_set(folder: Path) -> None:
     from eitskin_proto.files.digest import sha256_of
     from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
     from eitskin_proto.skin.cloud import flat_cloud
-    from eitskin_sim.dataset.reader import FORMAT, VERSION
+    from eitskin_sim.dataset.index import FORMAT, VERSION
 
     folder.mkdir(exist_ok=True)
     rows = np.linspace(0.1, 1.0, 104)

@@ -11,8 +11,10 @@ from eitskin_proto.skin.cloud import align_cloud, check_cloud, network_input
 from eitskin_proto.skin.cloud_file import CloudFileError, Surface, load_surface, save_surface
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.parts import Deformations
+from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
 
 GRID = SECOND.grid
 
@@ -67,13 +69,16 @@ def test_a_cloud_file_says_whose_it_is(tmp_path):
     path, cloud = tmp_path / "cloud.npz", rolled(SECOND, 30.0)
     save_surface(path, Surface(cloud), skin=SECOND)
     assert np.array_equal(load_surface(path, SECOND).cloud_mm, cloud)
-    with pytest.raises(MismatchError, match=f"found {SECOND.grid_id}, expected {PAPER.grid_id}; run 'eitskin surface'"):
+    with pytest.raises(MismatchError, match=rf"found {SECOND.grid_id}, expected {PAPER.grid_id} \(paper\); run 'eit"):
         load_surface(path)
     other = replace(SECOND, deformations=Deformations(twist_deg=(0.0, 1.0)))
-    with pytest.raises(MismatchError, match=rf"skin_digest: found {SECOND.digest}, expected {other.digest} \(second\)"):
-        load_surface(path, other)
-    calibrated = replace(other, calibrated_from=SECOND.digest)
-    assert np.array_equal(load_surface(path, calibrated).cloud_mm, cloud)
+    moved = replace(
+        SECOND, electrodes=replace(SECOND.electrodes, arc_length_mm=Quantity(tuple(SECOND.arc_length_mm + 1)))
+    )
+    with pytest.raises(MismatchError, match=rf"grid_id: found {SECOND.grid_id}, expected {moved.grid_id} \(second\)"):
+        load_surface(path, moved)
+    for same in (other, replace(moved, calibrated_from=SECOND.digest)):
+        assert np.array_equal(load_surface(path, same).cloud_mm, cloud)
 
 
 def test_a_cloud_file_of_the_right_ids_and_another_shape_is_none(tmp_path):
@@ -86,9 +91,14 @@ def test_what_is_older_than_descriptions_is_the_paper_s():
     check_made_for("it", PAPER, grid_id=PAPER.grid_id, skin_digest=None, hint="")
     known_better = replace(PAPER, name="ours", calibrated_from=PAPER.digest)
     check_made_for("it", known_better, grid_id=PAPER.grid_id, skin_digest=None, hint="")
-    bent = replace(PAPER, deformations=Deformations(twist_deg=(0.0, 1.0)))
-    for grid_id in (PAPER.grid_id, "feed", None):
+    for grid_id in ("feed", None):
         with pytest.raises(MismatchError, match=r"it: .*found .*expected .*; do"):
-            check_made_for("it", bent, grid_id=grid_id, skin_digest=None, hint="do")
-    with pytest.raises(MismatchError, match="it: skin_digest"):
-        check_made_for("it", PAPER, grid_id=PAPER.grid_id, skin_digest="", hint="")  # no calibration is no permission
+            check_made_for("it", PAPER, grid_id=grid_id, skin_digest=None, hint="do")
+    with pytest.raises(MismatchError, match="it: grid_id"):
+        check_made_for("it", PAPER, grid_id="feed", skin_digest="", hint="")  # no calibration is no permission
+
+
+@pytest.mark.parametrize("name", ["lab", "hydrogel"])
+def test_descriptions_of_one_sheet_take_what_was_made_for_another_of_them(name):
+    check_made_for("it", named(name), grid_id=PAPER.grid_id, skin_digest=PAPER.digest, hint="")
+    check_made_for("it", PAPER, grid_id=named(name).grid_id, skin_digest=named(name).digest, hint="")

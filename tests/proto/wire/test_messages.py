@@ -6,7 +6,9 @@ from hypothesis import strategies as st
 from tests.second_skin import SECOND
 
 from eitskin_proto.errors import MismatchError, ProtocolError
+from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
 from eitskin_proto.wire import codes, messages
 from eitskin_proto.wire.layout import WIDTH
 
@@ -130,9 +132,14 @@ def test_a_device_that_states_another_skin_is_refused_and_one_that_states_none_i
         HELLO.check_skin(skin)
         replace(HELLO, grid_id=skin.digest).check_skin(skin)
         replace(HELLO, grid_id=skin.digest).check_skin(replace(SECOND, calibrated_from=skin.digest))
+        replace(HELLO, grid_id=skin.grid_id).check_skin(replace(skin, touches=Touches(lower=True)))
+    for one, other in ((PAPER, named("lab")), (named("hydrogel"), named("lab"))):
+        replace(HELLO, grid_id=one.digest).check_skin(other)  # shipped descriptions of one sheet
+    with pytest.raises(MismatchError, match=named("lab").digest):
+        replace(HELLO, grid_id=named("lab").digest).check_skin(SECOND)
     stated = replace(HELLO, grid_id=SECOND.digest)
     with pytest.raises(
-        MismatchError, match=rf"skin: found {SECOND.digest}, expected {PAPER.digest} \(paper\); .*flash"
+        MismatchError, match=rf"skin: found {SECOND.digest}, expected {PAPER.grid_id} \(paper\); .*flash"
     ):
         stated.check_skin(PAPER)
 

@@ -8,6 +8,7 @@ import pytest
 
 from eitskin_proto.errors import MismatchError
 from eitskin_sim.dataset.generate import generate
+from eitskin_sim.dataset.index import touch_kind_of
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import load
 from eitskin_sim.dataset.shards import unit_contrasts
@@ -23,16 +24,25 @@ def test_plans_of_hard_touches_have_the_digests_that_they_had() -> None:
 
 @pytest.mark.parametrize("name", ["units", "free"])
 def test_a_kind_of_touches_is_part_of_the_plan(name: str) -> None:
-    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in ("hard", "press", "both")}
-    assert len(digests) == 3
+    digests = {make_plan(name, 7, deformations=2, touches=kind).digest for kind in ("hard", "press", "raise", "both")}
+    assert len(digests) == 4
     assert make_plan(name, 7, deformations=2).touches == "hard"
 
 
 def test_what_no_set_has_is_refused() -> None:
     with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set is as"):
         make_plan("paper", touches="press")
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, both"):
+    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both"):
         make_plan("free", touches="soft")
+
+
+@pytest.mark.parametrize(("said", "way"), [({}, "raising"), ({"touch_kind": "raise"}, "raising")])
+def test_a_set_says_which_way_its_touches_go(said: dict[str, str], way: str) -> None:
+    assert touch_kind_of(said) == way
+    assert touch_kind_of({"touch_kind": "press"}) == "lowering"
+    for wrong in ("soft", 1):
+        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, raise, press, both"):
+            touch_kind_of({"touch_kind": wrong})
 
 
 @pytest.mark.heavy
@@ -41,6 +51,7 @@ def test_a_free_set_of_both_ways_keeps_contrast_border_and_shape_and_labels_outl
     index = generate(plan, tmp_path, workers=0)
     data = load(tmp_path)
     assert (index["touch_kind"], index["version"], index["digest"]) == ("both", 2, data.digest)
+    assert data.touch_kind == "both"
     assert data.free.pieces.shape[1] == 8
     contrast = data.free.pieces[:, 6]
     assert 0.2 < np.mean(contrast < 1.0) < 0.8

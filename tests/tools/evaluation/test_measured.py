@@ -9,6 +9,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.second_skin import SECOND
 
 from eitskin.model.gate import Gate
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
@@ -202,7 +203,7 @@ NAN = np.full((5, 104), np.nan)
         ({"touch_kind": "both"}, "lowering, raising"),
         ({"grid_id": "0123456789abcdef"}, f"expected {GRID_ID}"),
         ({"protocol_id": "0123456789abcdef"}, "protocol_id: found 0123456789abcdef"),
-        ({"skin_digest": "0123456789abcdef"}, f"expected {PAPER.digest}"),
+        ({"grid_id": SECOND.grid_id, "skin_digest": PAPER.digest}, f"expected {PAPER.grid_id} (paper)"),
     ],
 )
 def test_whatever_is_wrong_is_one_line(tmp_path, arrays, capsys, change, said):

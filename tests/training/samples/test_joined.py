@@ -52,6 +52,11 @@ def test_what_one_set_holds_out_stays_held_out(pair: tuple[TrainingData, Trainin
     assert not set(both.touch_set[both.train]) & set(both.touch_set[both.validation])
 
 
+def test_a_joined_set_has_the_touches_of_all(pair: tuple[TrainingData, TrainingData]) -> None:
+    assert join(pair).touch_kind == "raising"
+    assert join((pair[0], replace(pair[1], touch_kind="lowering"))).touch_kind == "both"
+
+
 def test_sets_that_do_not_go_together_are_refused(pair: tuple[TrainingData, TrainingData]) -> None:
     one, other = pair
     assert join([one]) is one

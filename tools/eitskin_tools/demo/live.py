@@ -7,6 +7,7 @@ from contextlib import suppress
 from typing import Any
 
 import eitskin
+from eitskin_tools.demo.played import told
 from eitskin_tools.pictures.draw import RATE_HZ, Painter
 
 
@@ -35,7 +36,8 @@ def _title(script: Any, time_s: float) -> str:
     bend, touches = scene.bend, len(scene.touches)
     turned = f"bent by {bend.angle_deg:.0f} deg, its axis at {bend.axis_deg:+.0f}"
     shape = "flat" if bend == type(bend)() else f"{turned}, stretched {100 * (bend.stretch_along - 1):.1f} %"
-    return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {touches} touch{'' if touches == 1 else 'es'}"
+    number = f"{touches} {'press' if script.skin.touch_kind == 'lowering' else 'touch'}{'' if touches == 1 else 'es'}"
+    return f"eitskin demo   {time_s:5.1f} s   the sheet is {shape}; {number}{told(script)}"
 
 
 def _footer(frame: Any, begin: float) -> list[str]:

@@ -23,8 +23,10 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.writing import write_bytes
-from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_tools.demo import played
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
@@ -63,6 +65,8 @@ class Options:
     """Send clouds while the sheet bends."""
     affinity: int | None = None
     """The runtime, all its threads, on this CPU only."""
+    touches: TouchKind = "raising"
+    """"raising" or "lowering": what touches the sheet; the bundle must know it."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,6 +147,7 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
         "start_s": round(streamed.start_s, 2),
         "noise": options.noise,
         "bundle": str(options.bundle) if options.bundle else "shipped",
+        "touches": f"{options.touches}{played.told(script_of(options))}",
         "solvers": streamed.runtime.get("solvers"),
     }
 
@@ -152,7 +157,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
     scene = ["--scene", str(options.scene)] if options.scene else []
-    if (described := skin_of(options.bundle)) != PAPER:
+    if (described := played.skin_of(options.bundle, options.touches)) != PAPER:
         description = folder / "skin.toml"
         description.write_text(to_toml(described), encoding="utf-8")
         scene += ["--skin", str(description)]
@@ -189,7 +194,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
 
 
 def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:
-    predict = ["--predict"] if _uses_prediction(options.bundle) else []
+    predict = ["--predict"] if played.uses_prediction(options.bundle) else []
     return Child(
         "scanner", "eitskin_tools.demo.scanner",
         [control, str(folder / "skin.log"), f"--rate={CLOUDS_HZ}", f"--seed={options.seed}", *scene, *predict], folder,
@@ -232,22 +237,7 @@ def _going_on(children: list[Child], end: float) -> bool:
 
 def script_of(options: Options) -> Any:
     """Return the script that the virtual skin plays."""
-    from eitskin_tools.scripted_scene import script
-
-    return script.script_of(options.scene, skin_of(options.bundle))
-
-
-def skin_of(bundle: Path | None) -> Skin:
-    """Return the skin that a bundle is for; that of the shipped one by default."""
-    from eitskin.model.bundle import load_bundle
-
-    return load_bundle(bundle, lazily=True).skin
-
-
-def _uses_prediction(bundle: Path | None) -> bool:
-    from eitskin.model.bundle import load_bundle
-
-    return bool(load_bundle(bundle).uses_prediction)
+    return played.script_of(options.scene, options.bundle, options.touches)
 
 
 def _last_object(child: Child) -> dict[str, Any]:
@@ -287,4 +277,5 @@ def print_summary(summary: dict[str, Any]) -> None:
               f"({', '.join(split)})", file=out)  # fmt: skip
     gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
             ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
+    print(f"touches: {summary['touches']}", file=out)
     print(f"gate: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)

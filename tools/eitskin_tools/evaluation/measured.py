@@ -65,7 +65,7 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
     classical = request.name in SOLVERS
     reference: Reference = request.reference or ("predicted" if classical else "pre")
-    bundle = bundle_for(request, "area", measured.touch_kind)
+    bundle = bundle_for(request, "area", measured.touch_kind or "raising")
     solver = named(Request(request.name, reference, bundle.path, request.prediction), bundle.labels)
     judge = judge_of(bundle)
     flat = _flat_reference(measured)

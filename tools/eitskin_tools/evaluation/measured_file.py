@@ -17,7 +17,7 @@ Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are lef
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, cast, get_args
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
@@ -32,11 +32,11 @@ from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER
-from eitskin_tools.evaluation.solvers import TouchKind
+from eitskin_proto.skin.touch_kind import TouchKind
 
 Array = npt.NDArray[np.float64]
 
-TOUCH_KINDS: Final[tuple[str, ...]] = get_args(TouchKind)
+TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lowering", "raising")
 """The kinds of touch."""
 
 LARGEST_FILE: Final = 1 << 30
@@ -221,7 +221,7 @@ def _touch_kind(arrays: dict[str, npt.NDArray[Any]]) -> TouchKind | None:
     found = _text(arrays, "touch_kind")
     if found not in TOUCH_KINDS:
         raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
-    return cast(TouchKind, found)
+    return "lowering" if found == "lowering" else "raising"
 
 
 def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path) -> None:

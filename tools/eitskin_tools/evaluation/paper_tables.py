@@ -41,7 +41,7 @@ def requests(phantoms: Sequence[Phantom], bundle: str | Path | None = None, skin
         skin: Whose maps are compared.
     """
     found = [Request(name, reference) for name in CLASSICAL for reference in ("post", "pre", "predicted")]
-    if bundle is not None or (skin.digest == PAPER.digest and _has_bundle(phantoms)):
+    if bundle is not None or (skin.grid_id == PAPER.grid_id and _has_bundle(phantoms)):
         found += [Request("vd2t", bundle=bundle), Request("vd2t-int8", bundle=bundle)]
     return found
 

@@ -2,8 +2,8 @@
 
 The network runs through the runtime's own engine: the bundle's graphs, the runtime's normalisation, and the one
 reference taken flat and untouched. If its head has a second input, that is fed the way a robot feeds it: V_pred by the
-forward model from the measured cloud, against the same model's flat sheet. It takes the shipped bundle whose labels
-match the phantoms, unless one is named.
+forward model from the measured cloud, against the same model's flat sheet. It takes the shipped bundle whose labels and
+touches match the phantoms, unless one is named.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,6 +17,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import (
     REFERENCES,
     SOLVERS,
@@ -47,10 +48,10 @@ NETWORKS: Final = ("vd2t", "vd2t-int8")
 NAMES: Final = (*SOLVERS, *NETWORKS)
 """Every name that ``eitskin evaluate --solver`` takes."""
 
-TouchKind = Literal["lowering", "raising"]
-"""Which way a skin's touches change its conductance."""
-
 Progress = Callable[[int, int], None]
+
+Group = tuple[str, TouchKind]
+"""What decides which shipped bundle is meant: labels of the truth, and what touches."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,13 +79,14 @@ class Named:
     """What the head's second input is fed; None where there is no such input."""
 
 
-def named(request: Request, labels: str, skin: Skin = PAPER) -> Named:
+def named(request: Request, labels: str, skin: Skin = PAPER, touches: TouchKind = "raising") -> Named:
     """Return the solver that a request means on phantoms with these labels.
 
     Args:
         request: Name, reference, bundle.
         labels: ``"units"`` or ``"area"``, what the phantoms' truth means.
         skin: Whose maps and clouds there are.
+        touches: What touches the phantoms, see :func:`bundle_for`.
 
     Raises:
         ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.
@@ -96,32 +98,41 @@ def named(request: Request, labels: str, skin: Skin = PAPER) -> Named:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name not in NETWORKS:
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
-    return _network(request, labels, skin)
+    return _network(request, labels, skin, touches)
 
 
-def bundle_for(request: Request, labels: str, touch_kind: TouchKind | None = None) -> "Bundle":
-    """Return the bundle that a request names, or the shipped one of some labels.
+def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raising") -> "Bundle":
+    """Return the bundle that a request names, or the shipped one of some labels and touches.
 
     Args:
-        request: May name a file.
+        request: May name a file; then that serves all touches.
         labels: ``"units"`` or ``"area"``.
-        touch_kind: Which way touches change conductance; one shipped bundle serves both.
+        touch_kind: Which way touches change conductance. Where no shipped bundle is meant for these, that for raising
+            ones is taken: what it shows of them is then what there is to say.
 
     Raises:
         BundleError: It cannot be read.
     """
     from eitskin.model.bundle import default_path, load_bundle
 
-    return load_bundle(request.bundle or default_path(labels))
+    own = default_path(labels, touch_kind)
+    return load_bundle(request.bundle or (own if own.exists() else default_path(labels)))
 
 
-def _network(request: Request, labels: str, skin: Skin) -> Named:
+def touches_of(phantom: Phantom) -> TouchKind:
+    """Return which way a phantom's touches change conductance; one without touches counts as the paper's do."""
+    sheet = phantom.scene.sheet.conductivity_S_per_m
+    lower = {touch.factor(sheet) < 1.0 for touch in phantom.scene.touches}
+    return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
+
+
+def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> Named:
     from eitskin.model.buffers import Buffers
     from eitskin.model.engine import engines
     from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
 
-    loaded = bundle_for(request, labels)
+    loaded = bundle_for(request, labels, touches)
     own = loaded.skin
     hint = "make a bundle for this skin with 'eitskin export', or name its own with --skin"
     check_made_for(str(loaded.path), skin, grid_id=own.grid_id, skin_digest=own.digest, hint=hint)
@@ -171,7 +182,7 @@ def evaluate_requests(
     conditions: Conditions,
     progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
-    """Return the report of each request, all on the same data, networks with the bundle of each phantom's labels.
+    """Return the report of each request, all on the same data, networks with the bundle of each phantom's kind.
 
     Args:
         phantoms: What to look at.
@@ -183,11 +194,11 @@ def evaluate_requests(
         ValueError: A request cannot be met.
     """
     found = []
-    for request, (named_by_labels, results) in zip(
+    for request, (by_group, results) in zip(
         requests, evaluate_named(phantoms, requests, conditions, progress), strict=True
     ):
-        first = next(iter(named_by_labels.values()))
-        ids = sorted({one.bundle_id for one in named_by_labels.values() if one.bundle_id})
+        first = next(iter(by_group.values()))
+        ids = sorted({one.bundle_id for one in by_group.values() if one.bundle_id})
         extra = {
             "snr_db": conditions.snr_db,
             "reference": first.run.reference,
@@ -207,10 +218,15 @@ def evaluate_named(
     requests: Sequence[Request],
     conditions: Conditions,
     progress: Progress | None = None,
-) -> list[tuple[dict[str, Named], Results]]:
-    """Return, for each request, its solvers by labels and its scores in the phantoms' order."""
-    every: list[str] = list(dict.fromkeys(one.truth for one in phantoms))
-    solvers = [{labels: named(request, labels, conditions.skin) for labels in every} for request in requests]
+) -> list[tuple[dict[Group, Named], Results]]:
+    """Return, for each request, its solvers by what the phantoms are like, and its scores in the phantoms' order."""
+    groups: dict[Group, list[Phantom]] = {}
+    for one in phantoms:
+        groups.setdefault((one.truth, touches_of(one)), []).append(one)
+    solvers = [
+        {(labels, touches): named(request, labels, conditions.skin, touches) for labels, touches in groups}
+        for request in requests
+    ]
     results: list[Results] = [[] for _ in requests]
     done = 0
 
@@ -218,9 +234,8 @@ def evaluate_named(
         if progress is not None:
             progress(done + now, len(phantoms))
 
-    for labels in every:
-        group = [one for one in phantoms if one.truth == labels]
-        found = evaluate_all(group, [one[labels].run for one in solvers], conditions, step)
+    for key, group in groups.items():
+        found = evaluate_all(group, [one[key].run for one in solvers], conditions, step)
         for kept, scores in zip(results, found, strict=True):
             kept.extend(scores)
         done += len(group)

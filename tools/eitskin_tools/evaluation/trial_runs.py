@@ -22,7 +22,7 @@ def touched_trial(
 ) -> dict[str, Any]:
     """Return the summary of one solver on drawn phantoms, ``each`` of them at a deformation."""
     ((solvers, results),) = evaluate_named(phantoms, [request], conditions, progress)
-    return {**_head(request, conditions, solvers[phantoms[0].truth]), **summary(results, each, conditions.skin.grid)}
+    return {**_head(request, conditions, next(iter(solvers.values()))), **summary(results, each, conditions.skin.grid)}
 
 
 def untouched_trial(

@@ -24,8 +24,9 @@ from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
+from eitskin_sim.dataset.index import FORMAT, HINT, VERSION, VERSION_OF_SOFT
 from eitskin_sim.dataset.plan import Plan
-from eitskin_sim.dataset.reader import FORMAT, HINT, LARGEST_FILE, VERSION, VERSION_OF_SOFT
+from eitskin_sim.dataset.reader import LARGEST_FILE
 from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
 
 Progress = Callable[[int, int], None]

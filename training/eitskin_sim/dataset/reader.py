@@ -28,29 +28,22 @@ from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
 from eitskin_proto.files.arrays import parse_npz
 from eitskin_proto.files.digest import sha256_of
 from eitskin_proto.files.plain import plain, quoted, stated
-from eitskin_proto.files.reading import FileError, read_bytes, read_json
-from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.files.reading import read_bytes
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_proto.skin.toml import parse
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.dataset.index import HINT, is_soft, read_index, skin_of, touch_kind_of
 from eitskin_sim.dataset.plan import SET_NAMES, SetName
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import TouchTable
 from eitskin_sim.unit_grid.patterns import UnitContrasts, unpack
 from eitskin_sim.unit_grid.units import TOUCHED
 
-FORMAT: Final = "eitskin-dataset"
-VERSION: Final = 1
-VERSION_OF_SOFT: Final = 2
-"""Of data sets whose touches are not hard ones alone, which a reader of version 1 would take for such."""
 PIECE_COLUMNS: Final = {False: 7, True: 8}
 """Of a table of touches that are hard ones alone, or may be soft: these have a border."""
-HINT: Final = "make it again with 'eitskin dataset'"
 
 LARGEST_FILE: Final = 1 << 30
 """Bytes of a file; 700,000 free touch sets take 120 MB."""
-
-MOST_SHARDS: Final = 10_000
 
 Arrays = dict[str, npt.NDArray[Any]]
 
@@ -88,6 +81,8 @@ class DataSet:
     """Of touches on the unit grid, where they are not the paper's of 50."""
     skin: Skin = PAPER
     """What it was made for."""
+    touch_kind: TouchKind = "raising"
+    """Which way its touches change conductance."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:
@@ -166,7 +161,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         _of(shard["voltages"], "f", (count, N_ROWS))
         if count and not 0 <= shard["touch_set"].min() <= shard["touch_set"].max() < len(held_out):
             raise ValueError("a sample names a touch set that is not there")
-    name, soft = index["set"], _is_soft(index)
+    name, soft = index["set"], is_soft(index)
     sets = len(first) - 1 if name == "free" else len(units)
     if name not in SET_NAMES or sets != len(held_out):
         raise ValueError(f"set {quoted(name)} with {sets} touch sets and {len(held_out)} that are told apart")
@@ -189,6 +184,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
         skin=skin,
+        touch_kind=touch_kind_of(index),
     )
 
 
@@ -201,59 +197,6 @@ def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContra
     if len(contrast) > 255 or np.any(contrast <= 0) or np.any(number[units] >= len(contrast)):
         raise ValueError("the contrasts of units are not those of their classes")
     return UnitContrasts(number.astype(np.uint8), contrast)
-
-
-def _is_soft(index: dict[str, Any]) -> bool:
-    return bool(index.get("touch_kind", "hard") != "hard")
-
-
-def skin_of(index: dict[str, Any]) -> Skin:
-    """Return the skin that a data set was made for; one made before skins had descriptions is of the paper's.
-
-    Raises:
-        ValueError: The description is none, or not that of the digest.
-    """
-    if "skin_digest" not in index:
-        return PAPER
-    skin = parse(str(index.get("skin")))
-    if skin.digest != index["skin_digest"]:
-        raise ValueError(f"skin_digest is {quoted(index['skin_digest'])}, its description has {skin.digest}")
-    return skin
-
-
-def read_index(folder: Path) -> dict[str, Any]:
-    """Return ``index.json``, its ids checked.
-
-    Raises:
-        MismatchError: It was made for another protocol, grid or version.
-        ProtocolError: The folder holds no finished data set.
-        OSError: The file cannot be read.
-    """
-    path = folder / "index.json"
-    if folder.is_dir() and not path.exists():
-        raise ProtocolError(f"{folder} holds no finished data set: index.json is missing; go on with 'eitskin dataset'")
-    try:
-        index = read_json(path)
-    except FileError as error:
-        raise ProtocolError(f"{error}; {HINT}") from error
-    if not isinstance(index, dict) or index.get("format") != FORMAT:
-        raise ProtocolError(f"{path} is no index of a data set; {HINT}")
-    version = VERSION_OF_SOFT if _is_soft(index) else VERSION
-    try:
-        skin = skin_of(index)
-    except ValueError as error:
-        raise ProtocolError(f"{path}: {plain(str(error))}; {HINT}") from error
-    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID), ("grid_id", skin.grid_id)):
-        if index.get(name) != expected:
-            raise MismatchError(
-                f"data set {folder}: {name}", found=stated(index.get(name)), expected=expected, hint=HINT
-            )
-    shards = index.get("deformations")
-    if not isinstance(shards, list) or not 1 <= len(shards) <= MOST_SHARDS:
-        raise ProtocolError(
-            f"{path}: deformations found {quoted(shards)}, expected a list of up to {MOST_SHARDS}; {HINT}"
-        )
-    return index
 
 
 def _read(folder: Path, entry: dict[str, Any]) -> Arrays:

@@ -6,6 +6,8 @@ Measured presses of hydrogel skins by a 5 mm probe, 10 / 15 / 20 mm deep, take 9
 to 22 mm, strength follows it with that spread, and size follows from both; one outside 8 to 25 mm is drawn again.
 
     press    all lower conductance, contrast 0.2 to 0.85, by strength as above
+    raise    all raise it, contrast 1.2 to 200 log-uniform: half of them any size from 8 to 25 mm with borders as
+             below, half of the sharp shapes of hard touches, bars and L's among them
     both     half of the touches lower it so; a quarter raises it, contrast 1.2 to 200 log-uniform, any size from 8 to
              25 mm; a quarter has that contrast and the sharp shapes of hard touches, bars and L's among them
 
@@ -22,10 +24,10 @@ from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, Array, TouchTable, gather
 
-TouchKind = Literal["hard", "press", "both"]
-"""The paper's touches of contrast 20 to 200; presses that lower conductance; touches both ways."""
+TouchKind = Literal["hard", "press", "raise", "both"]
+"""The paper's touches of contrast 20 to 200; presses that lower conductance; touches that raise it; both ways."""
 
-TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("hard", "press", "both")
+TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("hard", "press", "raise", "both")
 
 LOWERING: Final = (0.2, 0.85)
 """Contrasts of presses that lower conductance, log-uniform over classes."""
@@ -81,7 +83,7 @@ def pool_of(
         return touch_pool(count, generator, size_mm)
     number = np.arange(count)
     contrast = contrasts_of(kind, CLASSES, generator)[number % CLASSES]
-    plain = np.flatnonzero((kind == "both") & (contrast > 1.0) & (number // CLASSES % 2 == 1))
+    plain = np.flatnonzero((contrast > 1.0) & (number // CLASSES % 2 == 1))
     pressed = np.setdiff1d(number, plain)
     pieces = _on_sheet(contrast[pressed], generator, size_mm)
     own: dict[int, Array] = {int(at): piece[None] for at, piece in zip(pressed, pieces, strict=True)}
@@ -135,7 +137,7 @@ def _areas(contrast: Array, generator: np.random.Generator) -> Array:
 
 def contrasts_of(kind: TouchKind, classes: int, generator: np.random.Generator) -> Array:
     """Return (classes,) contrasts, each from its share of a range: presses lower conductance, of both every second."""
-    raising = np.zeros(classes, dtype=np.bool_) if kind == "press" else np.arange(classes) % 2 == 1
+    raising = np.arange(classes) % 2 == 1 if kind == "both" else np.full(classes, kind == "raise")
     found = np.empty(classes)
     for which, bounds in ((~raising, LOWERING), (raising, RAISING)):
         number = np.count_nonzero(which)

@@ -24,6 +24,7 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.dataset.prediction_cache import predicted_log_of
 from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
@@ -62,6 +63,7 @@ class TrainingData:
         digest: Digest of the data set.
         seed: Seed of the data set, of the first of several.
         skin: What it was made for; a network learned from it is for this skin.
+        touch_kind: Which way its touches change conductance: what a network learned from it knows.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -80,6 +82,7 @@ class TrainingData:
     seed: int
     protocol_id: str = PROTOCOL_ID
     skin: Skin = PAPER
+    touch_kind: TouchKind = "raising"
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
@@ -281,4 +284,5 @@ def load(directory: str) -> TrainingData:
         digest=found.digest,
         seed=found.seed,
         skin=found.skin,
+        touch_kind=found.touch_kind,
     )

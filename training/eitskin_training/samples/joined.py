@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.touch_kind import together
 from eitskin_training.samples.batches import TrainingData, load
 
 
@@ -70,4 +71,5 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests))
+    touch_kind = together(one.touch_kind for one in sets)
+    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests), touch_kind=touch_kind)

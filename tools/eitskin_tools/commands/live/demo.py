@@ -6,7 +6,7 @@ import signal
 import sys
 from pathlib import Path
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, touches
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.commands.live.run import SOLVERS
 from eitskin_tools.errors import UsageError
@@ -16,7 +16,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="how long, from the first frame (20)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument(
+        "--bundle", type=Path, metavar="FILE", help="bundle to run (default: a shipped one that knows the touches)"
+    )
+    touches.add_touches(parser, "those of the bundle, presses where it knows them or one that does is shipped")
     parser.add_argument(
         "--solver",
         metavar="NAME",
@@ -40,6 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
+    from eitskin_tools.demo.played import choose
     from eitskin_tools.demo.show import Options, draw_picture, print_summary, stream, summarise
 
     if not arguments.seconds > 0.0:
@@ -54,12 +58,14 @@ def run(arguments: argparse.Namespace) -> int:
     for path in (arguments.record, arguments.picture):
         if path is not None:
             files.writable(path)
+    bundle, kind = choose(arguments.bundle, touches.chosen(arguments))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
     options = Options(
         seconds=arguments.seconds,
         rate_hz=arguments.rate,
-        bundle=arguments.bundle,
+        bundle=bundle,
+        touches=kind,
         solver=arguments.solver,
         scene=scene,
         noise=arguments.noise,

@@ -16,12 +16,14 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eitskin_tools.command_line import touches
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ServerKeys
+    from eitskin.model.bundle import Bundle
     from eitskin_tools.service.supervisor import Supervisor
     from eitskin_tools.service.watchdog import Watchdog
 
@@ -36,7 +38,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
     )
-    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of area labels)")
+    parser.add_argument(
+        "--bundle", type=Path, help="bundle to use (default: the shipped one of area labels and of the touches)"
+    )
+    touches.add_touches(parser, "those of --skin, else raise")
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
@@ -109,7 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
         skin = stack.enter_context(
             Skin(
                 port,
-                bundle=arguments.bundle,
+                bundle=_bundle(arguments),
                 skin=arguments.skin,
                 reference=arguments.reference,
                 budget_ms=arguments.budget_ms,
@@ -139,6 +144,14 @@ def run(arguments: argparse.Namespace) -> int:
             log.say(_closing(skin.summary()))
     _leave_unfinished_work()
     return 0
+
+
+def _bundle(arguments: argparse.Namespace) -> "Bundle | Path | None":
+    """The bundle that knows the touches that were asked for; what was named, where none were."""
+    from eitskin.model.skin_in_use import knowing
+
+    wanted = touches.chosen(arguments)
+    return arguments.bundle if wanted is None else knowing(wanted, arguments.bundle)
 
 
 def _leave_unfinished_work() -> None:
@@ -229,6 +242,7 @@ def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
 
 def _report(skin: Any, log: RunLog) -> None:
     from eitskin_proto.skin.skin import PAPER
+    from eitskin_proto.skin.touch_kind import knows
 
     hello = skin.device.hello
     for line in skin.transport.report():
@@ -239,12 +253,18 @@ def _report(skin: Any, log: RunLog) -> None:
         f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
     )
     solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
-    log.say(f"bundle: {skin.bundle.path.name} {skin.bundle.id}, {skin.bundle.labels} labels; {solvers}")
+    bundle = skin.bundle
+    log.say(f"bundle: {bundle.path.name} {bundle.id}, {bundle.labels} labels, {bundle.touch_kind} touches; {solvers}")
     rows, columns = skin.description.grid.shape
     log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
+    touches = skin.description.touch_kind
+    if skin.description is not bundle.skin and not knows(bundle.touch_kind, touches):
+        log.warn(
+            f"{skin.description.name} has {touches} touches, the bundle knows {bundle.touch_kind} ones: see --touches"
+        )
     if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
         log.warn(
-            f'the device does not say which skin it is wired to: state skin = "{skin.description.digest}" in its '
+            f'the device does not say which skin it is wired to: state skin = "{skin.description.grid_id}" in its '
             "configuration, and 'eitskin flash write'"
         )
     gate = skin.bundle.manifest.get("gate") or {}

@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line import files, skins, touches
 from eitskin_tools.errors import UsageError
 
 
@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it a script of 20 s loops"
     )
-    skins.add_skin(parser, "sheet, electrodes and map")
+    skins.add_skin(parser, "sheet, electrodes, map and which way touches change conductance")
+    touches.add_touches(parser, "those of the skin, else raise", "what the script's touches do")
     parser.add_argument("--seconds", type=float, metavar="S", help="stop after so long")
     parser.add_argument("--seed", type=int, default=0, help="of noise and faults (default 0)")
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="kind of noise (default N2)")
@@ -57,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         files.writable(arguments.wire_times)
     if arguments.log is not None:  # written as it comes, and so to a stream too
         files.parent(arguments.log)
+    skin, kind = skins.chosen(arguments), touches.chosen(arguments)
     try:
         faults = tuple(parse(text) for text in arguments.fault)
     except ValueError as error:
@@ -66,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             rate_hz=arguments.rate,
             configuration=arguments.config,
             scene=scene,
-            skin=skins.chosen(arguments),
+            skin=skin if kind is None else skin.touched(kind),
             seconds=arguments.seconds,
             seed=arguments.seed,
             noise=arguments.noise,

@@ -1,0 +1,57 @@
+"""Which shipped bundle a network's figures are of: by labels and by what touches."""
+
+from pathlib import Path
+
+import pytest
+
+from eitskin.model import bundle as bundles
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named as skin_named
+from eitskin_sim.evaluation.harness import Conditions
+from eitskin_sim.evaluation.trials import Softness, single, untouched
+from eitskin_sim.scene.scene import load_phantoms
+from eitskin_tools.command_line import files
+from eitskin_tools.evaluation import solvers
+from eitskin_tools.evaluation.solvers import Request, bundle_for, evaluate_named, named, touches_of
+
+TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
+
+
+def test_what_touches_a_phantom():
+    assert touches_of(single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0]) == "lowering"
+    assert touches_of(single(10.0, 1, 1)[0]) == "raising"
+    assert touches_of(untouched(1)[0]) == "raising"
+    assert {touches_of(one) for one in load_phantoms(files.find("paper_mm", files.PHANTOMS))} == {"raising"}
+
+
+def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
+    shipped = bundles.default_path
+    monkeypatch.setattr(bundles, "default_path", lambda *kind: tmp_path / shipped(*kind).name)
+    for name in ("free", "units", "press"):
+        (tmp_path / f"{name}.eitskin").write_bytes(TINY.read_bytes())
+    request = Request("vd2t")
+    assert bundle_for(request, "area").path.stem == "free"
+    assert bundle_for(request, "area", "lowering").path.stem == "press"
+    assert bundle_for(request, "units").path.stem == "units"
+    assert bundle_for(request, "units", "lowering").path.stem == "units", "there is none for presses on units"
+    assert bundle_for(Request("vd2t", bundle=TINY), "area", "lowering").path == TINY
+
+
+def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
+    asked = []
+
+    def noted(request, labels, skin=PAPER, touches="raising"):
+        asked.append((labels, touches))
+        return named(Request("tikhonov"), labels, skin, touches)
+
+    monkeypatch.setattr(solvers, "named", noted)
+    monkeypatch.setattr(solvers, "evaluate_all", lambda group, runs, conditions, step: [[(one, ()) for one in group]])
+    phantoms = [*single(10.0, 1, 1), *single(16.0, 1, 1, "A", Softness(0.4, 4.0)), *single(8.0, 1, 1)]
+    ((by_group, results),) = evaluate_named(phantoms, [Request("vd2t")], Conditions("none"))
+    assert asked == list(by_group) == [("area", "raising"), ("area", "lowering")]
+    assert [phantom for phantom, _ in results] == phantoms
+
+
+@pytest.mark.parametrize("name", ["lab", "hydrogel"])
+def test_a_bundle_serves_every_description_of_its_sheet(name):
+    assert named(Request("vd2t", bundle=TINY), "area", skin_named(name)).bundle_id
