@@ -85,7 +85,7 @@ def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     said = capsys.readouterr().err.splitlines()[-1]
     assert code == 1
     assert "the residual stays above noise" in said
-    assert f"reference drive {drive} measure {measure} by " in said
+    assert f"drive {drive} measure {measure} by " in said
     assert not out.exists()
 
 

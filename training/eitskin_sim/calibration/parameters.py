@@ -59,12 +59,9 @@ class Parameters:
     Args:
         skin: Whose uncertainties are the priors.
         n_modes: Smooth modes of the layer.
-        scanned: Whether some scan is used, so that its scale matters.
-        bent: Whether some moment is bent, so that the gauge factor matters.
-        flat_unknown: Whether the reference has no scan, so that it may have been stretched.
     """
 
-    def __init__(self, skin: Skin, n_modes: int, *, scanned: bool, bent: bool, flat_unknown: bool) -> None:
+    def __init__(self, skin: Skin, n_modes: int) -> None:
         layer, ring, own, doubts = skin.layer, skin.electrodes, skin.front_end, skin.may_be_off
         sigma = float(layer.conductivity_S_per_m.nominal(1)[0])
         groups = [
@@ -75,9 +72,7 @@ class Parameters:
             *_group("thickness_mm", "mm", layer.thickness_mm, 1, above_0=True),
             *_group("length_scale", "", layer.length_scale, 1),
             *_group("width_scale", "", layer.width_scale, 1),
-            *(_group("gauge_factor", "", layer.gauge_factor, 1) if bent else []),
-            *(_group("scan_scale", "", doubts.scan_scale, 1) if scanned else []),
-            *(_group("reference_stretch", "", doubts.reference_stretch, 2) if flat_unknown else []),
+            *_group("reference_stretch", "", doubts.reference_stretch, 2),
             *_group("gain", "", own.gain, N_ELECTRODES),
             *_group("offset_V", "V", own.offset_V, N_ELECTRODES),
             *_group("stray_pF", "pF", own.stray_pF, N_ELECTRODES, above_0=True),

@@ -6,7 +6,7 @@ import numpy as np
 
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import FAR, CalibrationError, Fit, fit
-from eitskin_sim.calibration.model import Model, table_of
+from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.recording import Recording
 from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
@@ -61,11 +61,7 @@ def check_rows(model: Model, found: Fit) -> None:
 
 def row_names(model: Model) -> list[str]:
     """Return a name for every residual."""
-    return [
-        f"{moment.name} drive {drive} measure {measure}"
-        for moment in model.moments
-        for drive, measure in table_of(moment)
-    ]
+    return [f"drive {drive} measure {measure}" for drive, measure in model.table]
 
 
 def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
@@ -82,15 +78,6 @@ def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
             "unknown": bool(np.median(sd) > UNKNOWN),
         }
     rows = row_names(model)
-    drifts = [
-        {
-            "moment": moment.name,
-            "drift_percent": 100.0 * (model.drift(found.z, number) - 1.0),
-            "standard_error": 100.0 * float(found.sd[model.local(number)][0] * model.local_spread[0]),
-        }
-        for number, moment in enumerate(model.moments)
-        if number
-    ]
     return {
         "skin_digest": twin.digest,
         "calibrated_from": twin.calibrated_from,
@@ -98,7 +85,6 @@ def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
         "misfit": found.misfit,
         "misfit_limit": found.limit,
         "parameters": parameters,
-        "moments": drifts,
         "residuals": dict(zip(rows, found.far.tolist(), strict=True)),
         "far": [row for row, far in zip(rows, found.far, strict=True) if abs(far) > FAR],
         "unknown": [name for name, one in parameters.items() if one["unknown"]],
@@ -117,10 +103,6 @@ def table(report: dict[str, Any]) -> str:
         ):
             shown = f"{name}[{k}]" if several else name
             lines.append(f"{shown:28}{value:12.5g}{error:11.2g}{prior:11.2g} {one['unit']}".rstrip())
-    lines += [
-        f"{one['moment']}: drift {one['drift_percent']:+.2f} % +- {one['standard_error']:.2f}"
-        for one in report["moments"]
-    ]
     far = np.abs(list(report["residuals"].values()))
     lines.append(
         f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "

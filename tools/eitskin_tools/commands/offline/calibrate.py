@@ -1,4 +1,4 @@
-"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its reference and untouched moments."""
+"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its reference."""
 
 import argparse
 import json
@@ -11,7 +11,7 @@ from eitskin_tools.errors import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("recording", metavar="FILE", help="reference and untouched moments, see docs/calibrate.md")
+    parser.add_argument("recording", metavar="FILE", help="the reference as .npz, see docs/calibrate.md")
     parser.add_argument("--out", type=Path, required=True, metavar="SKIN.toml", help="the calibrated description")
     parser.add_argument(
         "--skin",
@@ -45,7 +45,6 @@ def run(arguments: argparse.Namespace) -> int:
     twin, report = calibrate(skin, recording, arguments.snr_db, tell)
     write_bytes(arguments.out, to_toml(twin).encode())
     report["out"] = str(arguments.out)
-    report["left_out"] = recording.left_out
     if arguments.json:
         print(json.dumps(report))
     else:
