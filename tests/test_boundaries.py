@@ -71,6 +71,7 @@ ROOMS: dict[str, Arrows] = {
         "solvers": {"fem", "scene", "surface"},
         "dataset": {"devices", "fem", "freeform", "scene", "surface", "unit_grid"},
         "outline": {"fem", "scene"}, "tank": {"fem", "outline", "scene", "solvers"},
+        "calibration": {"devices", "fem", "measurement", "scene"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
     },
     "eitskin_training": {

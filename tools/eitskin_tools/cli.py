@@ -38,6 +38,7 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "dataset": ("offline.dataset", "generate a data set"),
     "train": ("offline.train", "train VD2T"),
     "curves": ("offline.curves", "losses of training runs side by side"),
+    "calibrate": ("offline.calibrate", "find out what this device is, from its own readings"),
     "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
     "export": ("offline.export", "export a trained network to a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),

@@ -12,6 +12,7 @@ from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.reference.front_end import stuck
 from eitskin.reference.judged import Yardstick
 from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.errors import ProtocolError
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.codes import MessageType
@@ -30,8 +31,9 @@ def capture(
     yardstick: Yardstick | None = None,
     force: bool = False,
     skin: Skin = PAPER,
+    scan: ReferenceScan | None = None,
 ) -> Reference:
-    """Return the mean of the next frames of a skin, which must be flat and untouched.
+    """Return the mean of the next frames of a skin, which must be untouched, and flat or as its scan shows.
 
     Args:
         port: Serial port's path, or ``usb:SERIAL``.
@@ -40,6 +42,7 @@ def capture(
         yardstick: What it is held against (:func:`eitskin.reference.judged.yardstick_of`); None for nothing.
         force: Take it even if the sheet was bent, touched or moving.
         skin: Whose reference it is.
+        scan: Of the sheet as it lies; None for a flat one.
 
     Raises:
         TransportError: The port is missing, busy, denied or lost.
@@ -47,7 +50,7 @@ def capture(
         BadReference: The sheet was bent, touched or moving, or nothing is connected, or the frames did not come.
         ValueError: Fewer than 2 frames.
     """
-    builder = ReferenceBuilder(frames, skin)
+    builder = ReferenceBuilder(frames, skin, scan)
     transport = open_line(port, baud)
     try:
         device = Device(transport, skin)

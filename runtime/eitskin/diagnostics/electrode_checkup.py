@@ -170,7 +170,8 @@ def check_up(recording: Recording, consistency: Consistency, reference: Referenc
 def _against(recording: Recording, consistency: Consistency, reference: Reference | None) -> tuple[Array, Array]:
     """Return (104,) V and its spread that frames are held against."""
     if reference is not None:
-        return reference.voltages_V, reference.spread_V
+        flat = reference.flat()
+        return flat.voltages_V, flat.spread_V
     model = consistency.reference
     middle = np.median(recording.voltages, axis=0)
     factor = float(np.median(middle / model))  # of the current: half of the rows suffice, the failed ones are fewer

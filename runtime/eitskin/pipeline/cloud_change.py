@@ -62,7 +62,7 @@ class CloudChange:
             if against is None:
                 if reference is None:
                     raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
-                against = reference.voltages_V
+                against = reference.flat().voltages_V
             ratio = log_ratio(predicted, against)
             if reference is not None and (predicted_flat is None or self._pipeline.health is None):
                 ratio[reference.weak] = 0.0  # else those rows are filled in, and held against the prediction

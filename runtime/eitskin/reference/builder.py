@@ -12,6 +12,7 @@ from eitskin.reference.captured import SMALLEST_V, Reference
 from eitskin.reference.front_end import Sameness
 from eitskin.reference.judged import Yardstick, accept, judge
 from eitskin.reference.movement import Movement
+from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.answers import Hello
@@ -26,16 +27,18 @@ class ReferenceBuilder:
     Args:
         frames: How many to take, at least 2.
         skin: Whose reference it is.
+        scan: Of the sheet as it lies now; None for a flat one.
     """
 
     __slots__ = (
-        "_delta", "_mean", "_movement", "_product", "_sameness", "_skin", "_squares", "_unfit", "frames", "taken",
+        "_delta", "_mean", "_movement", "_product", "_sameness", "_scan", "_skin", "_squares", "_unfit", "frames",
+        "taken",
     )  # fmt: skip
 
-    def __init__(self, frames: int, skin: Skin = PAPER) -> None:
+    def __init__(self, frames: int, skin: Skin = PAPER, scan: ReferenceScan | None = None) -> None:
         if frames < 2:
             raise ValueError(f"a reference of {frames} frames has no spread; expected at least 2")
-        self.frames, self._skin = frames, skin
+        self.frames, self._skin, self._scan = frames, skin, scan
         self.taken = 0
         self._mean = np.zeros(N_ROWS)
         self._squares = np.zeros(N_ROWS)
@@ -106,6 +109,7 @@ class ReferenceBuilder:
             captured_utc=time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
             grid_id=self._skin.grid_id,
             skin_digest=self._skin.digest,
+            scan=self._scan,
         )
         against = yardstick or Yardstick()
         looked_at = found.voltages_V if against.missing is None else np.where(against.missing, 0.0, found.voltages_V)

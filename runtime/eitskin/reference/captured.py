@@ -7,7 +7,10 @@ old reference or the new one, never half of one. ::
 
     {"format": "eitskin-reference", "version": 1, "protocol_id", "grid_id", "skin_digest", "serial_number",
      "configuration_digest", "configuration_name", "captured_utc", "frames", "voltages_V": [104], "spread_V": [104],
-     "sha256"}
+     "scan": {"cloud_mm": [3][rows][columns], "predicted_V": [104], "predicted_flat_V": [104]}, "sha256"}
+
+``scan`` is there where the sheet was scanned when the reference was taken (:mod:`eitskin.reference.scanned`); such a
+file has version 2, so that releases that would ignore the scan refuse it.
 
 A row whose voltage is under a ten-thousandth of the largest, or that does not stand out of its own noise, is *weak*: it
 carries nothing, is filled in from the others (:mod:`eitskin.reference.row_noise`), and is named wherever a reference is
@@ -15,7 +18,7 @@ reported.
 """
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +28,7 @@ import numpy.typing as npt
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference.judgement import Judgement
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
+from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.files.digest import sha256_of_values
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.files.reading import FileError, is_whole, parse_json, read_bytes, text_of
@@ -37,6 +41,8 @@ from eitskin_proto.wire.answers import Hello
 
 FORMAT: Final = "eitskin-reference"
 VERSION: Final = 1
+SCANNED_VERSION: Final = 2
+"""Of a reference with a scan."""
 
 DEFAULT_FRAMES: Final = 100
 """Half a second at 200 frames/s: the mean's noise is a tenth of a frame's."""
@@ -44,8 +50,8 @@ DEFAULT_FRAMES: Final = 100
 SMALLEST_V: Final = 1e-9
 """The largest row must be above this; a front end that is not connected reads zeros."""
 
-LARGEST_FILE: Final = 65536
-"""Bytes; a reference has about 5000."""
+LARGEST_FILE: Final = 1 << 20
+"""Bytes; a reference has about 5000, with the scan of the largest skin 600,000."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,9 +74,18 @@ class Reference:
     grid_id: str = PAPER.grid_id
     skin_digest: str = PAPER.digest
     """Whose reference it is."""
+    scan: ReferenceScan | None = None
+    """Of the sheet when it was captured; None for one that was flat."""
 
     def __repr__(self) -> str:
         return f"<Reference of {self.frames} frames of {self.serial_number}, captured {self.captured_utc}>"
+
+    def flat(self) -> "Reference":
+        """Return what a flat sheet would have read: the reference itself, or that which its scan makes of it."""
+        if self.scan is None:
+            return self
+        factor = self.scan.flattening()
+        return replace(self, voltages_V=self.voltages_V * factor, spread_V=self.spread_V * factor, scan=None)
 
     @property
     def weak(self) -> npt.NDArray[np.intp]:
@@ -85,6 +100,9 @@ class Reference:
             f"{self.configuration_digest:08x}, skin {self.skin_digest}, captured {self.captured_utc}, median spread "
             f"{np.median(relative):.2%}"
         ]
+        if self.scan is not None:
+            shift = float(np.sqrt(np.mean(np.log(self.scan.flattening()) ** 2)))
+            lines.append(f"reference: scanned when it was taken; a flat sheet reads {shift:.2%} (rms) otherwise")
         if self.weak.size:
             names = ", ".join(f"{row} (drive {TABLE[row, 0]}, measure {TABLE[row, 1]})" for row in self.weak[:8])
             more = f" and {self.weak.size - 8} more" if self.weak.size > 8 else ""
@@ -149,7 +167,7 @@ def save(reference: Reference, path: str | Path) -> None:
     """
     content: dict[str, Any] = {
         "format": FORMAT,
-        "version": VERSION,
+        "version": VERSION if reference.scan is None else SCANNED_VERSION,
         "protocol_id": PROTOCOL_ID,
         "grid_id": reference.grid_id,
         "skin_digest": reference.skin_digest,
@@ -161,6 +179,8 @@ def save(reference: Reference, path: str | Path) -> None:
         "voltages_V": reference.voltages_V.tolist(),
         "spread_V": reference.spread_V.tolist(),
     }
+    if reference.scan is not None:
+        content["scan"] = reference.scan.stored()
     content["sha256"] = sha256_of_values(content)
     where = Path(path)
     try:
@@ -196,7 +216,8 @@ def load(path: str | Path, skin: Skin | None = None) -> Reference:
         raise BadReference(f"reference {where} is damaged: it {error}; {hint}") from error
     if not isinstance(content, dict) or content.get("format") != FORMAT:
         raise BadReference(f"{where} is no reference; {hint}")
-    for name, expected in (("version", VERSION), ("protocol_id", PROTOCOL_ID)):
+    version = SCANNED_VERSION if "scan" in content else VERSION
+    for name, expected in (("version", version), ("protocol_id", PROTOCOL_ID)):
         if content.get(name) != expected:
             raise MismatchError(
                 f"reference {where}: {name}", found=stated(content.get(name)), expected=expected, hint=hint
@@ -224,6 +245,7 @@ def load(path: str | Path, skin: Skin | None = None) -> Reference:
             captured_utc=text_of(content["captured_utc"], 64, "captured_utc"),
             grid_id=text_of(content["grid_id"], 16, "grid_id"),
             skin_digest=text_of(content.get("skin_digest", PAPER.digest), 16, "skin_digest"),
+            scan=ReferenceScan.parse(content["scan"]) if "scan" in content else None,
         )
         lost_rows(reference.voltages_V, reference.spread_V)  # refuses voltages of no front end
     except (KeyError, TypeError, ValueError, OverflowError) as error:

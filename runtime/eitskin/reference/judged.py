@@ -96,12 +96,12 @@ def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tupl
     """Return what there is to say of a captured reference.
 
     Args:
-        found: The reference.
+        found: The reference; one with a scan is looked at as the flat one that it makes.
         movement: Of its capture, relative.
         yardstick: What it is held against.
         refused: Reasons that were found already.
     """
-    refusals, remarks = list(refused), []
+    found, refusals, remarks = found.flat(), list(refused), []
     usable = ~lost_rows(found.voltages_V, found.spread_V)
     if yardstick.missing is not None:
         usable &= ~yardstick.missing
@@ -150,7 +150,7 @@ def accept(judgement: Judgement, *, force: bool = False) -> None:
 def _same_device(found: Reference, older: Reference | None) -> Reference | None:
     if older is None or older.serial_number != found.serial_number:
         return None
-    return older if older.configuration_digest == found.configuration_digest else None
+    return older.flat() if older.configuration_digest == found.configuration_digest else None
 
 
 def _difference(voltages: Array, against: Array, usable: npt.NDArray[np.bool_], noise: Array) -> float:

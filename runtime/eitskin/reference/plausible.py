@@ -26,15 +26,16 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import BadReference
 from eitskin.reference.captured import Reference
 from eitskin.reference.predicted import check_voltages
+from eitskin.reference.scanned import DECIMALS, RATIO, ReferenceScan
 from eitskin_proto.sensor.normalise import weak_rows
+from eitskin_proto.skin.cloud_file import Surface
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import PAPER, Skin
 
 Array = npt.NDArray[np.float64]
-
-RATIO: Final = (0.08, 6.0)
-"""V_pred / V_flat in any row."""
 
 LARGEST_EXCESS: Final = 0.25
 """Of the median log ratio over what the cloud's size explains."""
@@ -72,7 +73,7 @@ def check_prediction(
     """
     found = check_voltages("predicted", predicted)
     model = None if predicted_flat is None else check_voltages("predicted_flat", predicted_flat)
-    device = None if captured is None else captured.voltages_V.copy()
+    device = None if captured is None else captured.flat().voltages_V.copy()
     if device is not None and captured is not None:
         device[captured.weak] = 0.0  # what carries nothing is compared with nothing
     against = device if model is None else model
@@ -80,6 +81,28 @@ def check_prediction(
         return
     with np.errstate(all="ignore"):  # what is infinite is beyond every bound
         _check(_explained(cloud, skin), found, against, model, device)
+
+
+def scan_of(surface: Surface, skin: Skin) -> ReferenceScan:
+    """Return the scan of a reference that is about to be captured.
+
+    Args:
+        surface: Of the sheet as it lies, with its prediction.
+        skin: Whose surface it is.
+
+    Raises:
+        BadReference: It has no prediction, or that cannot be of this cloud.
+    """
+    if surface.predicted_V is None or surface.predicted_flat_V is None:
+        raise BadReference(
+            "the scan has no prediction; make it with 'eitskin surface POINTS --predict --out CLOUD.npz'"
+        )
+    try:
+        cloud, _ = check_sheet(surface.cloud_mm, skin)
+        check_prediction(cloud, surface.predicted_V, surface.predicted_flat_V, None, skin)
+    except ValueError as error:
+        raise BadReference(f"the reference's scan: {error}") from error
+    return ReferenceScan(np.round(cloud, DECIMALS), surface.predicted_V, surface.predicted_flat_V)
 
 
 def _check(explained: float, found: Array, against: Array, model: Array | None, device: Array | None) -> None:

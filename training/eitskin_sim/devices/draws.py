@@ -114,10 +114,11 @@ def check_outline(skin: Skin) -> None:
 def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
     """Return random electronics of a skin."""
     own = skin.front_end
-    stray = np.maximum(own.stray_pF.draw(rng, N_ELECTRODES), 0.0)
+    sigma = float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # the layer is scaled to 1 S/m, and so are these
+    stray = np.maximum(own.stray_pF.draw(rng, N_ELECTRODES), 0.0) / sigma
     return FrontEnd(
         gain=tuple(own.gain.draw(rng, N_ELECTRODES).tolist()),
-        offset_per_pair_V=tuple(own.offset_V.draw(rng, N_ELECTRODES).tolist()),
+        offset_per_pair_V=tuple((sigma * own.offset_V.draw(rng, N_ELECTRODES)).tolist()),
         stray_S=capacitance(tuple(stray.tolist()), own.frequency_Hz),
         minus_gain=_one(own.minus_gain, rng),
         sink_share=_one(own.sink_share, rng),

@@ -28,7 +28,8 @@ from eitskin_sim.surface.measured_cloud import measured_cloud
 BENT = draw("A", 1, 0)[0]
 SCENE = Scene(bend=BENT, touches=(Touch((Rect(60.0, 40.0, 75.0, 55.0),)), Touch((Disc(30.0, 30.0, 6.0),))))
 ALL = Mismatch(
-    1.0, 3.0, 10.0, 0.5, 1.5, 148.0, 0.05, 30.0, 1.0, 5.0, 0.02, 10.0, 2.0, 1.0, 0.05, 0.3, 5.0, 1.01, True, 0.01, 60.0
+    1.0, 3.0, 10.0, 0.5, 1.5, 148.0, 0.05, 30.0, 1.0, 5.0, 0.02, 10.0, 2.0, 1.0, 0.05, 0.3, 5.0, 1.01, True, 0.01, True,
+    60.0,
 )  # fmt: skip
 
 

@@ -92,6 +92,13 @@ def test_a_reference_may_be_noisy_or_stretched():
     assert np.abs(stretched.flat_reference / ideal.flat_reference - 1.0).max() > 0.02
 
 
+def test_a_stretched_reference_that_was_scanned_counts_as_a_flat_one():
+    rows = [("none", IDEAL), ("scanned", Mismatch(reference_stretch=0.03, reference_scan=True))]
+    (ideal, scanned), _ = seen(rows, [HARD])
+    assert np.std(scanned.flat_reference / ideal.flat_reference - 1.0) < 5e-3  # of the scan's noise
+    assert np.array_equal(scanned.voltages, ideal.voltages)
+
+
 def test_a_press_keeps_its_contrast_and_tells_the_solver_that_it_lowers():
     (hard, press), _ = seen([("contrast", Mismatch(contrast=10.0, border_mm=2.0))], [HARD, PRESS])
     (_, plain), _ = seen([("none", IDEAL)], [HARD, PRESS])

@@ -1,7 +1,8 @@
 """``eitskin reference``: capture the one pre-deformation reference of a skin, or show a captured one.
 
 A reference of a bent, touched or moving sheet is refused. It is held against the bundle's flat sheet, and against an
-older reference of the same device: that of ``--against``, or the file that ``--out`` is about to replace.
+older reference of the same device: that of ``--against``, or the file that ``--out`` is about to replace. Where the
+sheet was scanned as it lies (``--surface``), the reference carries the scan and counts as that of the flat sheet.
 """
 
 import argparse
@@ -29,6 +30,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument(
         "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
+    )
+    parser.add_argument(
+        "--surface",
+        metavar="CLOUD",
+        help="scan of the sheet as it lies now, by 'eitskin surface --predict'; default: it lies flat",
     )
     parser.add_argument("--force", action="store_true", help="take it even if the sheet seems bent, touched or moving")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
@@ -61,12 +67,25 @@ def _capture(arguments: argparse.Namespace) -> Any:
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.model.skin_in_use import bundle_and_skin
     from eitskin.reference.judged import yardstick_of
+    from eitskin.reference.plausible import scan_of
+    from eitskin_proto.skin.cloud_file import load_surface
 
     bundle, skin = bundle_and_skin(arguments.bundle, arguments.skin)
     yardstick = yardstick_of(bundle, _older(arguments, skin))
-    print("eitskin reference: the sheet must be flat and untouched now", file=sys.stderr)
-    baud = arguments.baud or DEFAULT_BAUD
-    return capture(arguments.port, arguments.frames, baud, yardstick=yardstick, force=arguments.force, skin=skin)
+    scan = None
+    if arguments.surface is not None:
+        scan = scan_of(load_surface(arguments.surface, skin), skin)
+    lies = "flat" if scan is None else "as it was scanned"
+    print(f"eitskin reference: the sheet must be {lies} and untouched now", file=sys.stderr)
+    return capture(
+        arguments.port,
+        arguments.frames,
+        arguments.baud or DEFAULT_BAUD,
+        yardstick=yardstick,
+        force=arguments.force,
+        skin=skin,
+        scan=scan,
+    )
 
 
 def _older(arguments: argparse.Namespace, skin: Any) -> Any:
@@ -92,6 +111,7 @@ def _fields(found: Any) -> dict[str, object]:
         "skin_digest": found.skin_digest,
         "captured_utc": found.captured_utc,
         **found.answer(),
+        "scanned": found.scan is not None,
         "voltages_V": found.voltages_V.tolist(),
         "spread_V": found.spread_V.tolist(),
     }

@@ -57,6 +57,8 @@ class Mismatch:
     """False: no scan at all."""
     reference_stretch: float = 0.0
     """The sheet was stretched along by this part when the reference was taken."""
+    reference_scan: bool = False
+    """Whether it was scanned then, so that the reference counts as a flat one's."""
     reference_snr_db: float | None = None
     """The reference's own noise, N2; None for none."""
 
@@ -155,10 +157,10 @@ def _row(item: object, where: str) -> Row:
         value = given.take(one.name, None)
         if value is None:
             continue
-        if one.name == "scan":
+        if one.name in ("scan", "reference_scan"):
             if not isinstance(value, bool):
-                raise SceneError(f"{where}.scan is {quoted(value)}, expected true or false")
-            values["scan"] = value
+                raise SceneError(f"{where}.{one.name} is {quoted(value)}, expected true or false")
+            values[one.name] = value
         else:
             low, high = BOUNDS[one.name]
             values[one.name] = number(value, f"{where}.{one.name}", low=low, high=high)

@@ -28,7 +28,7 @@ from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Phantom, Scene
-from eitskin_sim.surface.predict import flat_voltages
+from eitskin_sim.surface.predict import flat_voltages, predict
 
 Array = npt.NDArray[np.float64]
 
@@ -170,6 +170,9 @@ def _run(
     seeds = [DRAW_SEED, plan.seed, number]
     if device.mismatch.reference_snr_db is not None:
         taken = add_noise(taken, taken, "N2", device.mismatch.reference_snr_db, np.random.default_rng([*seeds, 0]))
+    if device.mismatch.reference_scan:
+        scan = device.cloud(device.reference().bend, np.random.default_rng([*seeds, 2]))
+        taken = taken if scan is None else taken * flat_voltages() / predict(scan)
     read = np.random.default_rng([*seeds, 2])
 
     def reads(volts: Array, frames: int) -> Array:

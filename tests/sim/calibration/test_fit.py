@@ -1,0 +1,92 @@
+"""Gauss-Newton on problems whose answer is known."""
+
+import numpy as np
+import pytest
+from scipy.stats import kstest
+
+from eitskin_sim.calibration.fit import CalibrationError, fit
+
+
+class Linear:
+    """Rows that depend linearly on the parameters, with noise of 1."""
+
+    def __init__(self, jacobian, read):
+        self.jacobian, self.read, self.softness = jacobian, read, 1.0
+
+    @property
+    def count(self):
+        return self.jacobian.shape[1]
+
+    def soften(self, z, error):
+        self.softness = 1.0 / np.hypot(1.0, 10.0 * error)
+
+    def residuals(self, z):
+        return self.softness * (self.read - self.jacobian @ z)
+
+    def linearised(self, z):
+        return self.residuals(z), self.softness * self.jacobian
+
+
+class Bent(Linear):
+    """The same seen through a curve."""
+
+    def residuals(self, z):
+        return self.softness * (self.read - np.sinh(self.jacobian @ z))
+
+    def linearised(self, z):
+        return self.residuals(z), self.softness * np.cosh(self.jacobian @ z)[:, None] * self.jacobian
+
+
+def drawn(seed):
+    rng = np.random.default_rng(seed)
+    jacobian = rng.standard_normal((40, 6)) * np.array([30.0, 10.0, 3.0, 1.0, 0.1, 0.0])
+    truth = rng.standard_normal(6)
+    return jacobian, truth, jacobian @ truth + rng.standard_normal(40)
+
+
+def test_estimates_are_as_far_off_as_they_say_and_the_misfit_is_chi_square():
+    scores, misfits = [], []
+    for seed in range(200):
+        jacobian, truth, read = drawn(seed)
+        found = fit(Linear(jacobian, read))
+        scores.append((found.z - truth) / found.sd)
+        misfits.append(40.0 * found.misfit)
+    assert np.allclose(np.std(scores, axis=0), 1.0, atol=0.2)  # 200 draws: 5 %
+    assert kstest(misfits, "chi2", args=(40,)).pvalue > 1e-3
+    assert np.max(np.abs(scores)) < 5.0
+
+
+def test_the_standard_error_is_that_of_fisher_s_information_and_what_no_row_tells_keeps_its_prior():
+    jacobian, _, read = drawn(1)
+    found = fit(Linear(jacobian, read))
+    assert np.allclose(found.sd**2, np.diag(np.linalg.inv(jacobian.T @ jacobian + np.eye(6))))
+    assert found.sd[5] == pytest.approx(1.0)
+    assert found.z[5] == pytest.approx(0.0)
+    learned = np.einsum("ri,ij,rj->r", jacobian, np.linalg.inv(jacobian.T @ jacobian + np.eye(6)), jacobian)
+    assert np.allclose(found.expected**2, 1.0 - learned)
+
+
+def test_a_curve_is_followed():
+    rng = np.random.default_rng(3)
+    jacobian, truth = 0.5 * rng.standard_normal((60, 4)), rng.standard_normal(4)
+    found = fit(Bent(jacobian, np.sinh(jacobian @ truth) + 0.01 * rng.standard_normal(60)))
+    assert np.abs(found.z - truth).max() < 3.0 * found.sd.max()
+
+
+def test_a_row_that_is_off_stands_out():
+    jacobian, _, read = drawn(4)
+    read = read + 100.0 * np.eye(40)[7]
+    found = fit(Linear(jacobian, read))
+    assert found.misfit > found.limit
+    assert np.argmax(np.abs(found.far)) == 7
+
+
+def test_what_never_gets_better_is_an_error():
+    class Wrong(Bent):
+        def linearised(self, z):
+            residuals, jacobian = super().linearised(z)
+            return residuals, -jacobian
+
+    jacobian, _, read = drawn(5)
+    with pytest.raises(CalibrationError, match=r"does not converge: .*look at the recording"):
+        fit(Wrong(0.01 * jacobian, read))

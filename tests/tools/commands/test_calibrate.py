@@ -1,0 +1,97 @@
+"""``eitskin calibrate`` on a device that is known: electrodes and the instrument are found, and a misfit is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import FULL_TABLE
+from eitskin_proto.skin.parts import Instrument, Ring
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import load, to_toml
+from eitskin_sim.calibration import model, solved
+from eitskin_sim.devices.device import Device
+from eitskin_sim.devices.readings import responses_of
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.parts import Electrodes, Scene
+from eitskin_tools.cli import main
+
+SPREAD_MM = 1.0
+GAIN = 0.01
+STATED = replace(
+    PAPER,
+    name="ours",
+    electrodes=Ring(arc_length_mm=Quantity(tuple(PAPER.arc_length_mm.tolist()), "normal", SPREAD_MM)),
+    front_end=Instrument(gain=Quantity(1.0, "normal", GAIN), snr_db=(50.0, 50.0)),
+)
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """A coarse mesh for the true device too: it is the method that is tested, not the mesh."""
+    monkeypatch.setattr(solved, "ELEMENT_MM", 8.0)
+    monkeypatch.setattr(model, "MODEL_ERROR", 2e-3)
+
+
+@pytest.fixture
+def device():
+    rng = np.random.default_rng(11)
+    places = PAPER.arc_length_mm + SPREAD_MM * np.clip(rng.standard_normal(16), -2.0, 2.0)
+    gain = 1.0 + GAIN * rng.standard_normal(16)
+    return Device(electrodes=Electrodes(arc_length_mm=tuple(places)), front_end=FrontEnd(gain=tuple(gain)))
+
+
+@pytest.fixture
+def recorded(device, tmp_path):
+    scene = Scene(device.sheet, device.electrodes, element_size_mm=8.0)
+    volts = device.front_end.read(responses_of(factorise_scene(scene).differences()), FULL_TABLE)
+    noisy = volts * (1.0 + 10 ** (-50.0 / 20.0) / 10.0 * np.random.default_rng(12).standard_normal(208))
+    (tmp_path / "ours.toml").write_text(to_toml(STATED))
+    np.savez(tmp_path / "r.npz", reference_V=noisy, reference_frames=np.array(100))
+    return tmp_path
+
+
+def test_what_is_off_is_found_and_written(recorded, device, capsys):
+    out = recorded / "calibrated.toml"
+    words = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]
+    assert main([*words, "--json"]) == 0
+    report = json.loads(capsys.readouterr().out)
+    places, gain = report["parameters"]["arc_length_mm"], report["parameters"]["gain"]
+    for one, truth in ((places, device.electrodes.arc_length_mm), (gain, device.front_end.gain)):
+        scores = (np.array(one["values"]) - truth) / np.array(one["standard_errors"])
+        assert np.sum(scores**2) < 45.9  # chi-square of 16: 1 in 10,000
+        assert np.abs(scores).max() < 4.0
+    assert np.max(places["standard_errors"]) < 0.5 * SPREAD_MM
+    assert report["misfit"] < report["misfit_limit"]
+    assert report["unknown"] == []
+    found = load(out)
+    assert (found.calibrated_from, found.digest) == (STATED.digest, report["skin_digest"])
+    assert np.allclose(found.arc_length_mm, places["values"], rtol=1e-5)
+    error = np.sqrt(np.mean(np.square(places["standard_errors"])))
+    assert found.electrodes.arc_length_mm.spread == pytest.approx(error, rel=1e-4)
+
+
+def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
+    with np.load(recorded / "r.npz") as file:
+        volts = file["reference_V"].copy()
+    volts[7] *= 1.2
+    np.savez(recorded / "r.npz", reference_V=volts, reference_frames=np.array(100))
+    out = recorded / "calibrated.toml"
+    code = main(["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)])
+    drive, measure = FULL_TABLE[7]
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert code == 1
+    assert "the residual stays above noise" in said
+    assert f"drive {drive} measure {measure} by " in said
+    assert not out.exists()
+
+
+def test_a_skin_that_states_everything_exactly_has_nothing_to_calibrate(recorded, capsys):
+    out = recorded / "calibrated.toml"
+    assert main(["calibrate", str(recorded / "r.npz"), "--skin", "paper", "--out", str(out)]) == 1
+    assert "states everything exactly" in capsys.readouterr().err
+    assert main(["calibrate", str(recorded / "none.npz"), "--out", str(out)]) == 1
+    assert not out.exists()

@@ -1,0 +1,162 @@
+"""Damped Gauss-Newton with priors: the most probable parameters, and how sure they are.
+
+What is made small is |r(z)|^2 + |z|^2, r the whitened residuals and z in prior standard deviations: minus twice the
+logarithm of the posterior. With J the derivative, H = J^T J + 1 is its curvature and H^-1 the covariance of z. If all
+is as it was stated, the least value is chi-square distributed with as many degrees of freedom as there are rows: the
+priors pay for the parameters. So a misfit is told from noise without counting parameters.
+
+A device that is 20 % off is two hundred times its noise away, where the problem is far from linear. So rows are first
+taken for uncertain by ``SOFT`` of themselves, then by less, and in the end as they are.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Final, Protocol
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from eitskin_proto.errors import SkinError
+
+Array = npt.NDArray[np.float64]
+
+SOFT: Final = (0.1, 0.01, 0.002, 0.0)
+"""Relative errors that are added to every row, one after the other."""
+
+LONGEST: Final = 1.0
+"""Largest change of a parameter in a step, in prior standard deviations."""
+
+FREE: Final = 4
+"""First steps that may go uphill: a bent valley is crossed in one where damped steps creep along its floor."""
+
+MOST_STEPS: Final = 25
+CLOSE: Final = 0.02
+ROUGHLY: Final = 0.3
+"""A step that is shorter, in posterior standard deviations of a parameter, is the last one; or the last but exact."""
+
+REMEDY: Final = "look at the recording, and at the uncertainties that the skin states"
+
+MOST_DAMPING: Final = 1e6
+CHANCE: Final = 1e-4
+"""How often an honest recording is called a misfit."""
+
+FAR: Final = 4.0
+"""Rows whose residual is so many times what it should be are named."""
+
+
+class CalibrationError(SkinError):
+    """Nothing could be calibrated; the text says why, and what to do."""
+
+
+class Residuals(Protocol):
+    """What is fitted."""
+
+    @property
+    def count(self) -> int:
+        """How many parameters."""
+
+    def soften(self, z: Array, error: float) -> None:
+        """Take rows for uncertain by a share of them."""
+
+    def residuals(self, z: Array) -> Array:
+        """Return the (rows,) whitened residuals."""
+
+    def linearised(self, z: Array) -> tuple[Array, Array]:
+        """Return them, and the (rows, count) Jacobian of what should be read."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """The most probable parameters."""
+
+    z: Array
+    """(count,) in prior standard deviations."""
+    sd: Array
+    """(count,) standard errors of them: 1 where nothing was learned."""
+    residuals: Array
+    """(rows,) over their noise."""
+    expected: Array
+    """(rows,) standard deviations that they should have, below 1 where parameters follow them."""
+    steps: int
+
+    @property
+    def misfit(self) -> float:
+        """|r|^2 + |z|^2, over the rows: about 1."""
+        return float((self.residuals @ self.residuals + self.z @ self.z) / len(self.residuals))
+
+    @property
+    def limit(self) -> float:
+        """What chance alone exceeds once in ten thousand recordings."""
+        return float(chi2.isf(CHANCE, len(self.residuals)) / len(self.residuals))
+
+    @property
+    def far(self) -> Array:
+        """(rows,) residuals over what they should be."""
+        return np.asarray(self.residuals / np.maximum(self.expected, 0.1))
+
+
+def fit(model: Residuals, progress: Callable[[int, float], None] | None = None) -> Fit:
+    """Return the most probable parameters.
+
+    Args:
+        model: What is fitted.
+        progress: Called with the step's number and the misfit, before each.
+
+    Raises:
+        CalibrationError: It does not converge.
+    """
+    z = np.zeros(model.count)
+    steps = 0
+    for error in SOFT:
+        model.soften(z, error)
+        z, residuals, jacobian, taken = _descend(model, z, last=error == SOFT[-1], done=steps, progress=progress)
+        steps += taken
+    covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(z)))
+    learned = np.einsum("ri,ij,rj->r", jacobian, covariance, jacobian)
+    return Fit(z, np.sqrt(np.diag(covariance)), residuals, np.sqrt(np.clip(1.0 - learned, 0.0, 1.0)), steps)
+
+
+def _descend(
+    model: Residuals, z: Array, *, last: bool, done: int, progress: Callable[[int, float], None] | None
+) -> tuple[Array, Array, Array, int]:
+    """Return where the misfit is least, with residuals, Jacobian and steps; only the last descent need be exact."""
+    damping = 0.0
+    residuals, jacobian = model.linearised(z)
+    cost = float(residuals @ residuals + z @ z)
+    for step in range(1, MOST_STEPS + 1):
+        if progress is not None:
+            progress(done + step, cost / len(residuals))
+        curvature = jacobian.T @ jacobian + np.eye(len(z))
+        slope = jacobian.T @ residuals - z
+        while True:
+            change = np.linalg.solve(curvature + damping * np.diag(np.diag(curvature)), slope)
+            whole = change * min(1.0, LONGEST / np.abs(change).max())
+            tried = _cost(model, z + whole)
+            if tried <= cost * (1.0 + 1e-9) or (step <= FREE and not damping and np.isfinite(tried)):
+                break
+            damping = max(10.0 * damping, 1e-2)
+            if damping > MOST_DAMPING:
+                raise CalibrationError(
+                    f"the calibration does not converge: no step from a misfit of {cost / len(residuals):.3g} makes it "
+                    f"smaller; {REMEDY}"
+                )
+        far = float(np.sqrt(whole @ curvature @ whole / len(z)))
+        z, damped = z + whole, damping > 1e-3
+        damping = damping / 10.0 if damped else 0.0
+        residuals, jacobian = model.linearised(z)
+        cost = float(residuals @ residuals + z @ z)
+        if far < (CLOSE if last else ROUGHLY) and not damped:
+            return z, residuals, jacobian, step
+    raise CalibrationError(
+        f"the calibration does not converge: after {MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and "
+        f"still falls; {REMEDY}"
+    )
+
+
+def _cost(model: Residuals, z: Array) -> float:
+    try:
+        found = model.residuals(z)
+    except (ValueError, RuntimeError):  # of parameters that no sheet has
+        return np.inf
+    return float(found @ found + z @ z)

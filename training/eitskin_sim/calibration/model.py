@@ -1,0 +1,211 @@
+"""What a flat, untouched reference should read for given parameters, in units of its noise, with derivatives.
+
+The residual is whitened by what is random about it: the noise of its frames, and the model's error.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, TABLE
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.calibration.modes import SmoothModes
+from eitskin_sim.calibration.parameters import OWN_LAYER, Parameters
+from eitskin_sim.calibration.recording import Recording
+from eitskin_sim.calibration.solved import Shape, Solved
+from eitskin_sim.devices.readings import responses_of
+from eitskin_sim.fem.forward import flat_metric
+from eitskin_sim.measurement.front_end import FrontEnd, capacitance
+from eitskin_sim.scene.parts import Electrodes
+
+Array = npt.NDArray[np.float64]
+
+MODEL_ERROR: Final = 5e-4
+"""Of every row, relative: the mesh's 2e-4, and what of the layer is finer than its modes."""
+
+FRONT_END: Final = ("gain", "offset_V", "stray_pF", "minus_gain", "sink_share")
+
+TINY: Final = 1e-4
+"""Relative step of voltages along a derivative: the front end is all but linear."""
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """The voltages at some parameters."""
+
+    voltages_V: Array
+    """(rows,)"""
+    jacobian: Array | None
+    """(rows, parameters), V by each prior standard deviation."""
+
+
+class Model:
+    """A recording's reference.
+
+    Args:
+        skin: The stated one.
+        recording: What was read.
+        snr_db: Of a single frame; None takes the least that the skin states.
+    """
+
+    def __init__(self, skin: Skin, recording: Recording, snr_db: float | None = None) -> None:
+        doubts = skin.may_be_off
+        self.skin, self.size_mm = skin, skin.outline.size_mm
+        self.recording = recording
+        self.layer = SmoothModes(self.size_mm, doubts.layer_rms, doubts.layer_correlation_mm)
+        self.parameters = Parameters(skin, self.layer.count)
+        self.level = 10.0 ** (-(min(skin.front_end.snr_db) if snr_db is None else snr_db) / 20.0)
+        self._whitener = self._whitening(0.0)
+
+    @property
+    def count(self) -> int:
+        """How many parameters there are."""
+        return self.parameters.count
+
+    def soften(self, z: Array, error: float) -> None:
+        """Take every row for uncertain by a share of it beside all else, from now on; 0 for as sure as it is.
+
+        Args:
+            z: Where the search is.
+            error: Relative.
+        """
+        self._whitener = self._whitening(error)
+
+    def residuals(self, z: Array) -> Array:
+        """Return (rows,) whitened: what was read less what should be."""
+        return np.asarray(self._whitener * (self.recording.reference_V - self.read(z, derivatives=False).voltages_V))
+
+    def linearised(self, z: Array) -> tuple[Array, Array]:
+        """Return the residuals and (rows, count) how what should be read changes, both whitened."""
+        read = self.read(z, derivatives=True)
+        assert read.jacobian is not None
+        residuals = self._whitener * (self.recording.reference_V - read.voltages_V)
+        return residuals, self._whitener[:, None] * read.jacobian
+
+    def electrodes(self, z: Array) -> Electrodes:
+        """Return the electrodes, their impedances for a layer of 1 S/m."""
+        parameters = self.parameters
+        impedance = parameters.values("contact_impedance_ohm_m2", z) * parameters.one("level", z)
+        return Electrodes(
+            size_mm=tuple(parameters.values("size_mm", z).tolist()),
+            contact_impedance_ohm_m2=tuple(impedance.tolist()),
+            arc_length_mm=tuple(parameters.values("arc_length_mm", z).tolist()),
+        )
+
+    def front_end(self, z: Array) -> FrontEnd:
+        """Return the instrument."""
+        values = self.parameters.values
+        stray = tuple(values("stray_pF", z).tolist())
+        return FrontEnd(
+            gain=tuple(values("gain", z).tolist()),
+            offset_per_pair_V=tuple(values("offset_V", z).tolist()),
+            stray_S=capacitance(stray, self.skin.front_end.frequency_Hz),
+            minus_gain=self.parameters.one("minus_gain", z),
+            sink_share=self.parameters.one("sink_share", z),
+            normalised=self.skin.front_end.normalised,
+        )
+
+    def shape(self, z: Array) -> Shape:
+        """Return how the sheet lay."""
+        parameters = self.parameters
+        stretch = 1.0 + parameters.values("reference_stretch", z)
+        along, across = parameters.one("length_scale", z) * stretch[0], parameters.one("width_scale", z) * stretch[1]
+        gauge, thickness = parameters.one("gauge_factor", z), parameters.one("thickness_mm", z)
+        return Shape(float(np.log(along)), float(np.log(across)), 0.0, gauge, float(np.log(thickness)))
+
+    def solved(self, z: Array) -> Solved:
+        """Return the sheet."""
+        own = z[self.parameters.slices[OWN_LAYER]] if self.layer.count else np.zeros(0)
+        return Solved(self.size_mm, self.electrodes(z), flat_metric, self.shape(z), self.layer.at, own)
+
+    def read(self, z: Array, *, derivatives: bool) -> Read:
+        """Return what should be read.
+
+        Raises:
+            ValueError: Electrodes overlap, or the sheet folds: parameters that no sheet has.
+        """
+        sheet = self.solved(z)
+        scale = 1.0 / self.parameters.one("level", z)
+        instrument, table = self.front_end(z), self.table
+        differences = scale * sheet.differences
+        volts = instrument.read(responses_of(differences), table)
+        if not derivatives:
+            return Read(volts, None)
+        names, rates = self._rates(z, sheet)
+        norm = np.linalg.norm(differences)
+        size = np.linalg.norm(scale * rates, axis=(1, 2)) + 1e-300
+        steps = TINY * norm * rates * scale / size[:, None, None]
+        moved = instrument.read(responses_of(differences + steps), table) - volts
+        jacobian = np.zeros((len(volts), self.count))
+        for at, change, much in zip(names, moved, size, strict=True):
+            jacobian[:, at] += change * much / (TINY * norm)
+        self._by_front_end(z, responses_of(differences), table, jacobian)
+        return Read(volts, jacobian)
+
+    def _rates(self, z: Array, sheet: Solved) -> tuple[list[int], Array]:
+        """Return the parameters that the sheet's differences (16, 16) depend on, and their derivatives by each z."""
+        parameters, slices = self.parameters, self.parameters.slices
+        at: list[int] = []
+        rates: list[Array] = []
+
+        def add(name: str, rate: Array, by_value: Array) -> None:
+            """Take derivatives (n, 16, 16) by values, and those of values by z."""
+            if name in slices:
+                at.extend(range(slices[name].start, slices[name].stop))
+                rates.extend(by_value[:, None, None] * rate)
+
+        def by_z(name: str) -> Array:
+            group = parameters.groups.get(name)
+            return np.zeros(1) if group is None else group.errors(z[slices[name]], np.ones(len(group.stated)))
+
+        impedance = sheet.by_log_impedance()
+        add("arc_length_mm", sheet.by_place(), by_z("arc_length_mm"))
+        add("size_mm", sheet.by_size(), by_z("size_mm"))
+        values = parameters.values("contact_impedance_ohm_m2", z)
+        add("contact_impedance_ohm_m2", impedance, by_z("contact_impedance_ohm_m2") / values)
+        level = parameters.groups["level"].spread
+        add("level", (impedance.sum(axis=0) - sheet.differences)[None], np.array([level]))
+        if "thickness_mm" in slices:
+            by_value = by_z("thickness_mm") / parameters.one("thickness_mm", z)
+            add("thickness_mm", sheet.by_shape("log_thickness")[None], by_value)
+        if {"length_scale", "width_scale", "reference_stretch"} & set(slices):
+            both = np.stack([sheet.by_shape("log_along"), sheet.by_shape("log_across")])
+            for axis, name in enumerate(("length_scale", "width_scale")):
+                add(name, both[axis : axis + 1], by_z(name) / parameters.one(name, z))
+            stretch = parameters.values("reference_stretch", z)
+            add("reference_stretch", both, by_z("reference_stretch") / (1.0 + stretch))
+        if self.layer.count:
+            add(OWN_LAYER, sheet.by_layer(), np.ones(self.layer.count))
+        return at, np.array(rates)
+
+    def _by_front_end(self, z: Array, responses: Array, table: npt.NDArray[np.uint8], jacobian: Array) -> None:
+        step = 1e-3
+        for name in FRONT_END:
+            if name not in self.parameters.slices:
+                continue
+            own = self.parameters.slices[name]
+            for at in range(own.start, own.stop):
+                moved = [z.copy(), z.copy()]
+                moved[0][at] -= step
+                moved[1][at] += step
+                low, high = (self.front_end(one).read(responses, table) for one in moved)
+                jacobian[:, at] = (high - low) / (2.0 * step)
+
+    def _whitening(self, error: float) -> Array:
+        """Return (rows,) one over the standard deviations of what is random."""
+        volts = self.recording.reference_V
+        noise = noise_V(self.skin, volts, self.level, self.recording.frames)
+        return np.asarray(1.0 / np.sqrt(noise**2 + (MODEL_ERROR**2 + error**2) * volts**2))
+
+    @property
+    def table(self) -> npt.NDArray[np.uint8]:
+        """(rows, 2) drives and measures of the rows."""
+        return FULL_TABLE if len(self.recording.reference_V) == N_FULL_ROWS else TABLE
+
+
+def noise_V(skin: Skin, volts: Array, level: float, frames: int) -> Array:
+    """Return (rows,) standard deviations of what noise does to the mean of some frames."""
+    size = np.sqrt(np.mean(volts**2)) * np.ones(len(volts)) if skin.front_end.noise == "N3" else np.abs(volts)
+    return np.asarray(level * size / np.sqrt(frames))

@@ -1,0 +1,131 @@
+"""What may be off about a skin, as numbers with a prior: the skin's own stated uncertainties, and nothing else.
+
+Every parameter is counted in prior standard deviations from the stated value ::
+
+    value = stated + spread z            normal, uniform (spread is the width over sqrt(12)), and shifts
+    value = stated exp(spread z)         log_normal, and whatever must stay above 0
+
+so the prior of every z is a standard normal. A quantity that the skin states exactly is taken at its word and has no
+parameter. The level alone is always free: what conductivity the layer has, and what current the source gives, no file
+knows to a percent.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import Skin
+
+Array = npt.NDArray[np.float64]
+
+LEVEL_SPREAD: Final = 0.7
+"""Of the logarithm of the level: a factor of two either way."""
+
+OWN_LAYER: Final = "layer"
+"""Name of the smooth modes of the layer's log conductivity."""
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Some parameters of one kind."""
+
+    name: str
+    """As the skin's file calls it."""
+    unit: str
+    stated: Array
+    """(n,)"""
+    spread: float
+    """Prior standard deviation, of the logarithm where ``logarithmic``."""
+    logarithmic: bool = False
+
+    def values(self, z: Array) -> Array:
+        """Return (n,) values at z (n,) prior standard deviations from the stated ones."""
+        if self.logarithmic:
+            return np.asarray(self.stated * np.exp(self.spread * z))
+        return np.asarray(self.stated + self.spread * z)
+
+    def errors(self, z: Array, sd: Array) -> Array:
+        """Return (n,) standard errors of the values, of those of z."""
+        return np.asarray(self.spread * sd * (self.values(z) if self.logarithmic else 1.0))
+
+
+class Parameters:
+    """All groups of a skin, in order, as one vector of z.
+
+    Args:
+        skin: Whose uncertainties are the priors.
+        n_modes: Smooth modes of the layer.
+    """
+
+    def __init__(self, skin: Skin, n_modes: int) -> None:
+        layer, ring, own, doubts = skin.layer, skin.electrodes, skin.front_end, skin.may_be_off
+        sigma = float(layer.conductivity_S_per_m.nominal(1)[0])
+        groups = [
+            Group("level", "S/m", np.array([sigma]), LEVEL_SPREAD, logarithmic=True),
+            *_group("arc_length_mm", "mm", ring.arc_length_mm, N_ELECTRODES),
+            *_group("size_mm", "mm", ring.size_mm, N_ELECTRODES),
+            *_group("contact_impedance_ohm_m2", "ohm m2", ring.contact_impedance_ohm_m2, N_ELECTRODES, above_0=True),
+            *_group("thickness_mm", "mm", layer.thickness_mm, 1, above_0=True),
+            *_group("length_scale", "", layer.length_scale, 1),
+            *_group("width_scale", "", layer.width_scale, 1),
+            *_group("reference_stretch", "", doubts.reference_stretch, 2),
+            *_group("gain", "", own.gain, N_ELECTRODES),
+            *_group("offset_V", "V", own.offset_V, N_ELECTRODES),
+            *_group("stray_pF", "pF", own.stray_pF, N_ELECTRODES, above_0=True),
+            *_group("minus_gain", "", own.minus_gain, 1),
+            *_group("sink_share", "", own.sink_share, 1),
+        ]
+        if n_modes:
+            groups.append(Group(OWN_LAYER, "", np.zeros(n_modes), 1.0))
+        self.groups: dict[str, Group] = {one.name: one for one in groups}
+        stops = np.cumsum([len(one.stated) for one in groups])
+        self.slices = {
+            one.name: slice(int(stop) - len(one.stated), int(stop)) for one, stop in zip(groups, stops, strict=True)
+        }
+        self.count = int(stops[-1])
+        self._skin = skin
+
+    def values(self, name: str, z: Array, default: float = 0.0) -> Array:
+        """Return a group's values; a group that is not there has its stated ones.
+
+        Args:
+            name: Of the group.
+            z: (count,)
+            default: Where the skin has no such number.
+        """
+        if name in self.groups:
+            return self.groups[name].values(z[self.slices[name]])
+        for part in (self._skin.electrodes, self._skin.layer, self._skin.front_end, self._skin.may_be_off):
+            quantity = getattr(part, name, None)
+            if isinstance(quantity, Quantity):
+                each = N_ELECTRODES if part is self._skin.electrodes or name in ("gain", "offset_V", "stray_pF") else 2
+                return quantity.nominal(each)
+        return np.full(N_ELECTRODES, default)
+
+    def one(self, name: str, z: Array) -> float:
+        """Return the value of a group of one."""
+        return float(self.values(name, z)[0])
+
+    def names(self) -> list[str]:
+        """Return (count,) names, those of each electrode with its number."""
+        return [
+            name if len(group.stated) == 1 else f"{name}[{k}]"
+            for name, group in self.groups.items()
+            for k in range(len(group.stated))
+        ]
+
+
+def _group(name: str, unit: str, quantity: Quantity, count: int, *, above_0: bool = False) -> list[Group]:
+    if quantity.law == "exact" or not quantity.spread:
+        return []
+    stated = quantity.nominal(count)
+    if quantity.law == "log_normal":
+        return [Group(name, unit, stated, quantity.spread, logarithmic=True)]
+    spread = quantity.spread if quantity.law == "normal" else quantity.spread / np.sqrt(3.0)
+    if above_0 and (stated > 0.0).all():
+        return [Group(name, unit, stated, float(spread / stated.mean()), logarithmic=True)]
+    return [Group(name, unit, stated, float(spread))]

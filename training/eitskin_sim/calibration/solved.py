@@ -1,0 +1,173 @@
+"""A sheet solved at some shape, and how its voltages answer to whatever it is made of: one factorisation for all.
+
+Let D[k, m] be what pair m reads under 1 A into pair k, A(p) the system at parameters p, and x_k its field. Then
+
+    dD[k, m] / dp = - x_k . dA/dp x_m
+
+with the fields held still. So a derivative needs no second solve: the system is assembled at p - h and p + h, and its
+energy in the same fields is compared. Where contacts alone change, contacts alone are assembled; the sixteen are
+changed at once, since the energy of each is its own.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.devices.loose_contacts import loose_contacts
+from eitskin_sim.fem.contacts import Contacts
+from eitskin_sim.fem.forward import Factor, System, assemble
+from eitskin_sim.fem.mesh import TensorMesh
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet
+
+Array = npt.NDArray[np.float64]
+Metric = Callable[[Array], Array]
+
+ELEMENT_MM: Final = 3.0
+"""The untouched voltages are 2e-4 from converged."""
+
+STEP_MM: Final = 1e-2
+STEP: Final = 1e-3
+"""Half the distance of compared systems: of places and sizes, and of shapes (all of them near 1)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Shape:
+    """How the layer lies: what a metric is changed by, and what it is made of."""
+
+    log_along: float = 0.0
+    """Logarithm of a factor of all lengths along x."""
+    log_across: float = 0.0
+    nonuniformity: float = 0.0
+    """Of the stretch along x, which no scan shows: times 1 + a cos(2 pi x / L)."""
+    gauge_factor: float = 0.0
+    log_thickness: float = 0.0
+    """Over 1 mm."""
+
+    def sheet(self, size_mm: tuple[float, float]) -> Sheet:
+        """Return the layer, of 1 S/m."""
+        return Sheet(size_mm, float(np.exp(self.log_thickness)), gauge_factor=self.gauge_factor)
+
+    def metric(self, scanned: Metric, length_mm: float) -> Metric:
+        """Return a scanned metric with what the shape changes about it."""
+
+        def found(xy_mm: Array) -> Array:
+            uneven = 1.0 + self.nonuniformity * np.cos(2.0 * np.pi * xy_mm[:, 0] / length_mm)
+            along, across = np.exp(self.log_along) * uneven, np.exp(self.log_across)
+            return np.asarray(scanned(xy_mm) * np.stack([along**2, along * across, across**2 + 0.0 * along], axis=-1))
+
+        return found
+
+
+class Solved:
+    """One untouched sheet.
+
+    Args:
+        size_mm: Of the flat sheet.
+        electrodes: Patches, their impedances for a layer of 1 S/m.
+        scanned: The metric that the scan shows, or the flat one.
+        shape: What changes it.
+        layer: (n, 2) mm -> (n, modes) modes of log conductivity.
+        amplitudes: (modes,)
+    """
+
+    def __init__(
+        self,
+        size_mm: tuple[float, float],
+        electrodes: Electrodes,
+        scanned: Metric,
+        shape: Shape,
+        layer: Callable[[Array], Array],
+        amplitudes: Array,
+    ) -> None:
+        self.size_mm, self.electrodes, self.scanned, self.shape = size_mm, electrodes, scanned, shape
+        sheet = shape.sheet(size_mm)
+        self.mesh: TensorMesh = scene_mesh(Scene(sheet, electrodes, element_size_mm=ELEMENT_MM))
+        self.modes = layer(self.mesh.centres_mm)
+        self.factor_of_layer = np.exp(self.modes @ amplitudes)
+        self.factor: Factor = self._system(shape).factorise()
+        self.differences: Array = self.factor.differences()
+        """(16, 16) V under 1 A for 1 S/m."""
+        self._fields = self.factor.element_fields()
+
+    def by_shape(self, name: str) -> Array:
+        """Return (16, 16) dD by one of the numbers of a :class:`Shape`."""
+        at = getattr(self.shape, name)
+        low, high = (self._energy(self._system(replace(self.shape, **{name: at + h}))) for h in (-STEP, STEP))
+        return -(high - low) / (2.0 * STEP)
+
+    def by_place(self) -> Array:
+        """Return (16, 16, 16) dD by each electrode's place along the border, in mm."""
+        arc = np.array(self.electrodes.arc_length_mm)
+        return self._by_contact(lambda h: replace(self.electrodes, arc_length_mm=tuple((arc + h).tolist())))
+
+    def by_size(self) -> Array:
+        """Return (16, 16, 16) dD by each electrode's size, in mm."""
+        size = self.electrodes.sizes_mm()
+        return self._by_contact(lambda h: replace(self.electrodes, size_mm=tuple((size + h).tolist())))
+
+    def by_log_impedance(self) -> Array:
+        """Return (16, 16, 16) dD by the logarithm of each contact's impedance."""
+        contacts = self.factor.system.contacts
+        rate = self.factor.density**2 * contacts.impedance_ohm_m2
+        return self._of_each(contacts, rate)
+
+    def by_layer(self, modes: Array | None = None) -> Array:
+        """Return (modes, 16, 16) dD by each mode's amplitude.
+
+        Args:
+            modes: (n_elements, modes) others than the layer's own.
+        """
+        contacts = self.factor.system.contacts
+        power = np.swapaxes(self._fields, 1, 2) @ (self.factor.blocks @ self._fields)
+        if len(contacts.element):
+            rate = self.factor.density**2 * contacts.fringe_m
+            drops = self.factor.contact_drops()
+            through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
+            np.add.at(power, contacts.element, through)
+        return np.asarray(-np.tensordot((self.modes if modes is None else modes).T, power, axes=1))
+
+    def _system(self, shape: Shape) -> System:
+        metric = shape.metric(self.scanned, self.size_mm[0])
+        system = assemble(self.mesh, shape.sheet(self.size_mm), self.electrodes, metric)
+        return layered(system, self.factor_of_layer)
+
+    def _energy(self, system: System) -> Array:
+        blocks = system.background * system.stiffness
+        found = np.tensordot(self._fields, blocks @ self._fields, axes=([0, 1], [0, 1]))
+        density = system.contacts.density(np.full(len(system.contacts.element), system.background))
+        return np.asarray(found - self._of_each(system.contacts, -density).sum(axis=0))
+
+    def _by_contact(self, moved: Callable[[float], Electrodes]) -> Array:
+        sheet, metric = self.shape.sheet(self.size_mm), self.shape.metric(self.scanned, self.size_mm[0])
+        energies = []
+        for h in (-STEP_MM, STEP_MM):
+            contacts = loose_contacts(self.mesh, sheet, moved(h), metric)
+            contacts = replace(contacts, fringe_m=contacts.fringe_m / self.factor_of_layer[contacts.element])
+            energies.append(self._of_each(contacts, contacts.density(np.ones(len(contacts.element)))))
+        return -(energies[1] - energies[0]) / (2.0 * STEP_MM)
+
+    def _of_each(self, contacts: Contacts, density: Array) -> Array:
+        """Return (16, 16, 16) energies in each electrode's contact."""
+        at = self.mesh.element_nodes[contacts.element]
+        fields, held = self.factor.node_fields, self.factor.electrode_fields
+        drops = fields[at] - held[contacts.electrode][:, None, :]
+        each = np.swapaxes(drops, 1, 2) @ ((density[:, None, None] * contacts.mass_m2) @ drops)
+        found = np.zeros((N_ELECTRODES, N_ELECTRODES, N_ELECTRODES))
+        np.add.at(found, contacts.electrode, each)
+        return found
+
+
+def layered(system: System, factor: Array) -> System:
+    """Return a system whose elements conduct (n_elements,) times as well."""
+    contacts = system.contacts
+    return replace(
+        system,
+        stiffness=factor[:, None, None] * system.stiffness,
+        contacts=replace(contacts, fringe_m=contacts.fringe_m / factor[contacts.element]),
+        relative=factor * system.relative,
+    )

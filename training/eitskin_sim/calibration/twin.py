@@ -1,0 +1,64 @@
+"""A skin known better: what calibration found, written as the description of the same skin."""
+
+from dataclasses import replace
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin_proto.skin.quantity import Law, Quantity
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.calibration.fit import Fit
+from eitskin_sim.calibration.model import Model
+from eitskin_sim.calibration.parameters import OWN_LAYER
+
+DIGITS: Final = 7
+"""Of what is written: far below any standard error."""
+
+UNKNOWN: Final = 0.8
+"""Standard error over the prior's: above, nothing worth mentioning was learned."""
+
+
+def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
+    """Return the same skin with what was found; each quantity's spread is the rms of its standard errors.
+
+    What a file cannot say is left out: errors of single electrodes, what errors have in common, and the layer's own
+    pattern, of which the rms alone is kept; everything static divides out by the reference.
+
+    Args:
+        skin: What calibration started from.
+        model: Of the recording.
+        found: The most probable parameters.
+    """
+    parts: dict[str, Any] = {}
+    for name, group in model.parameters.groups.items():
+        z, sd = (one[model.parameters.slices[name]] for one in (found.z, found.sd))
+        if name == OWN_LAYER:
+            middle = xy_of(model)
+            rms = float(np.sqrt(np.mean((model.layer.at(middle) @ z) ** 2)))
+            parts.setdefault("may_be_off", {})["layer_rms"] = (_round(0.8 * rms), _round(1.2 * rms))
+            continue
+        stated = "conductivity_S_per_m" if name == "level" else name
+        value = tuple(_round(one) for one in group.values(z))
+        error = float(np.sqrt(np.mean(sd**2)) * group.spread)
+        law: Law = "log_normal" if group.logarithmic else "normal"
+        if name == "reference_stretch":  # of both axes; what is left of it is in the two lengths
+            parts.setdefault("may_be_off", {})[name] = Quantity(_round(float(np.mean(value))), law, _round(error))
+            continue
+        quantity = Quantity(value[0] if len(value) == 1 else value, law, _round(error))
+        part = next(
+            one for one in ("layer", "electrodes", "front_end", "may_be_off") if hasattr(getattr(skin, one), stated)
+        )
+        parts.setdefault(part, {})[stated] = quantity
+    changed = {part: replace(getattr(skin, part), **values) for part, values in parts.items()}
+    return replace(skin, **changed, name=f"{skin.name}, calibrated", calibrated_from=skin.digest)
+
+
+def xy_of(model: Model) -> Any:
+    """Return (n, 2) mm, the sheet's pixels."""
+    length, width = model.size_mm
+    x, y = np.meshgrid((np.arange(30) + 0.5) * length / 30, (np.arange(20) + 0.5) * width / 20)
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def _round(value: float) -> float:
+    return float(f"{value:.{DIGITS}g}")
