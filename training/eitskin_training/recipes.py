@@ -2,7 +2,8 @@
 
 ``paper`` is section V.A of the paper. ``units`` and ``free`` are what a robot needs: several-parameter deformations,
 all three noises, the sheet's mirror symmetries, missing rows; ``units`` keeps the paper's hard labels on the 126 units,
-``free`` has area labels of touches anywhere. ``tiny`` is ``free`` in seconds, for tests and CI.
+``free`` has area labels of touches anywhere. ``small`` is it with a sixth of the weights; ``tiny`` is it in seconds,
+for tests and CI.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -150,6 +151,15 @@ RECIPES: Final[dict[str, Recipe]] = {
         name="free",
         architecture=replace(_ROBUST.architecture, widths=(340, 340), hidden=340, symmetric=True),
         flips=False,  # all but the sharpening treats a mirrored batch as the batch
+        together=48,
+    ),
+    "small": replace(
+        _ROBUST,
+        name="small",
+        architecture=replace(
+            _ROBUST.architecture, widths=(100, 100), hidden=100, cloud_channels=(8, 8), sharpening=(12,), symmetric=True
+        ),
+        flips=False,
         together=48,
     ),
     "tiny": replace(
