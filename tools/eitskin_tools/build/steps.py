@@ -3,9 +3,11 @@
 import os
 from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.folder import keep, stored
 from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
 from eitskin_tools.command_line import files
@@ -20,6 +22,11 @@ def plan_of(recipe: BuildRecipe, data: Data) -> Any:
     Raises:
         ValueError: A number is outside its bounds, or things do not go together.
     """
+    return _plan(data, recipe.skin_of(data))
+
+
+@lru_cache(maxsize=16)
+def _plan(data: Data, skin: Skin) -> Any:
     from eitskin_sim.dataset.plan import make_plan
 
     return make_plan(
@@ -32,7 +39,7 @@ def plan_of(recipe: BuildRecipe, data: Data) -> Any:
         near=data.near,
         touches=data.touches,
         devices=data.devices,
-        skin=recipe.skin_of(data),
+        skin=skin,
     )
 
 
