@@ -8,7 +8,7 @@ l = log(V / V0), and of what l leaves when log(V_pred / V0) is taken off.
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.row_gaussian import RATIO_RANGE
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.measurement.consistency import FLOOR
 from eitskin_training.gate.untouched import Bends
@@ -43,4 +43,4 @@ def row_statistics(data: TrainingData, recipe: Recipe, bends: Bends) -> dict[str
 
 def unpredicted(data: TrainingData, deformations: npt.NDArray[np.integer]) -> Array:
     """Return (n, 104) what of l of untouched deformations their predicted reference does not explain."""
-    return np.asarray(np.log(data.untouched[deformations] / data.reference) - data.log_predicted[deformations])
+    return np.asarray(log_of_ratio(data.untouched[deformations], data.reference) - data.log_predicted[deformations])

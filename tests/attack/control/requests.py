@@ -15,7 +15,7 @@ import msgpack
 import zmq
 
 from ..outcome import Effort, Outcome
-from ..shutdown.exit_time import end
+from ..shutdown.exit_time import MOST_S, end
 from ..stream import PATIENCE_S, Stream, attacked
 
 Draw = random.Random
@@ -110,8 +110,8 @@ def hostile_requests(effort: Effort) -> Outcome:
         found = honest.leave()
         outcome.frames_lost = found["lost"]
         outcome.figures |= {"frames": found["frames"], "longest_silence_s": found["longest_silence_s"]}
-        took = end(stream.runtime.pid, signal.SIGTERM, 20.0)
-        held = took is not None and took.own_s <= 1.0 and stream.runtime.wait(PATIENCE_S) == 0
+        took = end(stream.runtime.pid, signal.SIGTERM)
+        held = took is not None and took.own_s <= MOST_S and stream.runtime.wait(PATIENCE_S) == 0
         outcome.note(held, f"SIGTERM while a reference is pending: {took}, status {stream.runtime.poll()}")
         outcome.figures["exit_own_s"] = None if took is None else round(took.own_s, 3)
     return outcome

@@ -27,6 +27,9 @@ READING: Final[dict[str, Callable[[str, Path], list[str]]]] = {
     "scan-ply": lambda file, folder: ["surface", file, "--out", str(folder / "c.npz")],
     "scan-npy": lambda file, folder: ["surface", file, "--out", str(folder / "c.npz")],
     "recording": lambda file, _: ["doctor", "--electrodes", "--recorded", file],
+    "measured": lambda file, _: ["evaluate", "--measured", file],
+    "tank": lambda file, _: ["evaluate", "--tank", file],
+    "skin": lambda file, _: ["skin", "check", file],
 }
 """Command by kind of file, given the file and a folder for what else it needs."""
 

@@ -3,6 +3,7 @@
 import copy
 import json
 import random
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,7 +11,7 @@ from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-from . import graphs, mutations, samples
+from . import evaluated, graphs, mutations, samples
 
 Make = Callable[[Path, random.Random | None], tuple[Path, str]]
 """Puts a sample into a folder, damaged unless there is no generator; returns its path and what was done."""
@@ -75,9 +76,11 @@ def _npz(whole: Callable[[], dict[str, Any]], rng: random.Random | None) -> tupl
     if rng is None:
         return samples.npz(**arrays), "whole"
     parts = {f"{name}.npy": samples.npy(value) for name, value in arrays.items()}
-    if rng.random() < 0.4:
-        parts[rng.choice(list(parts))] = mutations.array(rng)
-        return _zipped(parts), "another array"
+    how = rng.random()
+    if how < 0.6:
+        name = rng.choice(list(arrays))
+        parts[f"{name}.npy"] = mutations.array(rng) if how < 0.3 else mutations.valued(arrays[name], rng)
+        return _zipped(parts), "another array" if how < 0.3 else "other values"
     return mutations.archive(parts, rng), "archive"
 
 
@@ -92,18 +95,28 @@ def _zipped(parts: dict[str, bytes]) -> bytes:
     return out.getvalue()
 
 
-_toml: Final = (samples.ROOT / "firmware_proto" / "eitskin_proto" / "configurations" / "idle.toml").read_bytes()
+_CONFIGURATION: Final = (
+    samples.ROOT / "firmware_proto" / "eitskin_proto" / "configurations" / "idle.toml"
+).read_bytes()
+
+FACTORS: Final = (-1.0, 0.0, 1e-9, 1e-3, 0.1, 0.5, 0.9, 1.1, 2.0, 10.0, 1e3, 1e9, 1e300)
+"""What a number of a TOML file is multiplied by."""
 
 
-def _configuration(rng: random.Random | None) -> tuple[bytes, str]:
+def _toml(whole: bytes, rng: random.Random | None) -> tuple[bytes, str]:
     if rng is None:
-        return _toml, "whole"
+        return whole, "whole"
     if rng.random() < 0.3:
-        return mutations.bent(_toml, rng), "bytes"
-    lines = _toml.decode().splitlines()
+        return mutations.bent(whole, rng), "bytes"
+    lines = whole.decode().splitlines()
     for _ in range(rng.choice((1, 1, 2))):
         at = rng.randrange(len(lines))
-        key = lines[at].partition("=")[0]
+        key, _, value = lines[at].partition("=")
+        numbers = re.findall(r"\d[\d.]*", value)
+        if numbers and rng.random() < 0.3:
+            one = rng.choice(numbers)
+            lines[at] = f"{key}={value.replace(one, str(float(one.rstrip('.')) * rng.choice(FACTORS)), 1)}"
+            continue
         values = (
             "1e400", "-1", "nan", "inf", "true", "[]", "{}", '"\\u001b[2J"', "1" * 5000, "[" * 60_000, "9" * 400,
             "1979-05-27", "[[[]]]", '"' + "x" * 99 + '"', "0", "0x7fffffffffffffffffff", "." .join("a" * 9),
@@ -254,7 +267,9 @@ def _xyz() -> bytes:
 KINDS: Final[dict[str, Kind]] = {
     "bundle": Kind(_file("b.eitskin", _bundle), samples.read_bundle, long=1500),
     "reference": Kind(_file("r.json", _reference), samples.read_reference),
-    "configuration": Kind(_file("c.toml", _configuration), samples.read_configuration, (OSError, ValueError)),
+    "configuration": Kind(
+        _file("c.toml", partial(_toml, _CONFIGURATION)), samples.read_configuration, (OSError, ValueError)
+    ),
     "scene": Kind(_file("s.json", partial(_json, samples.scene)), samples.read_scene, long=400),
     "phantoms": Kind(_file("p.json", partial(_json, _phantoms)), samples.read_phantoms, long=1500),
     "scan-ply": Kind(_file("s.ply", partial(_bytes, samples.ply_binary)), samples.read_scan, long=600),
@@ -266,6 +281,10 @@ KINDS: Final[dict[str, Kind]] = {
     "data-set": Kind(
         partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA), long=800
     ),
+    "measured": Kind(_file("m.npz", partial(_npz, evaluated.measured)), evaluated.read_measured, long=800),
+    "mismatches": Kind(_file("d.json", partial(_json, evaluated.mismatches)), evaluated.read_mismatches, long=1500),
+    "tank": Kind(_file("t.npz", partial(_npz, evaluated.tank)), evaluated.read_tank, (OSError, ValueError), long=800),
+    "skin": Kind(_file("s.toml", partial(_toml, evaluated.SKIN)), evaluated.read_skin, (OSError, ValueError)),
     "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN), long=400),
 }
 """By name."""

@@ -139,6 +139,25 @@ def array(rng: random.Random) -> bytes:
     return b"\x93NUMPY\x01\x00" + len(raw).to_bytes(2, "little") + raw + bytes(800)
 
 
+def valued(array: Any, rng: random.Random) -> bytes:
+    """Return a .npy file of an array's shape with numbers that nobody expects; a text becomes another one."""
+    if array.dtype.kind == "U":
+        return samples.npy(np.full(array.shape, rng.choice(("", "\x1b[2J", "x" * 5000, "a\nb", "\u202etxt", "nan"))))
+    values = np.array(array, dtype=np.float64)
+    hostile = rng.choice((np.nan, np.inf, -1.0, 0.0, 5e-324, 1e-300, 1e39, 1e300, -1e300, 0.5, 1e6))
+    how = rng.randrange(4)
+    if how == 0:
+        values[...] = hostile
+    elif how == 1:
+        values *= hostile if np.isfinite(hostile) else -1.0
+    else:
+        for _ in range(rng.choice((1, 3, 100))):
+            values.reshape(-1)[rng.randrange(values.size)] = hostile
+    kinds = ("f8", "f8", "f4", array.dtype.str)
+    with np.errstate(all="ignore"):
+        return samples.npy(values.astype(rng.choice(kinds)))
+
+
 def archive(parts: dict[str, bytes], rng: random.Random) -> bytes:
     """Return a ZIP file with members that are missing, strange, repeated, packed, or that explode."""
     how, out = rng.randrange(8), io.BytesIO()

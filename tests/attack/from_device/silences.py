@@ -5,7 +5,8 @@ import time
 from typing import Any, Final
 
 from ..outcome import Effort, Outcome
-from .trial import ENDS_S, RECOVERS_S, attack, trial
+from ..shutdown.exit_time import MOST_S
+from .trial import RECOVERS_S, attack, trial
 
 WAITS: Final = ("--reconnect", "60")
 
@@ -62,16 +63,17 @@ def terminated(effort: Effort) -> Outcome:
         {"do": "damage", "seed": effort.seed},
         {"do": "ends"},
     )
-    longest_s = 0.0
+    times = []
     for turn in range(effort.count(3, 20)):
         order = orders[turn % len(orders)]
         with trial(*WAITS, learn=False) as running:
             running.device.start(**({"frames": 10**6, "seconds": 60} | order))
             time.sleep(draw.uniform(0, 3.0))  # the moment is what is drawn; nothing is waited for
-            took_s, status = running.ends_s(), running.stream.runtime.poll()
+            took, status = running.ends(), running.stream.runtime.poll()
             said = running.stream.said()
-            held = took_s <= ENDS_S and status == 0 and "Traceback" not in said
-            longest_s = max(longest_s, took_s)
-            outcome.note(held, f"seed {effort.seed}, turn {turn}, {order}: {took_s:.1f} s, {status}, {said[-200:]!r}")
-    outcome.figures["longest_s"] = round(longest_s, 3)
+            held = took.own_s <= MOST_S and status == 0 and "Traceback" not in said
+            times.append(took)
+            outcome.note(held, f"seed {effort.seed}, turn {turn}, {order}: {took}, {status}, {said[-200:]!r}")
+    outcome.figures["longest_own_s"] = round(max(one.own_s for one in times), 3)
+    outcome.figures["longest_by_the_clock_s"] = round(max(one.raw_s for one in times), 3)
     return outcome

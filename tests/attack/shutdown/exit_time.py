@@ -15,6 +15,12 @@ from pathlib import Path
 
 LOOK_MS = 5
 
+MOST_S = 1.0
+"""How long an end may take, of its own."""
+
+SURELY_S = 20.0
+"""After which it is no longer waited for."""
+
 
 @dataclass(frozen=True)
 class ExitTime:
@@ -51,8 +57,8 @@ def union_s(spans: list[tuple[float, float]]) -> float:
     return total_s
 
 
-def end(process: int, number: int, most_s: float) -> ExitTime | None:
-    """Send a signal and return how long the process took to end; None if it did not within the time."""
+def end(process: int, number: int, most_s: float = SURELY_S) -> ExitTime | None:
+    """Send a signal and return how long the process took to end; None if it did not within so much of its own time."""
     descriptor = os.pidfd_open(process)
     try:
         poll = select.poll()

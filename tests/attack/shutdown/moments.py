@@ -25,13 +25,7 @@ import zmq
 
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, SKIN, TINY
-from .exit_time import ExitTime, end
-
-MOST_S: Final = 1.0
-"""How long the end may take."""
-
-SURELY_S: Final = 20.0
-"""After which it is no longer waited for."""
+from .exit_time import MOST_S, SURELY_S, ExitTime, end
 
 OLDEST_S: Final = 150.0
 """After which a lane's skin is replaced: it ends by itself after 300."""
@@ -92,7 +86,7 @@ class Lane:
             else:
                 self._start_s = time.monotonic() - began_s
                 getattr(self, f"_{life}")(stack, f"ipc://{control if life == 'control' else frames}", draw)
-            took = end(process.pid, number, SURELY_S)
+            took = end(process.pid, number)
         left = [path.name for path in self._folder.iterdir() if path != out]
         for name in left:
             (self._folder / name).unlink()

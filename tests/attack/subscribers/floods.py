@@ -26,7 +26,6 @@ def connect_floods(effort: Effort) -> Outcome:
     """Connect as fast as it goes, beside a subscriber of 600 topics; and while the device is silent; then SIGTERM."""
     outcome = Outcome("subscribers.connections")
     rng = random.Random(effort.seed)
-    within_s = 1.0 if effort.long else 10.0
     with everywhere() as places:
         for what, arguments, keys in places:
             for _ in range(effort.count(1, 7)):
@@ -44,7 +43,7 @@ def connect_floods(effort: Effort) -> Outcome:
                     with _many_topics(stream, keys):
                         os.kill(skin, signal.SIGSTOP)
                         flood.connect(stream.frames, 0.4, rng, AT_ONCE, AT_ONCE)
-                        ends(stream, outcome, f"{what}, the device silent", within_s)
+                        ends(stream, outcome, f"{what}, the device silent")
     return outcome
 
 

@@ -6,7 +6,6 @@ import signal
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -16,7 +15,8 @@ import eitskin
 from eitskin.messaging.curve_keys import make_keys
 
 from ..outcome import Outcome
-from ..stream import PATIENCE_S, SKIN, Stream, attacked
+from ..shutdown.exit_time import MOST_S, end
+from ..stream import PATIENCE_S, SKIN, Stream, attacked, ended
 
 TOUCHED = {"rate_hz": 200.0, "touches": [[1.0, 1e9, 0.3]]}
 """What the virtual skin does: every frame is touched, and so computed."""
@@ -78,20 +78,17 @@ def defended(
         )
 
 
-def ends(stream: Stream, outcome: Outcome, what: str, within_s: float) -> None:
-    """Note whether a runtime ends soon after SIGTERM."""
-    began_s = time.monotonic()
-    stream.runtime.send_signal(signal.SIGTERM)
-    try:
-        code = stream.runtime.wait(30)
-    except subprocess.TimeoutExpired:
-        outcome.note(False, f"{what}: SIGTERM was ignored for 30 s")
+def ends(stream: Stream, outcome: Outcome, what: str) -> None:
+    """Note whether a runtime ends within a second of its own after SIGTERM."""
+    took = end(stream.runtime.pid, signal.SIGTERM)
+    if took is None:
+        outcome.note(False, f"{what}: SIGTERM was ignored")
         stream.runtime.kill()
         return
-    taken_s = time.monotonic() - began_s
-    slowest = outcome.figures.get("slowest_end_s", 0.0)
-    outcome.figures["slowest_end_s"] = round(max(slowest, taken_s), 3)
-    outcome.note(taken_s <= within_s and code == 0, f"{what}: ended with {code} after {taken_s:.2f} s")
+    code = stream.runtime.wait(PATIENCE_S)
+    for name, taken_s in (("slowest_end_own_s", took.own_s), ("slowest_end_s", took.raw_s)):
+        outcome.figures[name] = round(max(outcome.figures.get(name, 0.0), taken_s), 3)
+    outcome.note(took.own_s <= MOST_S and code == 0, f"{what}: ended with {code}, {took}")
 
 
 @contextmanager
@@ -103,9 +100,7 @@ def stoppable_skin(**options: Any) -> Iterator[tuple[str, int]]:
         yield process.stdout.readline().strip(), process.pid
     finally:
         os.kill(process.pid, signal.SIGCONT)
-        process.terminate()
-        process.wait(PATIENCE_S)
-        process.stdout.close()
+        ended(process)
 
 
 def memory_mib(stream: Stream) -> float:

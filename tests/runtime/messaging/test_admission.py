@@ -14,7 +14,7 @@ import zmq
 
 from eitskin.messaging import control, publish
 from eitskin.messaging.admission import connections, door, traffic
-from eitskin.messaging.admission.descriptors import connection_at
+from eitskin.messaging.admission.descriptors import connection_at, end, unread
 from eitskin.messaging.admission.gate import Gate
 
 from .test_control_answers import Slow
@@ -116,6 +116,54 @@ def test_whose_a_connection_is_can_be_told_without_a_descriptor(tmp_path):
                     os.close(number)
             one.sendall(b"x")
             assert other.recv(1) == b"x"  # nothing was closed by looking
+
+
+@pytest.mark.parametrize("family", [socket.AF_INET, socket.AF_UNIX])
+def test_what_was_sent_before_a_connection_was_ended_is_read_by_nobody(family, tmp_path):
+    with socket.socket(family) as listener, socket.socket(family) as flood:
+        listener.bind(("127.0.0.1", 0) if family == socket.AF_INET else os.fspath(tmp_path / "s"))
+        listener.listen()
+        flood.connect(listener.getsockname())
+        flood.setblocking(False)
+        with listener.accept()[0] as ended:
+            with suppress(BlockingIOError):
+                while flood.send(bytes(65536)):
+                    pass
+            until(lambda: unread(ended.fileno()) > 100_000)
+            end(connection_at(ended.fileno()))
+            with suppress(ConnectionResetError):  # TCP resets who sends what nobody can read any more
+                assert not ended.recv(65536)
+
+
+def test_a_look_lets_libzmq_take_in_more_once_and_not_with_each_message(publisher, monkeypatch):
+    with zmq.Context() as context, context.socket(zmq.XSUB) as flood:
+        flood.linger = 0
+        flood.connect(publisher.endpoint)
+        for index in range(15):
+            flood.send(b"\x01" + bytes([index]))
+        asked = Asked(publisher._socket)
+        monkeypatch.setattr(publisher, "_socket", asked)
+
+        def look():
+            asked.times = 0
+            publisher.look()
+            assert asked.times == 1
+
+        until(lambda: len(publisher.topics) == 15, look)
+
+
+class Asked:
+    """A socket that counts how often it is asked whether anything waits."""
+
+    def __init__(self, socket_):
+        self._socket, self.times = socket_, 0
+
+    def getsockopt(self, option):
+        self.times += option == zmq.EVENTS
+        return self._socket.getsockopt(option)
+
+    def __getattr__(self, name):
+        return getattr(self._socket, name)
 
 
 def test_a_crowd_on_tcp_is_ended_while_the_frame_loop_stands_still(monkeypatch):

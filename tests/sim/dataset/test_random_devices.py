@@ -94,6 +94,15 @@ def test_the_index_says_whose_devices_and_the_reader_needs_to_know_nothing(writt
             assert np.all(file["reference"] / reference() > 0.4)
 
 
+def test_the_reader_names_skin_touches_and_every_samples_drift(written: tuple[Path, Plan]) -> None:
+    folder, plan = written
+    data = load(folder)
+    assert data.drift is not None
+    assert (data.skin, data.touch_kind) == (plan.skin, "both")
+    with np.load(folder / "deformation-0001.npz") as file:
+        np.testing.assert_array_equal(data.drift[data.deformation == 1], file["drift"])
+
+
 def test_deformations_made_together_have_one_device_and_others_another(written: tuple[Path, Plan]) -> None:
     folder, plan = written
     references = [np.load(folder / f"deformation-{number:04d}.npz")["reference"] for number in range(5)]

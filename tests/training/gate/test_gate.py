@@ -13,8 +13,9 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.scan_rows import table_rows
 from eitskin_sim.scene.parts import Bend
-from eitskin_training.gate import fit, idle, material, rates, untouched
+from eitskin_training.gate import fit, idle, material, rates, touches, untouched
 from eitskin_training.gate.untouched import Bends, bends_of
+from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.samples.batches import TrainingData
 
@@ -116,13 +117,13 @@ def test_a_threshold_lets_its_share_of_untouched_frames_through(data: TrainingDa
 
 def test_information_grows_with_rows_and_is_that_of_a_linear_measurement() -> None:
     rng = np.random.default_rng(0)
-    covariance, touches = np.diag(rng.uniform(1.0, 2.0, 104)), rng.standard_normal((5, 104))
+    covariance, pressed = np.diag(rng.uniform(1.0, 2.0, 104)), rng.standard_normal((5, 104))
     rows = np.arange(10)
-    by_hand = 0.5 * np.log1p((touches[:, rows] ** 2 / np.diag(covariance)[rows]).sum(axis=1)).mean()
-    assert idle.information(covariance, touches, rows) == pytest.approx(by_hand, rel=1e-12)
-    assert idle.information(covariance, touches, np.arange(20)) > by_hand
+    by_hand = 0.5 * np.log1p((pressed[:, rows] ** 2 / np.diag(covariance)[rows]).sum(axis=1)).mean()
+    assert idle.information(covariance, pressed, rows) == pytest.approx(by_hand, rel=1e-12)
+    assert idle.information(covariance, pressed, np.arange(20)) > by_hand
     # What a bend moves says nothing of a touch that moves the same.
-    bend = touches[0]
+    bend = pressed[0]
     nuisance = covariance + 1e8 * np.outer(bend, bend)
     assert idle.information(nuisance, bend[None], np.arange(104)) < 1e-3
 
@@ -138,7 +139,7 @@ def test_more_idle_drives_tell_more_about_a_touch(data: TrainingData, bends: Ben
 
 
 def test_solved_bends_are_small_changes_and_the_flat_one_is_none() -> None:
-    flat, bent = untouched.untouched_logs([Bend(), untouched.wide_bends(1, 5, PAPER)[0]], PAPER)
+    flat, bent = untouched.untouched_logs([Bend(), wide_bends(1, 5, PAPER)[0]], PAPER)
     np.testing.assert_allclose(flat, 0.0, atol=1e-12)
     # Stretches of up to 22 % change voltages by tens of per cent, never by a factor of a thousand.
     assert 0.01 < np.abs(bent).max() < 7.0
@@ -153,8 +154,8 @@ def test_the_mirror_image_of_a_bend_has_the_mirror_image_of_its_voltages() -> No
 
 
 def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
-    pieces = untouched.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
-    flat, bent = (untouched.touch_logs(bend, pieces, PAPER) for bend in (Bend(), untouched.wide_bends(1, 5, PAPER)[0]))
+    pieces = touches.squares([(75.0, 50.0), (30.0, 70.0)], 10.0, 20.0)
+    flat, bent = (touches.touch_logs(bend, pieces, PAPER) for bend in (Bend(), wide_bends(1, 5, PAPER)[0]))
     for one, other in zip(flat, bent, strict=True):
         # A tenth of its direction may change: that is what drawing it at any bend costs.
         assert one @ other / (np.linalg.norm(one) * np.linalg.norm(other)) > 0.9
@@ -162,7 +163,7 @@ def test_a_touch_adds_nearly_the_same_logarithm_at_every_bend() -> None:
 
 
 def test_touches_for_learning_are_small_and_differ() -> None:
-    logs = untouched.small_touches(1, PAPER, each=12)
+    logs = touches.small_touches(1, PAPER, each=12)
     strength = np.abs(logs).mean(axis=1)
     assert logs.shape == (12, 104)
     assert len(np.unique(strength)) == 12

@@ -23,6 +23,16 @@ def pair(toy_data: Any) -> tuple[TrainingData, TrainingData]:
     return one, different
 
 
+def test_sets_of_other_touches_and_devices_are_both(pair: tuple[TrainingData, TrainingData]) -> None:
+    one, other = pair
+    assert (join(pair).touch_kind, join(pair).drift) == ("raising", None)
+    drift = np.full(len(other.voltages), 1.1, dtype=np.float32)
+    both = join([one, replace(other, touch_kind="lowering", drift=drift)])
+    assert both.touch_kind == "both"
+    assert both.drift is not None
+    np.testing.assert_array_equal(both.drift, np.concatenate([np.ones(len(one.voltages)), drift]).astype(np.float32))
+
+
 def test_every_sample_keeps_its_voltages_cloud_prediction_and_label(pair: tuple[TrainingData, TrainingData]) -> None:
     both = join(pair)
     assert both.digest == f"{pair[0].digest}+other"

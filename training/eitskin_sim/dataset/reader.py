@@ -83,6 +83,9 @@ class DataSet:
     """What it was made for."""
     touch_kind: TouchKind = "raising"
     """Which way its touches change conductance."""
+    drift: npt.NDArray[np.float32] | None = None
+    """(N,) by which each sample's resistances had changed since the reference, of random devices; None of the nominal
+    one."""
 
     @property
     def labels_kind(self) -> Literal["units", "area"]:
@@ -185,7 +188,14 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         unit_contrasts=_unit_contrasts(touches, units) if soft else None,
         skin=skin,
         touch_kind=touch_kind_of(index),
+        drift=_drift(index, shards),
     )
+
+
+def _drift(index: dict[str, Any], shards: list[Arrays]) -> npt.NDArray[np.float32] | None:
+    if index.get("devices", "ideal") == "ideal":
+        return None
+    return np.concatenate([_of(one["drift"], "f", one["touch_set"].shape) for one in shards])
 
 
 def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:

@@ -34,6 +34,11 @@ LARGEST_FILE: Final = 64 << 20
 
 COLUMNS: Final = 4
 
+LEAST_V: Final = 1e-9
+MOST_V: Final = 1e6
+"""The strongest row of water, and any row: no front end reads less, or more; and weights and squares of numbers that
+are far smaller or larger are no numbers."""
+
 
 class TankError(SkinError, ValueError):
     """A file that holds no frames of a tank."""
@@ -65,7 +70,8 @@ def load_tank(path: str | Path) -> list[TankFrame]:
     """Return the frames of a file.
 
     Raises:
-        TankError: There are none, one has another shape or is not finite, or a name tells of what cannot be.
+        TankError: There are none, one has another shape, is not finite or not plausible, or a name tells of what cannot
+            be.
         FileError: It is no intact file of plain arrays.
         OSError: It cannot be read.
     """
@@ -85,9 +91,14 @@ def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
     values = array.astype(np.float64)
     if not np.isfinite(values).all():
         raise TankError(f"{where} holds {int((~np.isfinite(values)).sum())} values that are not finite; leave it out")
+    if np.abs(values).max() > MOST_V:
+        raise TankError(f"{where} goes up to {np.abs(values).max():.3g} V, expected at most {MOST_V:g} V")
     water, objects = values[:, 0] + 1j * values[:, 1], values[:, 2] + 1j * values[:, 3]
-    if not np.abs(water).max() > 0.0:
-        raise TankError(f"{where}: water reads zeros, which nothing can be held against; leave the frame out")
+    if not np.abs(water).max() > LEAST_V:
+        raise TankError(
+            f"{where}: water reads zeros, {np.abs(water).max():.3g} V at most, which nothing can be held against; "
+            "leave the frame out"
+        )
     found = tuple(Object(int(number), cast(Material, material)) for number, material in NAMED.findall(name))
     for one in found:
         if not 1 <= one.electrode <= N_ELECTRODES:

@@ -9,6 +9,10 @@ logarithms are whitened by the covariance of noisy untouched sheets first ::
     log(max(1 + dV, floor)) (104) -> - mean, whiten -> 96 -> ReLU -> 32 -> ReLU -> 1 = logit
     touched: logit > threshold
 
+Of random devices, the factor common to all rows is taken out of the logarithms before they are whitened: a drift
+however large turns no frame into a touched one. The network is then made of matched filters and learns nothing
+(:mod:`eitskin_training.gate.filters`); what could be found the card states (:mod:`eitskin_training.gate.observer`).
+
 Whitening is folded into the first weights, so it costs nothing. The threshold is set at a stated false-alarm rate on
 bends of families A and B that were not learned from; half of those choose it and half measure it. A second, smaller
 gate judges the rows of the few drives that an idle device scans.
@@ -26,9 +30,11 @@ from torch import nn
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
+from eitskin_training.gate import filters
 from eitskin_training.gate.idle import idle_choice
 from eitskin_training.gate.material import Array, Material
-from eitskin_training.gate.rates import measured, threshold_at
+from eitskin_training.gate.observer import ideal_observer, without_common
+from eitskin_training.gate.rates import found_presses, measured, threshold_at
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
 
@@ -46,6 +52,9 @@ FALSE_ALARM_RATE: Final = 0.003
 
 IDLE_FALSE_ALARM_RATE: Final = 0.01
 """The same of idle frames: one costs half a second of whole scans."""
+
+FRAMES: Final = 16_384
+"""Untouched frames whose covariance is taken."""
 
 STEPS: Final = 5500
 """Steps of AdamW; the idle gate takes half as many."""
@@ -135,15 +144,21 @@ def fit(data: TrainingData, bends: Bends, *, seed: int = 0, steps: int = STEPS, 
         ("idle_", table_rows(False, drives), IDLE_HIDDEN, steps // 2, IDLE_FALSE_ALARM_RATE),
     ):
         torch.manual_seed(seed)
-        arrays = _trained(material, rows, hidden, count, batch, rng)
+        if bends.devices is None:
+            arrays = _trained(material, rows, hidden, count, batch, rng)
+        else:
+            arrays = _matched(material, rows, rate, bends, data, rng)
 
         def judge(dv: Array, arrays: Arrays = arrays, rows: npt.NDArray[np.intp] = rows) -> Array:
             return logits(arrays, dv[:, rows])
 
-        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, data.skin)
+        threshold = threshold_at(rate, judge, bends.choose, data.reference, rng, data.skin, bends.devices)
         arrays["threshold"] = np.asarray(threshold, dtype=np.float32)
         found |= {prefix + name: value for name, value in arrays.items()}
         measures[prefix] = {"target_false_alarm_rate": rate, **measured(judge, threshold, data, bends, rng)}
+        if not prefix and bends.probes and (bends.devices is not None or data.touch_kind != "raising"):
+            measures[prefix]["found_presses"] = found_presses(judge, threshold, bends, data, rng)
+            measures[prefix]["ideal_observer"] = ideal_observer(material.untouched(FRAMES, rng), rate, data.skin)
     found["idle_drives"] = np.asarray(drives, dtype=np.uint16)
     idle = {"drives": drives_to_list(drives), **measures["idle_"]}
     return Gate(found, {**measures[""], "idle": idle})
@@ -158,18 +173,14 @@ def _trained(
     rng: np.random.Generator,
 ) -> Arrays:
     """Return a gate's arrays but for its threshold, in the runtime's form."""
-
-    def logarithms(dv: Array) -> Array:
-        return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
-
-    mean, whitening = _whitening(logarithms(material.draw(16_384, rng, touched=0.0)[0]))
+    mean, whitening = _whitening(_logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows))
     layers = [nn.Linear(len(rows), hidden[0]), nn.Linear(hidden[0], hidden[1]), nn.Linear(hidden[1], 1)]
     network = nn.Sequential(layers[0], nn.ReLU(), layers[1], nn.ReLU(), layers[2])
     optimiser = torch.optim.AdamW(network.parameters(), lr=RATE, weight_decay=1e-3)
     schedule = torch.optim.lr_scheduler.OneCycleLR(optimiser, RATE, total_steps=max(steps, 2))
     for _ in range(steps):
         dv, touched = material.draw(batch, rng)
-        x = torch.from_numpy(((logarithms(dv) - mean) @ whitening).astype(np.float32))
+        x = torch.from_numpy(((_logarithms(dv, rows) - mean) @ whitening).astype(np.float32))
         loss = nn.functional.binary_cross_entropy_with_logits(network(x)[:, 0], torch.from_numpy(touched))
         optimiser.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
@@ -177,24 +188,60 @@ def _trained(
         schedule.step()
     weights = [layer.weight.detach().numpy().T for layer in layers]
     biases = [layer.bias.detach().numpy() for layer in layers]
-    unused = np.zeros(len(rows))  # dV itself, which the runtime's features begin with: its logarithm says it all
-    first = whitening @ weights[0]
+    return _in_form(mean, whitening @ weights[0], biases[0], weights[1], biases[1], weights[2][:, 0], biases[2][0])
+
+
+def _matched(
+    material: Material,
+    rows: npt.NDArray[np.intp],
+    rate: float,
+    bends: Bends,
+    data: TrainingData,
+    rng: np.random.Generator,
+) -> Arrays:
+    """Return the arrays of a gate of matched filters but for its threshold, which is next to 0."""
+    untouched = _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows)
+    mean, whitening = _whitening(untouched, without_common(len(rows)))
+    bank = filters.bank(filters.patterns(material.touches[:, rows], len(bends.touches), rng) @ whitening, rng)
+
+    def ratios(dv: Array) -> Array:
+        return filters.ratios((_logarithms(dv, rows) - mean) @ whitening, bank)
+
+    limit = threshold_at(rate, ratios, bends.choose, data.reference, rng, data.skin, bends.devices)
+    first, second, bias = filters.layers(whitening, bank, limit)
+    return _in_form(mean, first, np.zeros(first.shape[1]), second, bias, np.ones(len(bank)), 0.0)
+
+
+def _logarithms(dv: Array, rows: npt.NDArray[np.intp]) -> Array:
+    return np.log(np.maximum(1.0 + dv[:, rows], FLOOR))
+
+
+def _in_form(mean: Array, w1: Array, b1: Array, w2: Array, b2: Array, w3: Array, b3: float) -> Arrays:
+    """Return the arrays of a network on logarithms, (r, h) first, with their mean."""
+    unused = np.zeros(len(mean))  # dV itself, which the runtime's features begin with: its logarithm says it all
     arrays = {
         "floor": np.asarray(FLOOR),
         "mean": np.concatenate([unused, mean]),
-        "scale": np.ones(2 * len(rows)),
-        "w1": np.concatenate([np.zeros_like(first), first]),
-        "b1": biases[0],
-        "w2": weights[1],
-        "b2": biases[1],
-        "w3": weights[2][:, 0],
-        "b3": biases[2][0],
+        "scale": np.ones(2 * len(mean)),
+        "w1": np.concatenate([np.zeros_like(w1), w1]),
+        "b1": b1,
+        "w2": w2,
+        "b2": b2,
+        "w3": w3,
+        "b3": b3,
     }
     return {name: np.asarray(value, dtype=np.float32) for name, value in arrays.items()}
 
 
-def _whitening(logarithms: Array) -> tuple[Array, Array]:
-    """Return the (r,) mean and the (r, r) matrix that gives logarithms of untouched sheets unit covariance."""
-    values, directions = np.linalg.eigh(np.cov(logarithms.T))
+def _whitening(logarithms: Array, directions: Array | None = None) -> tuple[Array, Array]:
+    """Return the (r,) mean and the (r, k) matrix that gives logarithms of untouched sheets unit covariance.
+
+    Args:
+        logarithms: (n, r).
+        directions: (r, k) orthonormal ones, outside which nothing is looked at; None looks at all.
+    """
+    seen = logarithms if directions is None else logarithms @ directions
+    values, own = np.linalg.eigh(np.cov(seen.T))
     # Without the addend a direction in which no noise reaches would be blown up; 1e-4 in log V is below any mesh's.
-    return logarithms.mean(axis=0), directions / np.sqrt(values + 1e-8)
+    whitening = own / np.sqrt(values + 1e-8)
+    return logarithms.mean(axis=0), whitening if directions is None else directions @ whitening

@@ -3,7 +3,7 @@
 A drawn bend is a solved one, or lies between two of them or between one and flat: the voltages of a partial bend are
 close to a mean of logarithms. A drawn touch is put on it by adding its own logarithm log(V touched / V untouched),
 which hardly depends on the bend; weak touches are drawn most. Bend and touch are each shown in any of the skin's mirror
-images, since the image of a sheet is a sheet.
+images, since the image of a sheet is a sheet. Where devices drift, each frame has a common factor of its own besides.
 """
 
 from dataclasses import dataclass
@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.devices.draws import draw_drift
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.network.mirror import mirrors
@@ -53,6 +54,7 @@ class Material:
         touches: (t, 104) log(V touched / V untouched).
         upto: (t,) ascending chances that a drawn touch is this one or one before it.
         images: (i, 104) rows of the skin's mirror images.
+        devices: By whose law every frame drifts; None of the nominal device, which does not.
     """
 
     reference: Array
@@ -60,6 +62,7 @@ class Material:
     touches: Array
     upto: Array
     images: npt.NDArray[np.intp]
+    devices: Skin | None = None
 
     @classmethod
     def of(cls, data: TrainingData, bends: Bends, rng: np.random.Generator) -> "Material":
@@ -67,6 +70,8 @@ class Material:
         rows = data.train[data.labels[data.touch_set[data.train]].any(axis=1)]
         rows = rng.permutation(rows)[:MOST_TOUCHES]
         ratio = data.voltages[rows] / data.untouched[data.deformation[rows]]
+        if data.drift is not None:
+            ratio = ratio / data.drift[rows, None]
         usable = ((ratio > 1e-4) & (ratio < 1e4)).all(axis=1)
         touches = np.concatenate([np.log(ratio[usable]), bends.touches])
         strength = np.abs(touches).mean(axis=1)
@@ -75,7 +80,8 @@ class Material:
         own = np.arange(len(touches)) >= usable.sum()
         if own.any() and not own.all():
             weights[own] *= weights[~own].sum() / weights[own].sum()
-        return cls(data.reference, bends.train, touches, np.cumsum(weights) / weights.sum(), images_of(data.skin))
+        upto = np.cumsum(weights) / weights.sum()
+        return cls(data.reference, bends.train, touches, upto, images_of(data.skin), bends.devices)
 
     def draw(self, count: int, rng: np.random.Generator, touched: float = 0.5) -> tuple[Array, npt.NDArray[np.float32]]:
         """Return (count, 104) noisy dV and (count,) 1 where touched.
@@ -86,11 +92,15 @@ class Material:
             touched: Share of touched ones.
         """
         first = round(count * touched)
-        logs = self._bends(count, rng)
+        logs = self.untouched(count, rng)
         chosen = np.minimum(np.searchsorted(self.upto, rng.random(first)), len(self.touches) - 1)
         logs[:first] += self._image(self.touches[chosen], rng)
         labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
         return noisy_change(logs, self.reference, rng), labels
+
+    def untouched(self, count: int, rng: np.random.Generator) -> Array:
+        """Return (count, 104) log(V / V0) of untouched sheets, free of noise."""
+        return drifted(self._bends(count, rng), self.devices, rng)
 
     def _bends(self, count: int, rng: np.random.Generator) -> Array:
         one, other = self.bends[rng.integers(len(self.bends), size=(2, count))]
@@ -102,20 +112,28 @@ class Material:
         return np.take_along_axis(logs, self.images[rng.integers(len(self.images), size=len(logs))], axis=1)
 
 
-def noisy_change(logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None) -> Array:
-    """Return (n, 104) dV of (n, 104) log(V / V0) with noise at 50 dB.
+def drifted(logs: Array, devices: Skin | None, rng: np.random.Generator) -> Array:
+    """Return (n, 104) log(V / V0) with a common factor drawn for each; as they are where nothing drifts."""
+    return logs if devices is None else logs + np.log(draw_drift(devices, len(logs), rng))[:, None]
+
+
+def noisy_change(
+    logs: Array, reference: Array, rng: np.random.Generator, kind: Kind | None = None, snr_db: float = SNR_DB
+) -> Array:
+    """Return (n, 104) dV of (n, 104) log(V / V0) with noise.
 
     Args:
         logs: Free of noise.
         reference: (104,) V0.
         rng: Source of the noise.
         kind: Of noise; any of the three for each frame by default.
+        snr_db: Of the noise.
     """
     voltages = reference * np.exp(logs)
     if kind is not None:
-        return relative_change(add_noise(voltages, reference, kind, SNR_DB, rng), reference)
+        return relative_change(add_noise(voltages, reference, kind, snr_db, rng), reference)
     which = rng.integers(len(NOISES), size=len(voltages))
     noisy = np.empty_like(voltages)
     for index, name in enumerate(NOISES):
-        noisy[which == index] = add_noise(voltages[which == index], reference, name, SNR_DB, rng)
+        noisy[which == index] = add_noise(voltages[which == index], reference, name, snr_db, rng)
     return relative_change(noisy, reference)

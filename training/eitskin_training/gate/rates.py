@@ -11,8 +11,10 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.skin.skin import Skin
-from eitskin_training.gate.material import NOISES, images_of, noisy_change
+from eitskin_training.gate.material import NOISES, drifted, images_of, noisy_change
+from eitskin_training.gate.observer import FRAMES, SNR_DB
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData, pixels_per_unit
 
@@ -22,13 +24,24 @@ SMALL_TOUCH_PIXELS: Final = 12.0
 DRAWS: Final = 16
 """Noise draws of a bend over all its mirror images, for each noise."""
 
+DRIFT: Final = 0.01
+"""Standard deviation of the common log factor of presses that are to be found: that of a hundred presses."""
+
+DEVICES: Final = 400
+"""Presses on random devices."""
+
 Array = npt.NDArray[np.float64]
 Judge = Callable[[Array], Array]
 """(n, 104) dV -> (n,) logits."""
 
 
 def untouched_logits(
-    judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, skin: Skin
+    judge: Judge,
+    logs: Array,
+    reference: Array,
+    rng: np.random.Generator,
+    skin: Skin,
+    devices: Skin | None = None,
 ) -> dict[str, Array]:
     """Return by noise the (bends, draws) logits of untouched sheets, shown in each of their mirror images.
 
@@ -38,18 +51,25 @@ def untouched_logits(
         reference: (104,) V0.
         rng: Source of the noise.
         skin: Whose images.
+        devices: By whose law every frame drifts; None where nothing does.
     """
     images = images_of(skin)
     shown = np.concatenate([logs[:, rows][:, None] for rows in images], axis=1).repeat(DRAWS // len(images), axis=1)
-    flat = shown.reshape(-1, logs.shape[1])
+    flat = drifted(shown.reshape(-1, logs.shape[1]), devices, rng)
     return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
 
 
 def threshold_at(
-    rate: float, judge: Judge, logs: Array, reference: Array, rng: np.random.Generator, skin: Skin
+    rate: float,
+    judge: Judge,
+    logs: Array,
+    reference: Array,
+    rng: np.random.Generator,
+    skin: Skin,
+    devices: Skin | None = None,
 ) -> float:
     """Return the logit above which a share ``rate`` of untouched frames lies, over bends, images and noises."""
-    found = untouched_logits(judge, logs, reference, rng, skin)
+    found = untouched_logits(judge, logs, reference, rng, skin, devices)
     return float(np.quantile(np.concatenate([logits.ravel() for logits in found.values()]), 1.0 - rate))
 
 
@@ -70,7 +90,7 @@ def measured(
     judge: Judge, threshold: float, data: TrainingData, bends: Bends, rng: np.random.Generator
 ) -> dict[str, Any]:
     """Return what a gate's manifest entry states."""
-    found = untouched_logits(judge, bends.measure, data.reference, rng, data.skin)
+    found = untouched_logits(judge, bends.measure, data.reference, rng, data.skin, bends.devices)
     tripped = {kind: (logits > threshold).mean(axis=1) for kind, logits in found.items()}
     rate, interval = rate_and_interval(np.mean(list(tripped.values()), axis=0))
     missed, small = _missed_samples(judge, threshold, data, rng)
@@ -83,6 +103,31 @@ def measured(
         "missed_small_rate": small,
         "missed_by_touch": missed_probes(judge, threshold, bends, data.reference, rng),
     }
+
+
+def found_presses(
+    judge: Judge, threshold: float, bends: Bends, data: TrainingData, rng: np.random.Generator, draws: int = 10
+) -> dict[str, dict[str, dict[str, float]]]:
+    """Return by touch and bends the share that the first, and any of ``FRAMES`` frames with noise of their own, finds.
+
+    Noise is N2 of ``SNR_DB``, and all voltages have drifted by ``DRIFT`` since the reference, the same in all frames of
+    one press. Bends are those of a family, of the nominal device, or "devices": the sheets that measure false alarms.
+    """
+    found: dict[str, dict[str, dict[str, float]]] = {}
+    for name in dict.fromkeys(probe.name for probe in bends.probes):
+        own = [probe for probe in bends.probes if probe.name == name]
+        members = {probe.family: probe.logs for probe in own}
+        if bends.devices is not None:
+            alone = np.concatenate([probe.logs - probe.before for probe in own])
+            some = bends.measure[rng.integers(len(bends.measure), size=DEVICES)]
+            members["devices"] = some + alone[rng.integers(len(alone), size=DEVICES)]
+        found[name] = {}
+        for family, logs in members.items():
+            still = np.repeat(logs, draws, axis=0)
+            still = np.repeat(still + DRIFT * rng.standard_normal((len(still), 1)), FRAMES, axis=0)
+            seen = judge(noisy_change(still, data.reference, rng, "N2", SNR_DB)).reshape(-1, FRAMES) > threshold
+            found[name][family] = {"1": float(seen[:, 0].mean()), f"{FRAMES}": float(seen.any(axis=1).mean())}
+    return found
 
 
 def missed_probes(
@@ -106,7 +151,6 @@ def _missed_samples(
     labels = data.labels[data.touch_set[rows]].astype(np.float64)
     pixels = labels.sum(axis=1) / 255.0 if data.labels_kind == "area" else labels @ pixels_per_unit(data.skin.grid)
     rows, pixels = rows[pixels > 0], pixels[pixels > 0]
-    ratio = np.maximum(data.voltages[rows] / data.reference, 1e-6)
-    missed = judge(noisy_change(np.log(ratio), data.reference, rng)) <= threshold
+    missed = judge(noisy_change(log_of_ratio(data.voltages[rows], data.reference), data.reference, rng)) <= threshold
     small = pixels <= SMALL_TOUCH_PIXELS
     return float(missed.mean()), float(missed[small].mean()) if small.any() else None

@@ -21,7 +21,7 @@ from eitskin_proto.files.reading import FileError, parse_json
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training.gate import fit, untouched
+from eitskin_training.gate import fit, observer, untouched
 from eitskin_training.gate.fit import Arrays, Gate
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
@@ -31,7 +31,7 @@ NAME: Final = "gate.npz"
 LARGEST_FILE: Final = 256 << 20
 """Bytes of a stored gate with its sheets."""
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Raised whenever a gate that is fitted anew would be another one."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
@@ -98,6 +98,8 @@ def gate_of_run(
     sheets = (bends or untouched.solved_bends)(data)
     tell("gate: fitting")
     gate = fit.fit(data, sheets, seed=seed, steps=fit.STEPS if steps is None else steps)
+    if "ideal_observer" in gate.measures:
+        tell(f"gate: {observer.line(gate.measures['ideal_observer'])}")
     found = RunGate(gate, Bends(sheets.train, sheets.choose, sheets.measure))
     try:
         _write(folder / NAME, found, expected)

@@ -6,10 +6,12 @@ draws one to four dents of any place, height and width besides. Only log(V / V0)
 the mesh's own error is the same in both and cancels. Rates are measured on draws of A and of B that nothing learned
 from.
 
-A touch is kept as log(V touched / V untouched), which hardly depends on the bend, and so can be put on any of them.
+Where a data set is of random devices, untouched moments are those of random devices of its skin
+(:mod:`eitskin_training.gate.moments`): what learns, what chooses a threshold and what measures have neither bend nor
+device in common. What chooses and what measures is drawn from A and B alone.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
 from typing import Final
@@ -17,17 +19,18 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.row_gaussian import log_of_ratio
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
-from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene import bend as surfaces
-from eitskin_sim.scene.family import FLAT, SCALED, bounds, draw, scaled
+from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.scene.parts import Bend
-from eitskin_sim.scene.touch_table import DISC, RECTANGLE, TouchTable, gather
+from eitskin_training.gate.moments import drawn_moments, moments
+from eitskin_training.gate.touches import PROBE_SEED, Probe, probes, small_touches
+from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.samples.batches import TrainingData
 
 COARSE_MM: Final = 4.5
@@ -35,37 +38,18 @@ COARSE_MM: Final = 4.5
 
 TRAIN_SEED: Final = 701
 HELD_OUT_SEED: Final = 702
-PROBE_SEED: Final = 703
-TOUCH_SEED: Final = 704
+CHOICE_SEED: Final = 705
 """Sequences that no data set uses."""
 
-DENTED: Final = 0.7
-MOST_DENTS: Final = 4
-DENT_MM: Final = 7.5
-DENT_SIGMA_MM: Final = (10.0, 30.0)
-"""Share of the wider family that has dents, how many at most, their greatest height and their width."""
+LEARNED_DEVICES: Final = 2000
+CHOOSING_DEVICES: Final = 300
+EACH: Final = 8
+"""Random devices that are learned from and that choose a threshold, and the moments of each."""
 
 KEPT: Final = 4
 """Results that are kept while the process runs, of each kind: of a few skins."""
 
 Array = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True, slots=True)
-class Probe:
-    """Touches at bends that nothing learned from.
-
-    Args:
-        name: What touches: "10 mm, middle".
-        family: "flat", "A" or "B".
-        logs: (n, 104) log(V / V0).
-        before: (n, 104) the same of each one's sheet before it was touched.
-    """
-
-    name: str
-    family: str
-    logs: Array
-    before: Array
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,6 +62,8 @@ class Bends:
         measure: (m, 104) that measure what it does.
         touches: (t, 104) log(V touched / V untouched) of small touches, to learn from.
         probes: Touches that measure what is missed.
+        devices: What devices, and the common factor of every frame, are drawn from; None of the nominal device, which
+            does not drift.
     """
 
     train: Array
@@ -85,14 +71,16 @@ class Bends:
     measure: Array
     touches: Array = field(default_factory=lambda: np.empty((0, N_ROWS)))
     probes: tuple[Probe, ...] = ()
+    devices: Skin | None = None
 
 
 def bends_of(data: TrainingData) -> Bends:
     """Return the bends of a data set alone: trained ones teach, held-out ones choose and measure in turn."""
-    logs = np.log(data.untouched / data.reference)
+    logs = log_of_ratio(data.untouched, data.reference)
     held_out = np.concatenate(list(data.held_out.values())) if data.held_out else np.array([], dtype=np.intp)
     apart = np.unique(data.deformation[held_out])
-    return Bends(logs[np.unique(data.deformation[data.train])], logs[apart[::2]], logs[apart[1::2]])
+    train = logs[np.unique(data.deformation[data.train])]
+    return Bends(train, logs[apart[::2]], logs[apart[1::2]], devices=None if data.drift is None else data.skin)
 
 
 def solved_bends(
@@ -102,17 +90,17 @@ def solved_bends(
 
     Args:
         data: The data set; its bends kept apart are left to other measurements.
-        train: Bends of the wider family to solve for learning.
-        held_out: Bends to solve of A, and as many of B, half of which choose and half measure.
+        train: Bends of the wider family to solve for learning; half as many for random devices.
+        held_out: Bends to solve of A, and as many of B, half of which choose and half measure; of devices, all measure.
         touched_bends: Bends at which small touches are solved for learning.
         probed_bends: Bends of A, and as many of B, at which touches measure what is missed.
     """
-    found = solved(train, held_out, data.skin)
+    found = solved(train, held_out, data.skin) if data.drift is None else devices(train // 2, held_out, data.skin)
     return replace(
         found,
         train=np.concatenate([bends_of(data).train, found.train]),
-        touches=small_touches(touched_bends, data.skin),
-        probes=probes(probed_bends, PROBE_SEED, data.skin),
+        touches=small_touches(touched_bends, data.skin, kind=data.touch_kind),
+        probes=probes(probed_bends, PROBE_SEED, data.skin, data.touch_kind),
     )
 
 
@@ -124,6 +112,27 @@ def solved(train: int, held_out: int, skin: Skin) -> Bends:
         untouched_logs(wide_bends(train, TRAIN_SEED, skin), skin),
         np.concatenate([logs[::2] for logs in apart]),
         np.concatenate([logs[1::2] for logs in apart]),
+    )
+
+
+@lru_cache(maxsize=KEPT)
+def devices(train: int, held_out: int, skin: Skin) -> Bends:
+    """Return untouched moments of random devices alone.
+
+    Args:
+        train: Bends of the wider family to learn from, each with many devices.
+        held_out: Bends of A, and as many of B, that measure: solved, two of a device. A third as many choose.
+        skin: What devices are drawn from.
+    """
+    apart = [
+        (draw("A", held_out, seed, skin), draw("B", held_out, seed, skin)) for seed in (CHOICE_SEED, HELD_OUT_SEED)
+    ]
+    choose = [bend for family in apart[0] for bend in family[: held_out // 3]]
+    return Bends(
+        drawn_moments(wide_bends(train, TRAIN_SEED, skin), skin, TRAIN_SEED, LEARNED_DEVICES, EACH),
+        drawn_moments(choose, skin, CHOICE_SEED, CHOOSING_DEVICES, EACH),
+        np.concatenate([moments(family, skin, HELD_OUT_SEED + n) for n, family in enumerate(apart[1], start=10)]),
+        devices=skin,
     )
 
 
@@ -139,117 +148,4 @@ def untouched_logs(bends: Iterable[Bend], skin: Skin) -> Array:
         return assemble(mesh, sheet, electrodes, metric).factorise().voltages()
 
     flat = voltages(None)
-    return np.log(np.array([voltages(bend) for bend in bends]).reshape(-1, N_ROWS) / flat)
-
-
-def wide_bends(count: int, seed: int, skin: Skin) -> list[Bend]:
-    """Return bends of the wider family. Some fold through themselves, which changes no voltage and is let pass."""
-    rng = np.random.default_rng([seed, 0x71DE])
-    found = []
-    for _ in range(count):
-        bend = Bend(**{name: float(rng.uniform(*one)) for name, one in bounds(skin.deformations).items()})  # type: ignore[arg-type]
-        if rng.random() < DENTED:
-            bend = replace(bend, bumps_mm=tuple(_dent(rng, skin) for _ in range(int(rng.integers(1, MOST_DENTS + 1)))))
-        kind, amplitude = rng.random(2)
-        found.append(Bend() if kind < FLAT else scaled(bend, float(amplitude)) if kind < FLAT + SCALED else bend)
-    return found
-
-
-def _dent(rng: np.random.Generator, skin: Skin) -> tuple[float, float, float, float]:
-    length, width = skin.outline.size_mm
-    x, y = rng.uniform((5.0, 5.0), (length - 5.0, width - 5.0))
-    return float(x), float(y), float(rng.uniform(-DENT_MM, DENT_MM)), float(rng.uniform(*DENT_SIGMA_MM))
-
-
-@lru_cache(maxsize=KEPT)
-def small_touches(bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEED) -> Array:
-    """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends."""
-    rng = np.random.default_rng(seed)
-    members = [Bend(), *wide_bends(bends - 1, seed, skin)]
-    return np.concatenate([touch_logs(bend, _drawn_touches(each, rng, skin), skin) for bend in members])
-
-
-def touch_logs(bend: Bend, sets: Sequence[Array], skin: Skin) -> Array:
-    """Return (n, 104) log(V touched / V untouched) of touch sets at a bend, each given by its (p, 7) pieces."""
-    sheet = _inverted(bend, skin)
-    ratio = _touched_V(sheet, gather(sets), skin) / sheet.untouched_V
-    return np.asarray(np.log(ratio[(ratio > 0).all(axis=1)]))
-
-
-def _inverted(bend: Bend, skin: Skin) -> InvertedSheet:
-    return inverted_sheet(bend, skin=skin)
-
-
-def _touched_V(sheet: InvertedSheet, table: TouchTable, skin: Skin) -> Array:
-    """Return (s, 104) V of touch sets on a sheet."""
-    return np.asarray(set_voltages([sheet], table, skin=skin)[0])
-
-
-def _contrast(rng: np.random.Generator, skin: Skin) -> float:
-    """Return the conductivity inside a random touch over the sheet's, of those that touch this skin."""
-    touches = skin.touches
-    ranges = [touches.raising_contrast] * touches.higher + [touches.lowering_contrast] * touches.lower
-    one = ranges[0] if len(ranges) == 1 else ranges[int(rng.integers(len(ranges)))]
-    return float(np.exp(rng.uniform(*np.log(one))))
-
-
-def weakest_contrast(skin: Skin) -> float:
-    """Return the contrast of the weakest touch that is drawn."""
-    touches = skin.touches
-    return touches.raising_contrast[0] if touches.higher else touches.lowering_contrast[1]
-
-
-def _drawn_touches(count: int, rng: np.random.Generator, skin: Skin) -> list[Array]:
-    sets = []
-    length, width = skin.outline.size_mm
-    for _ in range(count):
-        size = float(rng.uniform(5.0, 12.0))
-        x, y = rng.uniform((size / 2, size / 2), (length - size / 2, width - size / 2))
-        contrast = _contrast(rng, skin)
-        if rng.random() < 0.4:
-            sets.append(np.array([[DISC, x, y, size, size, 0.0, contrast]]))
-        else:
-            sets.append(squares([(x, y)], size, contrast)[0])
-    return sets
-
-
-def squares(centres_mm: Iterable[tuple[float, float]], side_mm: float, contrast: float) -> list[Array]:
-    """Return touch sets of one square each, as pieces."""
-    return [np.array([[RECTANGLE, x, y, side_mm, side_mm, 0.0, contrast]]) for x, y in centres_mm]
-
-
-def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
-    """Return touch sets by name, of the weakest contrast: squares in the middle of the sheet, and anywhere on it."""
-    rng = np.random.default_rng(seed)
-    length, width = skin.outline.size_mm
-    contrast = weakest_contrast(skin)
-    middle = [(length / 2 + dx, width / 2 + dy) for dx in (-15.0, 0.0, 15.0) for dy in (-10.0, 0.0, 10.0)]
-    found = {}
-    for side in (10.0, 7.0, 5.0):
-        anywhere = [
-            (float(x), float(y))
-            for x, y in rng.uniform((side / 2, side / 2), (length - side / 2, width - side / 2), (each, 2))
-        ]
-        found[f"{side:g} mm, middle"] = squares(middle, side, contrast)
-        found[f"{side:g} mm, anywhere"] = squares(anywhere, side, contrast)
-    return found
-
-
-@lru_cache(maxsize=KEPT)
-def probes(bends: int, seed: int, skin: Skin) -> tuple[Probe, ...]:
-    """Return touches at the flat sheet, at ``bends`` bends of A and at as many of B."""
-    sets = probe_sets(seed, skin)
-    table = gather([pieces for group in sets.values() for pieces in group])
-    ends = np.cumsum([len(group) for group in sets.values()])
-    flat_V = _inverted(Bend(), skin).untouched_V
-    families = {"flat": (Bend(),), "A": draw("A", bends, seed, skin), "B": draw("B", bends, seed, skin)}
-    found = []
-    for family, members in families.items():
-        sheets = [_inverted(bend, skin) for bend in members]
-        voltages = np.array([_touched_V(sheet, table, skin) for sheet in sheets])
-        logs = np.log(np.maximum(voltages / flat_V, 1e-6))
-        before = np.log(np.array([sheet.untouched_V for sheet in sheets]) / flat_V)
-        for name, group in zip(sets, np.split(logs, ends[:-1], axis=1), strict=True):
-            own = np.repeat(before, group.shape[1], axis=0)
-            found.append(Probe(name, family, group.reshape(-1, N_ROWS), own))
-    return tuple(found)
+    return log_of_ratio(np.array([voltages(bend) for bend in bends]).reshape(-1, N_ROWS), flat)

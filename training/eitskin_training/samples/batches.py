@@ -64,6 +64,8 @@ class TrainingData:
         seed: Seed of the data set, of the first of several.
         skin: What it was made for; a network learned from it is for this skin.
         touch_kind: Which way its touches change conductance: what a network learned from it knows.
+        drift: (N,) by which each sample's resistances had changed since the reference, of random devices of the skin;
+            None of the nominal device.
     """
 
     voltages: npt.NDArray[np.float32]
@@ -83,6 +85,7 @@ class TrainingData:
     protocol_id: str = PROTOCOL_ID
     skin: Skin = PAPER
     touch_kind: TouchKind = "raising"
+    drift: npt.NDArray[np.float32] | None = None
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
@@ -285,4 +288,5 @@ def load(directory: str) -> TrainingData:
         seed=found.seed,
         skin=found.skin,
         touch_kind=found.touch_kind,
+        drift=found.drift,
     )

@@ -8,6 +8,7 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.touch_kind import together
@@ -71,5 +72,13 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
         )
         for family in dict.fromkeys(family for one in sets for family in one.held_out)
     }
-    touch_kind = together(one.touch_kind for one in sets)
-    return replace(first, **whole, **numbered_on, held_out=held_out, digest="+".join(digests), touch_kind=touch_kind)
+    kinds: dict[str, Any] = {"touch_kind": together(one.touch_kind for one in sets), "drift": _drift(sets)}
+    return replace(first, **whole, **numbered_on, **kinds, held_out=held_out, digest="+".join(digests))
+
+
+def _drift(sets: Sequence[TrainingData]) -> npt.NDArray[np.float32] | None:
+    """Return the drift of every sample; None where none has any."""
+    if all(one.drift is None for one in sets):
+        return None
+    still = (np.ones(len(one.voltages), dtype=np.float32) if one.drift is None else one.drift for one in sets)
+    return np.concatenate(list(still))

@@ -24,6 +24,12 @@ MEANWHILE: Final = 64
 MANY: Final = 65536
 """What counts as no limit."""
 
+MOST_CAME: Final = 64 * 2**20
+"""Bytes that may wait at one connection: more than Linux keeps for any, unless its owner raised that."""
+
+_NOWHERE: Final = bytearray(2**17)
+"""Where what nobody wants is read to."""
+
 Connection = tuple[int, int]
 """A connection as long as it lives: its descriptor and its inode. A number that is used again has another inode."""
 
@@ -40,8 +46,9 @@ def connection_at(descriptor: int) -> Connection | None:
 def end(connection: Connection) -> None:
     """End a connection, if it still lives: libzmq finds it ended by the other side and cleans up.
 
-    It is not reset: who sends without end, and finds the window shut, may wait a minute for it to open, and cannot come
-    again at once.
+    What came from it and was not read yet is thrown away: libzmq would still read all of it, megabytes of a flood over
+    TCP. It is not reset: who sends without end, and finds the window shut, may wait a minute for it to open, and cannot
+    come again at once.
     """
     try:
         copy = socket.socket(fileno=os.dup(connection[0]))
@@ -51,8 +58,16 @@ def end(connection: Connection) -> None:
         if os.fstat(copy.fileno()).st_ino == connection[1]:  # of the copy: what lies there may change at any time
             try:
                 copy.shutdown(socket.SHUT_RDWR)
+                _throw_away(copy)
             except OSError:
-                return  # the other side was faster
+                return  # the other side was faster, or nothing is left
+
+
+def _throw_away(ended: socket.socket) -> None:
+    """Read what came by a connection from which no more can come; raises OSError once nothing is left."""
+    for _ in range(MOST_CAME // len(_NOWHERE)):
+        if not ended.recv_into(_NOWHERE, 0, socket.MSG_DONTWAIT | socket.MSG_TRUNC):  # TCP does not even copy it
+            return
 
 
 def limit() -> int:

@@ -95,7 +95,8 @@ def _logs(bends: int, probed: int) -> dict[str, Array]:
     from eitskin_sim.scene.family import draw
     from eitskin_sim.scene.parts import Bend
     from eitskin_tools.bench.skip.scenes import SEED, still
-    from eitskin_training.gate.untouched import probes, squares, touch_logs, untouched_logs
+    from eitskin_training.gate.touches import probes, squares, touch_logs
+    from eitskin_training.gate.untouched import untouched_logs
 
     found = {UNTOUCHED: np.concatenate([still("A", bends), still("B", bends)])}
     solved = probes(probed, SEED, PAPER_SKIN)

@@ -93,7 +93,7 @@ class Material:
         from eitskin_sim.freeform.sheet import inverted_sheet
         from eitskin_sim.freeform.voltages import set_voltages
         from eitskin_sim.scene.touch_table import gather
-        from eitskin_training.gate.untouched import squares
+        from eitskin_training.gate.touches import squares
 
         sheet = inverted_sheet(bends_of("flat", 1)[0])
         reference_V = sheet.untouched_V

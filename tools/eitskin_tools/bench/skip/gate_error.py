@@ -70,7 +70,8 @@ def _false_alarms(
 def _missed(judge: Judge, threshold: float, reference: Array, few: int, rng: np.random.Generator) -> dict[str, Any]:
     from eitskin_tools.bench.skip.scenes import SEED
     from eitskin_training.gate.rates import missed_probes
-    from eitskin_training.gate.untouched import Bends, probes
+    from eitskin_training.gate.touches import probes
+    from eitskin_training.gate.untouched import Bends
 
     solved = probes(few, SEED, PAPER)
     empty = np.empty((0, len(reference)))

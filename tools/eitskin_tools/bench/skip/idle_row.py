@@ -71,7 +71,7 @@ def _table(reference: Array, rng: np.random.Generator) -> list[dict[str, Any]]:
     from eitskin_tools.bench.skip.scenes import SEED, still
     from eitskin_training.gate.idle import covariance_of, idle_table
     from eitskin_training.gate.material import images_of, noisy_change
-    from eitskin_training.gate.untouched import probes
+    from eitskin_training.gate.touches import probes
 
     logs = np.concatenate([still(family, BENDS) for family in ("A", "B")])
     logs = np.repeat(np.concatenate([logs[:, image] for image in images_of(PAPER)]), 6, axis=0)

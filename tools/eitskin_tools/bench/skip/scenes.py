@@ -82,7 +82,7 @@ def growing(family: str, count: int, side_mm: float) -> tuple[Motion, ...]:
     from eitskin_sim.freeform.sheet import inverted_sheet
     from eitskin_sim.freeform.voltages import set_voltages
     from eitskin_sim.scene.touch_table import gather
-    from eitskin_training.gate.untouched import squares
+    from eitskin_training.gate.touches import squares
 
     contrasts = contrasts_of_growth()
     sets = gather([squares([(75.0, 50.0)], side_mm, float(contrast))[0] for contrast in contrasts[1:]])

@@ -75,12 +75,16 @@ def _report_gate(result: dict[str, Any], *, as_json: bool) -> int:
 
 
 def _gate_line(gate: dict[str, Any]) -> str:
-    """Return what a gate is worth, in a line."""
+    """Return what a gate is worth, in a line, and in one for each of the presses that it was tried on."""
     low, high = (100 * value for value in gate["false_alarm_interval_95"])
-    return (
+    found = (
         f"gate: {100 * gate['false_alarm_rate']:.2f} % false alarms ({low:.2f} to {high:.2f} %) on "
         f"{gate['held_out_bends']} bends never seen, {100 * gate['missed_rate']:.2f} % of touches missed"
     )
+    for name, families in gate.get("found_presses", {}).items():
+        shares = ", ".join(f"{100 * frames['5']:.0f} % ({family})" for family, frames in families.items())
+        found += f"\ngate: {name}, found within 5 frames: {shares}"
+    return found
 
 
 def _tell(text: str) -> None:

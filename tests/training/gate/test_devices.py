@@ -1,0 +1,250 @@
+"""The gate of random devices: what it takes for untouched, that no drift trips it, and what an observer could see."""
+
+from dataclasses import replace
+from statistics import NormalDist
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.row_gaussian import RATIO_RANGE, log_of_change, log_of_ratio
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.draws import draw_device, draw_moment
+from eitskin_sim.devices.readings import readings
+from eitskin_sim.fem.solve import factorise_scene, solve_scene
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend, Scene, Touch
+from eitskin_sim.scene.shapes import Disc
+from eitskin_training.gate import filters, fit, material, moments, observer, presses, rates, untouched
+from eitskin_training.gate.touches import Probe
+from eitskin_training.gate.untouched import Bends, bends_of
+from eitskin_training.gate.wide_bends import wide_bends
+from eitskin_training.row_statistics import unpredicted
+from eitskin_training.samples.batches import TrainingData
+
+pytestmark = pytest.mark.heavy
+
+LAB = named("lab")
+FLAT = replace(LAB, may_be_off=replace(LAB.may_be_off, reference_stretch=Quantity(0.0), late_rms=(0.0, 0.0)))
+"""Its references are taken of the sheet as it lies, and its layer stays as it was."""
+
+
+@pytest.fixture(scope="module")
+def data(toy_data: Any) -> TrainingData:
+    made: TrainingData = toy_data("area", bends=12, samples=2400)
+    return replace(made, skin=LAB, touch_kind="lowering", drift=np.ones(len(made.voltages), dtype=np.float32))
+
+
+@pytest.fixture(scope="module")
+def bends() -> Bends:
+    """Return a toy's bends: what a common factor leaves of them is one pattern, of any strength."""
+    rng = np.random.default_rng(1)
+    logs = 0.05 * rng.standard_normal((120, 1)) * rng.standard_normal(104)
+    return Bends(logs[:40], logs[40:80], logs[80:], devices=LAB)
+
+
+@pytest.fixture(scope="module")
+def fitted(data: TrainingData, bends: Bends) -> fit.Gate:
+    return fit.fit(data, bends, steps=200, batch=256)
+
+
+def test_devices_of_a_skin_without_doubts_move_as_the_nominal_bends_do() -> None:
+    members = draw("A", 2, 5)
+    np.testing.assert_allclose(moments.moments(members, PAPER, 3), untouched.untouched_logs(members, PAPER), atol=1e-9)
+    drawn = moments.drawn_moments(members[:1], PAPER, 3, 1, each=2)
+    np.testing.assert_allclose(drawn, untouched.untouched_logs(members[:1] * 2, PAPER), atol=1e-6)
+
+
+def test_a_device_is_compared_with_its_own_reference() -> None:
+    """A device of uneven layer and other electrodes, flat and just referenced, has changed by nothing."""
+    np.testing.assert_allclose(moments.moments([Bend()], FLAT, 4), 0.0, atol=1e-12)
+    assert 1e-4 < np.abs(moments.moments([Bend()], LAB, 4)).mean() < 0.2
+
+
+def test_a_drawn_device_is_nearly_one_that_is_solved() -> None:
+    """What sets it apart from the nominal device is met to a twentieth, and to less than noise of 52 dB in a row."""
+    skin, bend = named("hydrogel"), draw("A", 2, 5)[1]
+    rng = np.random.default_rng(3)
+    sheets, flat = moments.Sheets.solved([bend], skin, rng), moments.References.solved(skin)
+    drawn, late = draw_device(skin, rng), draw_moment(skin, rng).late
+    own = replace(drawn.device.sheet, gauge_factor=float(sheets.gauges[0]))
+    drawn = replace(
+        drawn, device=replace(drawn.device, sheet=own), scale=(float(sheets.scales[0, 0]), float(sheets.scales[0, 1]))
+    )
+    now, before = moments.about(sheets, flat, drawn, np.array([0]), [late], np.zeros(1))
+    found = log_of_ratio(readings(drawn.device, now[0]), readings(drawn.device, before[0]))
+
+    def solved(device: Any, at: Bend) -> Any:
+        scene = Scene(device.sheet, device.electrodes, bend=at, element_size_mm=moments.COARSE_MM)
+        return readings(device, factorise_scene(scene).differences())
+
+    wanted = log_of_ratio(
+        solved(drawn.device.since(late), drawn.bent(bend)), solved(drawn.device, drawn.reference_bend)
+    )
+    usual = untouched.untouched_logs([bend], skin)[0]
+    off, own_share = ((logs - logs.mean()) for logs in (found - wanted, wanted - usual))
+    assert np.linalg.norm(off) < np.linalg.norm(own_share) / 20
+    assert np.median(np.abs(off)) < 0.3 * 10 ** (-52 / 20)
+
+
+def test_devices_that_learn_choose_and_measure_are_others(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("LEARNED_DEVICES", "CHOOSING_DEVICES"):
+        monkeypatch.setattr(untouched, name, 2)
+    found = untouched.devices(2, 3, named("hydrogel"))
+    assert (found.devices, len(found.train), len(found.choose), len(found.measure)) == (named("hydrogel"), 16, 16, 6)
+    every = np.concatenate([found.train, found.choose, found.measure])
+    assert len(np.unique(every.round(9), axis=0)) == len(every)
+
+
+def test_a_row_whose_sign_turns_is_held_at_the_floor(data: TrainingData) -> None:
+    wild = replace(LAB, front_end=replace(LAB.front_end, offset_V=Quantity(0.0, "normal", 0.05)))
+    logs = moments.moments(wide_bends(3, 1, wild), wild, 1)
+    assert np.isfinite(logs).all()
+    assert logs.min() >= np.log(RATIO_RANGE[0])
+    readings_V = np.array([-1.0, 1e-3, 1.0, 9.0])
+    np.testing.assert_allclose(log_of_ratio(readings_V, np.ones(4)), log_of_change(readings_V - 1.0))
+    turned = data.untouched.copy()
+    turned[:, 5] *= -1.0
+    odd = replace(data, untouched=turned)
+    for logs in (bends_of(odd).train, unpredicted(odd, np.arange(3)) + odd.log_predicted[:3]):
+        np.testing.assert_allclose(logs[:, 5], np.log(RATIO_RANGE[0]))
+        assert np.isfinite(logs).all()
+
+
+@pytest.mark.parametrize("prefix", ["", "idle_"])
+def test_no_common_factor_moves_a_gate_of_devices_that_drift(fitted: fit.Gate, prefix: str) -> None:
+    rng = np.random.default_rng(0)
+    rows = len(fitted.arrays[f"{prefix}mean"]) // 2
+    logs = 0.02 * rng.standard_normal((20, rows))
+    usual = fit.logits(fitted.arrays, np.expm1(logs), prefix)
+    for drift in (-0.3, 0.01, 0.3):
+        found = fit.logits(fitted.arrays, np.expm1(logs + drift), prefix)
+        np.testing.assert_allclose(found, usual, atol=1e-3 * np.abs(usual).max())
+
+
+def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data: TrainingData, bends: Bends) -> None:
+    found = fit.fit(replace(data, drift=None), replace(bends, devices=None), steps=50, batch=128)
+    logs = np.zeros((1, 104))
+    usual, moved = (fit.logits(found.arrays, np.expm1(logs + drift)) for drift in (0.0, 0.3))
+    assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
+
+
+def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
+    """The network's output is above 0 where the largest filter is above the limit, and twice the moment is no touch."""
+    rng = np.random.default_rng(0)
+    whitening = rng.standard_normal((20, 12))
+    own = filters.bank(rng.standard_normal((300, 12)), rng)
+    assert own.shape == (filters.FILTERS, 12)
+    np.testing.assert_allclose(np.linalg.norm(own, axis=1), 1.0)
+    logs = rng.standard_normal((500, 20)) * rng.choice((0.1, 1.0, 10.0), (500, 1))
+    ratios = filters.ratios(logs @ whitening, own)
+    limit = float(np.median(ratios))
+    first, second, bias = filters.layers(whitening, own, limit)
+    out = np.maximum(np.maximum(logs @ first, 0.0) @ second + bias, 0.0).sum(axis=1)
+    np.testing.assert_array_equal(out > 1e-9, ratios > limit + 1e-9)
+    assert filters.ratios(np.full((1, 12), 1e6), own) == pytest.approx(filters.ratios(np.full((1, 12), 2e6), own), 1e-5)
+
+
+def test_patterns_are_of_small_touches_and_of_a_data_sets_and_none_is_nothing() -> None:
+    rng = np.random.default_rng(0)
+    found = filters.patterns(np.concatenate([np.ones((50, 3)), np.zeros((5, 3)), 2.0 * np.ones((40, 3))]), 40, rng)
+    assert sorted(found[:, 0]) == [1.0] * 50 + [2.0] * 40
+    assert len(filters.patterns(np.ones((9, 3)), 0, rng)) == 9
+
+
+def test_every_frame_drifts_by_its_own_factor(data: TrainingData, bends: Bends) -> None:
+    rng = np.random.default_rng(0)
+    flat = replace(bends, train=np.zeros((2, 104)))
+    drawn, _ = material.Material.of(data, flat, rng).draw(3000, rng, touched=0.0)
+    factors = np.log1p(drawn).mean(axis=1)
+    # "With one of 3 %, half of the samples are off by less than 0.5 %, and one in a hundred by 12 % or more."
+    assert 0.002 < np.median(np.abs(factors)) < 0.01
+    assert 0.005 < np.mean(np.abs(factors) > 0.1) < 0.03
+
+
+def test_a_samples_own_drift_is_no_part_of_its_touch(data: TrainingData, bends: Bends) -> None:
+    drift = np.random.default_rng(2).uniform(0.9, 1.1, len(data.voltages)).astype(np.float32)
+    moved = replace(data, drift=drift, voltages=data.voltages * drift[:, None])
+    plain, found = (material.Material.of(one, bends, np.random.default_rng(0)) for one in (data, moved))
+    np.testing.assert_allclose(found.touches, plain.touches, atol=1e-5)
+
+
+def test_presses_to_learn_from_are_faint_and_lie_on_the_sheet() -> None:
+    pieces = np.concatenate(presses.drawn_presses(200, np.random.default_rng(0), LAB))
+    strength = (1.0 - pieces[:, 6]) * np.pi / 4 * pieces[:, 3] ** 2
+    low, high = presses.STRENGTHS_MM2
+    assert low <= strength.min() < 1.3 * low
+    assert 0.8 * high < strength.max() <= high
+    assert (pieces[:, 1:3] >= pieces[:, 3:4] / 2).all()
+    assert (pieces[:, 1:3] <= np.array(LAB.outline.size_mm) - pieces[:, 3:4] / 2).all()
+    with pytest.raises(ValueError, match="cannot lose 60"):
+        presses.contrast_of(60.0, 8.0)
+
+
+def test_the_signal_of_a_press_is_that_of_a_solved_one() -> None:
+    """A tenth of the strength, in the middle of the grid of places, by central differences."""
+    strength, diameter = 5.0, 20.0
+    half = diameter / 2
+    x, y = (
+        np.linspace(half, side - half, count)
+        for side, count in zip(PAPER.outline.size_mm, observer.PLACES, strict=True)
+    )
+    signal = observer.press_signals(observer.flat_jacobian(), PAPER, strength, diameter)[4 * observer.PLACES[1] + 3]
+    less = presses.contrast_of(strength, diameter)
+    disc = (Disc(float(x[4]), float(y[3]), half),)
+    # Both are solved on one mesh, whose error is then no difference of theirs.
+    lower, higher = (
+        solve_scene(Scene(touches=(Touch(disc, contrast=contrast),), element_size_mm=moments.COARSE_MM)).voltages
+        for contrast in (less, 2.0 - less)
+    )
+    solved = np.log(lower / higher) / 2
+    assert signal @ solved / np.linalg.norm(signal) / np.linalg.norm(solved) > 0.995
+    assert np.linalg.norm(signal) / np.linalg.norm(solved) == pytest.approx(1.0, abs=0.05)
+
+
+def test_an_observer_is_as_good_as_its_closed_forms() -> None:
+    rng = np.random.default_rng(0)
+    signals = rng.standard_normal((4, 10))
+    alone = observer.detectability(signals, None, 0.5, common=False)
+    np.testing.assert_allclose(alone, np.linalg.norm(signals, axis=1) / 0.5)
+    assert observer.detectability(np.ones((1, 10)), None, 0.5) == pytest.approx(0.0, abs=1e-6)
+    # To take a factor out is the limit of not knowing it at all.
+    unknown = observer.detectability(signals, 1e8 * np.ones((10, 10)), 0.5, common=False)
+    np.testing.assert_allclose(observer.detectability(signals, None, 0.5), unknown, rtol=1e-5)
+    # A nuisance along the signal bounds d' however many frames there are.
+    along = np.outer(signals[0], signals[0])
+    assert observer.detectability(signals[:1], along, 1e-6, common=False) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_shares_found_are_those_of_drawn_frames() -> None:
+    found = observer.Bound.of(np.full(3, 3.0), 0.01).found
+    drawn = np.random.default_rng(1).standard_normal(200_000)
+    assert found == pytest.approx(float(np.mean(drawn + 3.0 > NormalDist().inv_cdf(0.99))), abs=3e-3)
+
+
+def test_frames_of_a_press_are_counted_once_it_is_found_in_any_of_them(data: TrainingData, bends: Bends) -> None:
+    logs = np.zeros((60, 104))
+    probed = replace(bends, probes=(Probe("none", "flat", logs, logs),))
+    coin = np.random.default_rng(3)
+
+    def judge(dv: np.ndarray[Any, np.dtype[np.float64]]) -> np.ndarray[Any, np.dtype[np.float64]]:
+        return coin.random(len(dv))
+
+    found = rates.found_presses(judge, 0.8, probed, data, np.random.default_rng(0), draws=15)["none"]
+    for family in ("flat", "devices"):
+        assert found[family]["1"] == pytest.approx(0.2, abs=0.06)
+        assert found[family]["5"] == pytest.approx(1.0 - 0.8**5, abs=0.07)
+
+
+def test_the_card_states_what_is_found_and_what_could_be(data: TrainingData, bends: Bends) -> None:
+    logs = 0.1 * np.random.default_rng(4).standard_normal((5, 104))
+    probed = replace(bends, probes=(Probe("press of 50 mm2", "flat", logs, 0.0 * logs),))
+    facts = fit.fit(data, probed, steps=20, batch=64).facts()
+    assert set(facts["found_presses"]["press of 50 mm2"]) == {"flat", "devices"}
+    bound = facts["ideal_observer"]["d_prime"]
+    assert bound["drift"]["5"]["median"] == pytest.approx(5**0.5 * bound["drift"]["1"]["median"], rel=0.01)
+    assert bound["drift, bend and device"]["1"]["median"] < bound["drift"]["1"]["median"]
+    assert "ideal observer of a press of 50 mm2" in observer.line(facts["ideal_observer"])
+    assert "found_presses" not in facts["idle"]

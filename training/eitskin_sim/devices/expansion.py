@@ -1,0 +1,174 @@
+"""What devices like a solved one would read, to first order: a thousand of them for the price of a solve.
+
+The differences D[k, m] of drives k and pairs m (:mod:`eitskin_sim.devices.readings`) of a nominal device at a bend are
+solved once; with the fields x of the drives at hand, the slope of D by anything that changes the system matrix by dA is
+
+    dD[k, m] = - x_k . dA x_m
+
+which costs products, not solves. Slopes are kept of log |D|, in which a factor of the whole layer is exact, by
+
+    place, size and impedance of each electrode     contacts moved beside the mesh's lines, central differences
+    layer                                           cosines over the sheet, of which smooth fields are made
+    gauge factor                                    the logarithm of the local area stretch is its field
+
+The other values of D follow from 120 of them: D is symmetric, and every drive's pairs add up to none round the ring.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.devices.device import Device
+from eitskin_sim.devices.loose_contacts import loose_contacts
+from eitskin_sim.fem.contacts import Contacts
+from eitskin_sim.fem.forward import Factor, assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.device.layer import log_conductivity
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet
+
+Array = npt.NDArray[np.float64]
+
+WAVES: Final = (10, 7)
+"""Cosines along x and along y: fields of 25 mm correlation have 1e-3 of their variance beyond, on the paper's sheet."""
+
+GRID: Final = (16, 11)
+"""Points along x and along y at which a field is looked at to find its cosines."""
+
+PLACE_MM: Final = 0.3
+SIZE: Final = 0.05
+"""Steps of the central differences; that of sizes is of their logarithm."""
+
+FIRST, SECOND = np.triu_indices(N_ELECTRODES, 1)
+"""(120,) drive and pair of each value that D is made of."""
+
+PLACES: Final = slice(0, N_ELECTRODES)
+SIZES: Final = slice(N_ELECTRODES, 2 * N_ELECTRODES)
+IMPEDANCES: Final = slice(2 * N_ELECTRODES, 3 * N_ELECTRODES)
+LAYER: Final = slice(3 * N_ELECTRODES, 3 * N_ELECTRODES + WAVES[0] * WAVES[1])
+GAUGE: Final = LAYER.stop
+"""What each slope is by; the last is the gauge factor's."""
+
+
+@dataclass(frozen=True, slots=True)
+class Expansion:
+    """One solved state and its slopes.
+
+    Args:
+        signs: (120,) of D.
+        logs: (120,) log |D|, V for 1 A.
+        slopes: (``GAUGE`` + 1, 120) of them: by mm, by logarithms of size, impedance and conductivity, and by the gauge
+            factor.
+    """
+
+    signs: Array
+    logs: Array
+    slopes: Array
+
+
+def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
+    """Return a device's state at a bend and its slopes.
+
+    Args:
+        device: Its electrodes are patches; its front end is left out.
+        bend: Where.
+        element_size_mm: Of the mesh, whose lines follow the device's electrodes.
+    """
+    sheet, electrodes = device.sheet, device.electrodes
+    metric = bend_metric(bend, sheet)
+    mesh = scene_mesh(Scene(sheet, electrodes, element_size_mm=element_size_mm))
+    factor = assemble(mesh, sheet, electrodes, metric).factorise()
+    found = factor.differences()[FIRST, SECOND]
+    power = _power(factor)
+    middle = factor.system.metric
+    area = 0.5 * np.log(middle[:, 0] * middle[:, 2] - middle[:, 1] ** 2)
+
+    def through(changed: Electrodes) -> Array:
+        contacts = loose_contacts(mesh, sheet, changed, metric)
+        return _through(factor, contacts, contacts.density(np.full(len(contacts.element), factor.system.background)))
+
+    def slope(change: Callable[[float], Electrodes], step: float) -> Array:
+        return (through(change(step)) - through(change(-step))) / (2 * step)
+
+    arc, sizes = np.array(electrodes.arc_length_mm), electrodes.sizes_mm()
+    contacts = factor.system.contacts
+    slopes = np.concatenate(
+        [
+            slope(lambda step: replace(electrodes, arc_length_mm=tuple((arc + step).tolist())), PLACE_MM),
+            slope(lambda step: replace(electrodes, size_mm=tuple((sizes * np.exp(step)).tolist())), SIZE),
+            -_through(factor, contacts, contacts.impedance_ohm_m2 * factor.density**2),
+            cosines(mesh.centres_mm, sheet).T @ power,
+            -area[None] @ power,
+        ]
+    )
+    return Expansion(np.sign(found), np.log(np.abs(found)), -slopes / found)
+
+
+def _power(factor: Factor) -> Array:
+    """Return the (n_elements, 120) change of x A x by the logarithm of each element's conductivity."""
+    system, contacts = factor.system, factor.system.contacts
+    fields = factor.element_fields()
+    found = (np.swapaxes(fields, 1, 2) @ (factor.blocks @ fields))[:, FIRST, SECOND]
+    if contacts.fringe_m.any():
+        drops = factor.contact_drops()
+        rate = factor.density**2 * contacts.fringe_m / system.background
+        parts = np.swapaxes(drops, 1, 2) @ ((rate[:, None, None] * contacts.mass_m2) @ drops)
+        np.add.at(found, contacts.element, parts[:, FIRST, SECOND])
+    return np.asarray(found)
+
+
+def _through(factor: Factor, contacts: Contacts, density: Array) -> Array:
+    """Return the (16, 120) share of x A x that each electrode's contact has, of contacts anywhere on the mesh."""
+    at = factor.system.mesh.element_nodes[contacts.element]
+    drops = factor.node_fields[at] - factor.electrode_fields[contacts.electrode][:, None, :]
+    parts = np.swapaxes(drops, 1, 2) @ ((density[:, None, None] * contacts.mass_m2) @ drops)
+    found = np.zeros((N_ELECTRODES, len(FIRST)))
+    np.add.at(found, contacts.electrode, parts[:, FIRST, SECOND])
+    return found
+
+
+def cosines(xy_mm: Array, sheet: Sheet) -> Array:
+    """Return the (n, cosines) values of what fields are made of at flat points (n, 2)."""
+    along, across = (
+        np.cos(np.pi * np.arange(count) * at[:, None] / side)
+        for count, at, side in zip(WAVES, xy_mm.T, sheet.size_mm, strict=True)
+    )
+    return np.asarray((along[:, :, None] * across[:, None, :]).reshape(len(xy_mm), -1))
+
+
+@dataclass(frozen=True, slots=True)
+class Fields:
+    """Finds the cosines of a layer's unevenness.
+
+    Args:
+        xy_mm: (n, 2) where it is looked at.
+        inverse: (cosines, n) that gives them.
+    """
+
+    xy_mm: Array
+    inverse: Array
+
+    @classmethod
+    def of(cls, sheet: Sheet) -> "Fields":
+        """Return what finds them on a sheet."""
+        lines = [(np.arange(count) + 0.5) * side / count for count, side in zip(GRID, sheet.size_mm, strict=True)]
+        xy = np.stack([axis.ravel() for axis in np.meshgrid(*lines)], axis=-1)
+        return cls(xy, np.asarray(np.linalg.pinv(cosines(xy, sheet)), dtype=np.float64))
+
+    def parts(self, sheet: Sheet, *, late: bool) -> Array:
+        """Return the (cosines,) of log conductivity, with or without what came after the reference."""
+        return np.asarray(self.inverse @ log_conductivity(sheet, self.xy_mm, late))
+
+
+def whole_differences(signs: Array, logs: Array) -> Array:
+    """Return D (..., 16, 16) of its (..., 120) signs and logarithms."""
+    found = np.zeros((*logs.shape[:-1], N_ELECTRODES, N_ELECTRODES))
+    found[..., FIRST, SECOND] = signs * np.exp(logs)
+    found += np.swapaxes(found, -1, -2)
+    own = np.arange(N_ELECTRODES)
+    found[..., own, own] = -found.sum(axis=-1)
+    return found

@@ -1,0 +1,79 @@
+"""The gate of random devices in closed form: matched filters that are held against all else that a frame shows.
+
+Untouched moments of random devices fill their directions by very different amounts: a stretched reference, or a bent
+sheet with a gauge factor, moves all of them far, and most moments hardly any. With w the whitened logarithms, without
+the factor common to all rows, such a law is one Gaussian of unknown scale. The likelihood ratio of a press of pattern s
+and unknown strength is then a matched filter over that scale, here its mean absolute value ::
+
+    f_j = s_j . w / |s_j|        touched: max over j of f_j > c (mean |w| + a)
+
+c is set at a false-alarm rate, a keeps the noise of frames that show nothing at all from counting. It is the gate's
+usual network: the first layer has w, -w and the filters, the second f_j - c (mean |w| + a), and what is left above 0 is
+added up. A bound on w alone, learned or not, is set by the few moments that are far off, and the others' presses are
+below it.
+"""
+
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+Array = npt.NDArray[np.float64]
+
+FILTERS: Final = 128
+"""Patterns of touches. Twice as many find a few in a hundred more, and cost twice as much a frame."""
+
+PATTERNS: Final = 3200
+"""Touches that they are made of, half of them small ones, half a data set's."""
+
+ROUNDS: Final = 6
+"""Of k-means."""
+
+STILL: Final = 0.25
+"""a: as much of mean |w|, which is about 0.8 of a usual moment."""
+
+FAINTEST: Final = 1e-3
+"""A touch of smaller mean |log(V touched / V untouched)| has no pattern to speak of."""
+
+
+def patterns(touches: Array, small: int, rng: np.random.Generator) -> Array:
+    """Return up to ``PATTERNS`` of (t, r) touches, as many of the last ``small`` of them as of those before."""
+    parts = [touches[: len(touches) - small], touches[len(touches) - small :]]
+    parts = [part[np.abs(part).mean(axis=1) > FAINTEST] for part in parts]
+    each = PATTERNS // max(sum(len(part) > 0 for part in parts), 1)
+    return np.concatenate([part[rng.permutation(len(part))[:each]] for part in parts])
+
+
+def bank(whitened: Array, rng: np.random.Generator) -> Array:
+    """Return up to ``FILTERS`` unit vectors, the middles of (t, k) whitened patterns that point alike."""
+    seen = _unit(whitened)
+    found = seen[rng.permutation(len(seen))[:FILTERS]]
+    for _ in range(ROUNDS):
+        nearest = (seen @ found.T).argmax(axis=1)
+        sums = np.zeros_like(found)
+        np.add.at(sums, nearest, seen)
+        found = _unit(sums[np.linalg.norm(sums, axis=1) > 1e-6])
+    return found
+
+
+def _unit(vectors: Array) -> Array:
+    return np.asarray(vectors / np.linalg.norm(vectors, axis=1, keepdims=True))
+
+
+def ratios(whitened: Array, filters: Array) -> Array:
+    """Return (n,) the largest of (f, k) filters' outputs over mean |w| + a, of (n, k) whitened logarithms."""
+    return np.asarray((whitened @ filters.T).max(axis=1) / (np.abs(whitened).mean(axis=1) + STILL))
+
+
+def layers(whitening: Array, filters: Array, limit: float) -> tuple[Array, Array, Array]:
+    """Return two layers' weights, and the second one's biases: what it passes on is above 0 where a touch is found.
+
+    Args:
+        whitening: (r, k) that gives logarithms of untouched sheets unit covariance.
+        filters: (f, k).
+        limit: c.
+    """
+    count = whitening.shape[1]
+    first = np.concatenate([whitening, -whitening, whitening @ filters.T], axis=1)
+    second = np.concatenate([np.full((2 * count, len(filters)), -limit / count), np.eye(len(filters))])
+    return first, second, np.full(len(filters), -limit * STILL)

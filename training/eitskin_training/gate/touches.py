@@ -1,0 +1,164 @@
+"""Touches that the gate learns from and that measure what it misses.
+
+A touch is kept as log(V touched / V untouched), which hardly depends on the bend, and so can be put on any of them.
+Where a data set has presses, faint presses are learned from and measured (:mod:`eitskin_training.gate.presses`).
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet
+from eitskin_sim.freeform.voltages import set_voltages
+from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, TouchTable, gather
+from eitskin_training.gate.presses import drawn_presses, probe_presses
+from eitskin_training.gate.wide_bends import wide_bends
+
+PROBE_SEED: Final = 703
+TOUCH_SEED: Final = 704
+"""Sequences that no data set uses."""
+
+KEPT: Final = 4
+"""Results that are kept while the process runs, of each kind: of a few skins."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Probe:
+    """Touches at bends that nothing learned from.
+
+    Args:
+        name: What touches: "10 mm, middle".
+        family: "flat", "A" or "B".
+        logs: (n, 104) log(V / V0).
+        before: (n, 104) the same of each one's sheet before it was touched.
+    """
+
+    name: str
+    family: str
+    logs: Array
+    before: Array
+
+
+@lru_cache(maxsize=KEPT)
+def small_touches(
+    bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEED, kind: TouchKind = "raising"
+) -> Array:
+    """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
+
+    Args:
+        bends: How many.
+        skin: Of the sheet.
+        each: Touches at each.
+        seed: Of both.
+        kind: "lowering" for faint presses instead, "both" for every second one.
+    """
+    rng = np.random.default_rng(seed)
+    members = [Bend(), *wide_bends(bends - 1, seed, skin)]
+    hard = {"raising": each, "lowering": 0, "both": each // 2}[kind]
+    found = []
+    for bend in members:
+        sets = [_drawn_touches(hard, rng, skin), drawn_presses(each - hard, rng, skin)]
+        found += [touch_logs(bend, some, skin) for some in sets if some]
+    return np.concatenate(found)
+
+
+def touch_logs(bend: Bend, sets: Sequence[Array], skin: Skin) -> Array:
+    """Return (n, 104) log(V touched / V untouched) of touch sets at a bend, each given by its (p, 7) pieces."""
+    sheet = _inverted(bend, skin)
+    ratio = _touched_V(sheet, gather(sets), skin) / sheet.untouched_V
+    return np.asarray(np.log(ratio[(ratio > 0).all(axis=1)]))
+
+
+def _inverted(bend: Bend, skin: Skin) -> InvertedSheet:
+    return inverted_sheet(bend, skin=skin)
+
+
+def _touched_V(sheet: InvertedSheet, table: TouchTable, skin: Skin) -> Array:
+    """Return (s, 104) V of touch sets on a sheet."""
+    return np.asarray(set_voltages([sheet], table, skin=skin)[0])
+
+
+def _contrast(rng: np.random.Generator, skin: Skin) -> float:
+    """Return the conductivity inside a random touch over the sheet's, of those that touch this skin."""
+    touches = skin.touches
+    ranges = [touches.raising_contrast] * touches.higher + [touches.lowering_contrast] * touches.lower
+    one = ranges[0] if len(ranges) == 1 else ranges[int(rng.integers(len(ranges)))]
+    return float(np.exp(rng.uniform(*np.log(one))))
+
+
+def weakest_contrast(skin: Skin) -> float:
+    """Return the contrast of the weakest touch that is drawn."""
+    touches = skin.touches
+    return touches.raising_contrast[0] if touches.higher else touches.lowering_contrast[1]
+
+
+def _drawn_touches(count: int, rng: np.random.Generator, skin: Skin) -> list[Array]:
+    sets = []
+    length, width = skin.outline.size_mm
+    for _ in range(count):
+        size = float(rng.uniform(5.0, 12.0))
+        x, y = rng.uniform((size / 2, size / 2), (length - size / 2, width - size / 2))
+        contrast = _contrast(rng, skin)
+        if rng.random() < 0.4:
+            sets.append(np.array([[DISC, x, y, size, size, 0.0, contrast]]))
+        else:
+            sets.append(squares([(x, y)], size, contrast)[0])
+    return sets
+
+
+def squares(centres_mm: Iterable[tuple[float, float]], side_mm: float, contrast: float) -> list[Array]:
+    """Return touch sets of one square each, as pieces."""
+    return [np.array([[RECTANGLE, x, y, side_mm, side_mm, 0.0, contrast]]) for x, y in centres_mm]
+
+
+def probe_sets(seed: int, skin: Skin, each: int = 20) -> dict[str, list[Array]]:
+    """Return touch sets by name, of the weakest contrast: squares in the middle of the sheet, and anywhere on it."""
+    rng = np.random.default_rng(seed)
+    length, width = skin.outline.size_mm
+    contrast = weakest_contrast(skin)
+    middle = [(length / 2 + dx, width / 2 + dy) for dx in (-15.0, 0.0, 15.0) for dy in (-10.0, 0.0, 10.0)]
+    found = {}
+    for side in (10.0, 7.0, 5.0):
+        anywhere = [
+            (float(x), float(y))
+            for x, y in rng.uniform((side / 2, side / 2), (length - side / 2, width - side / 2), (each, 2))
+        ]
+        found[f"{side:g} mm, middle"] = squares(middle, side, contrast)
+        found[f"{side:g} mm, anywhere"] = squares(anywhere, side, contrast)
+    return found
+
+
+def probes(bends: int, seed: int, skin: Skin, kind: TouchKind = "raising") -> tuple[Probe, ...]:
+    """Return touches of a kind at the flat sheet, at ``bends`` bends of A and at as many of B."""
+    hard = _probes(bends, seed, skin, False) if kind != "lowering" else ()
+    return hard + (_probes(bends, seed, skin, True) if kind != "raising" else ())
+
+
+@lru_cache(maxsize=KEPT)
+def _probes(bends: int, seed: int, skin: Skin, presses: bool) -> tuple[Probe, ...]:
+    sets = probe_presses(seed, skin) if presses else probe_sets(seed, skin)
+    table = gather([pieces for group in sets.values() for pieces in group])
+    ends = np.cumsum([len(group) for group in sets.values()])
+    flat_V = _inverted(Bend(), skin).untouched_V
+    families = {"flat": (Bend(),), "A": draw("A", bends, seed, skin), "B": draw("B", bends, seed, skin)}
+    found = []
+    for family, members in families.items():
+        sheets = [_inverted(bend, skin) for bend in members]
+        voltages = np.array([_touched_V(sheet, table, skin) for sheet in sheets])
+        logs = np.log(np.maximum(voltages / flat_V, 1e-6))
+        before = np.log(np.array([sheet.untouched_V for sheet in sheets]) / flat_V)
+        for name, group in zip(sets, np.split(logs, ends[:-1], axis=1), strict=True):
+            own = np.repeat(before, group.shape[1], axis=0)
+            found.append(Probe(name, family, group.reshape(-1, N_ROWS), own))
+    return tuple(found)
