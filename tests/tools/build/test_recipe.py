@@ -89,6 +89,7 @@ def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: 
         assert not (tmp_path / "b.eitskin.build").exists()
 
 
+@pytest.mark.slow
 def test_hours_scale_deformations_and_epochs_alike() -> None:
     small = recipes.load("tiny")
     data = {"presses": replace(small.data["presses"], deformations=30, per_deformation=1000)}
