@@ -123,11 +123,13 @@ ROOMS: dict[str, Arrows] = {
         "evaluation": {"command_line", "pictures"},
         "demo": {"pictures", "processes", "scripted_scene"},
         "fault_injection": {"emulator", "flash", "virtual_skin"},
+        "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
         "commands": {
-            "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages", "virtual_skin",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",
+            "virtual_skin",
         },
         "cli": {"command_line", "errors"},
     },

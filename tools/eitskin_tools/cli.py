@@ -35,6 +35,7 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
 OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "skin": ("offline.skin", "show or check the description of a sheet, skin.toml"),
     "simulate": ("offline.simulate", "solve a scene with the forward model"),
+    "build": ("offline.build", "data, training, export and card of a bundle, from one file"),
     "dataset": ("offline.dataset", "generate a data set"),
     "train": ("offline.train", "train VD2T"),
     "curves": ("offline.curves", "losses of training runs side by side"),

@@ -46,6 +46,7 @@ TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
 MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json")
 BUNDLE: Final = Kind("a bundle made by 'eitskin export'")
 SKIN: Final = Kind("a skin's description as TOML", "eitskin_proto.skins", ".toml")
+RECIPE: Final = Kind("a skin's description or a bundle's recipe as TOML", "eitskin_tools.recipes", ".toml")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 

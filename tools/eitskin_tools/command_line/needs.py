@@ -20,6 +20,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "simulate": ("scipy",),
     "dataset": ("scipy",),
     "evaluate": ("scipy",),
+    "build": ("scipy", "torch", "onnx", "onnxscript"),
     "train": ("scipy", "torch"),
     "curves": ("torch",),
     "adapt": ("scipy", "torch"),

@@ -39,6 +39,9 @@ RAISED: Final = 50.0
 LOWERED: Final = 0.4
 """The same of a press on a skin that knows only touches that lower it."""
 
+SOFT_MM: Final = 4.0
+"""Width of the graded border of such a press: a finger has no edges."""
+
 LENGTH_MM: Final = 150.0
 WIDTH_MM: Final = 100.0
 """The sheet that the paths below are written for."""
@@ -73,7 +76,9 @@ class Press:
         scale = FIRST_CONTACT + (1.0 - FIRST_CONTACT) * smooth(pressed)
         width, height = self.size_mm[0] * scale / 2, self.size_mm[1] * scale / 2
         shape = Disc(x, y, width) if self.disc else Rect(x - width, y - height, x + width, y + height)
-        return Touch((shape,), conductivity_S_per_m(skin))
+        if skin.touches.higher:
+            return Touch((shape,), RAISED * float(skin.layer.conductivity_S_per_m.nominal(1)[0]))
+        return Touch((shape,), contrast=LOWERED, border_mm=SOFT_MM)
 
 
 PRESSES: Final[tuple[Press, ...]] = (
@@ -103,12 +108,6 @@ def smooth(part: float) -> float:
     """Return 0 to 1 with zero slope at both ends."""
     part = min(max(part, 0.0), 1.0)
     return part * part * (3.0 - 2.0 * part)
-
-
-def conductivity_S_per_m(skin: Skin) -> float:
-    """Return that of a touched place."""
-    contrast = RAISED if skin.touches.higher else LOWERED
-    return contrast * float(skin.layer.conductivity_S_per_m.nominal(1)[0])
 
 
 def touches_at(time_s: float, skin: Skin, *, before: bool = False) -> tuple[Touch, ...]:

@@ -55,14 +55,18 @@ def _shipped(script: Script) -> Keyframes | None:
     return keyframes.load(keyframes.digest(script.moments(script.period_s), keyframes.MODEL), keyframes.SHIPPED)
 
 
-def ship(script: Script) -> str:
-    """Solve a script's whole period, put it where the package ships it from, and return its digest."""
-    name = keyframes.digest(script.moments(script.period_s), keyframes.MODEL)
-    found = prepare(script, script.period_s, cache=False)
+def ship(*scripts: Script) -> list[str]:
+    """Solve whole periods of scripts, put those alone where the package ships them from, and return their digests."""
+    names = []
+    for script in scripts:
+        name = keyframes.digest(script.moments(script.period_s), keyframes.MODEL)
+        if keyframes.load(name, keyframes.SHIPPED) is None:
+            keyframes.save(name, prepare(script, script.period_s, cache=False), keyframes.SHIPPED)
+        names.append(name)
     for stale in keyframes.SHIPPED.glob("*.npz"):
-        stale.unlink()
-    keyframes.save(name, found, keyframes.SHIPPED)
-    return name
+        if stale.stem not in names:
+            stale.unlink()
+    return names
 
 
 def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
@@ -106,6 +110,7 @@ def _bar(total: int) -> Iterator[_Step]:
 
 
 if __name__ == "__main__":
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_tools.scripted_scene.script import demonstration
 
-    print(ship(demonstration()))
+    print(*ship(demonstration(), demonstration(PAPER.touched("lowering"))), sep="\n")

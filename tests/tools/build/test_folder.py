@@ -1,0 +1,43 @@
+"""The folder of a half-made bundle: it is that bundle's alone, and goes on with the sizes that it began with."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from eitskin_tools.build import recipe as recipes
+from eitskin_tools.build.folder import OtherBuildError, begin, begun, scaled_as_before
+
+TINY = recipes.load("tiny")
+SMALLER = replace(TINY, training=(replace(TINY.training[0], epochs=1),))
+
+
+def test_a_folder_goes_on_with_what_it_began_with(tmp_path: Path) -> None:
+    folder = tmp_path / "b.build"
+    assert begun(folder, TINY, 2.0) is None
+    begin(folder, TINY, SMALLER, 2.0)
+    found = begun(folder, TINY, 2.0)
+    assert found is not None
+    assert scaled_as_before(TINY, found) == SMALLER
+
+
+def test_another_recipe_skin_or_time_is_refused(tmp_path: Path) -> None:
+    begin(tmp_path / "b", TINY, TINY, None)
+    other_skin = replace(TINY, skin=TINY.skin.touched("both"))
+    for asked in (SMALLER, other_skin):
+        with pytest.raises(OtherBuildError, match=rf"another recipe or skin: found .*, expected tiny {asked.digest}"):
+            begun(tmp_path / "b", asked, None)
+    with pytest.raises(OtherBuildError, match=r"begun with --hours None, now 3.0 are asked for; .*--work"):
+        begun(tmp_path / "b", TINY, 3.0)
+
+
+def test_a_folder_of_something_else_is_left_alone(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    assert begun(tmp_path / "b", TINY, None) is None
+    (tmp_path / "b" / "letters.txt").write_text("dear")
+    with pytest.raises(OtherBuildError, match="holds no half-made bundle; name another with --work"):
+        begun(tmp_path / "b", TINY, None)
+    for text in ("{", "[]", "{}"):
+        (tmp_path / "b" / "build.json").write_text(text)
+        with pytest.raises(OtherBuildError, match=r"build\.json is damaged; remove"):
+            begun(tmp_path / "b", TINY, None)

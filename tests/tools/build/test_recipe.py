@@ -1,0 +1,108 @@
+"""Recipes of bundles: what they say, and one line for whatever is wrong with one."""
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from tests.second_skin import SECOND
+
+from eitskin_proto.skin.toml import named, to_toml
+from eitskin_tools.build import recipe as recipes
+from eitskin_tools.build.hours import REST_S, Pace, scaled, seconds
+from eitskin_tools.build.recipe import Leg
+from eitskin_tools.build.steps import plan_of
+from eitskin_tools.cli import main
+from eitskin_tools.command_line import files
+
+TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
+
+
+def parsed(text: str) -> recipes.BuildRecipe:
+    return recipes.parse(tomllib.loads(text))
+
+
+@pytest.mark.parametrize("name", ["free", "press", "tiny", "units"])
+def test_every_shipped_recipe_can_be_planned(name: str) -> None:
+    assert name in files.RECIPE.names()
+    found = recipes.load(name)
+    for one in found.data.values():  # few deformations: hundreds take seconds to draw
+        few = replace(one, deformations=1, kept=0, touch_sets=None if one.set == "free" else 2000)
+        assert plan_of(found, few).touches == one.touches
+    assert found.name == name
+    assert recipes.load(name).digest == found.digest
+
+
+def test_a_recipe_says_skin_data_and_legs() -> None:
+    found = recipes.load("press")
+    assert found.skin == named("hydrogel")
+    plans = {name: plan_of(found, replace(one, deformations=1, kept=0)) for name, one in found.data.items()}
+    assert (plans["hard"].skin.name, plans["hard"].devices, plans["hard"].touches) == ("paper", "ideal", "hard")
+    assert (plans["presses"].skin.name, plans["presses"].devices, plans["presses"].touches) == (
+        "hydrogel", "random", "press",
+    )  # fmt: skip
+    assert [leg.data for leg in found.training] == [("hard",), ("presses",)]
+
+
+def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
+    (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lowering")))
+    found = recipes.load(str(tmp_path / "skin.toml"))
+    assert found.skin == SECOND.touched("lowering")
+    assert [(one.touches, one.devices) for one in found.data.values()] == [("press", "random")]
+    assert recipes.load("lab").data["touches"].touches == "both"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("epochs = 2", "epoch = 2", r"unknown key 'epoch' in \[\[training\]\] 1; did you mean 'epochs'"),
+        ("epochs = 2\n", "", r"\[\[training\]\] 1 lacks 'epochs'"),
+        ("epochs = 2", "epochs = 0", r"epochs in \[\[training\]\] 1 is 0, expected a whole number of at least 1"),
+        ("epochs = 2", "epochs = true", "epochs in .* is True, expected a whole number"),
+        ("seed = 4", 'data = ["soft"]', "names data 'soft', known are presses"),
+        ("seed = 4", 'data = "presses"', "data in .* expected a list of names"),
+        ("seed = 4", "[[training]]\nepochs = 1\nstart_from = 'free'", "only the first leg may"),
+        ("seed = 1", "seed = -1", r"seed in \[data.presses\] is -1, expected a whole number of at least 0"),
+        ("version = 1", "version = 2", "version is 2, expected 1"),
+        ('set = "free"', 'set = "units"', "set is 'units', network tiny learns from 'free'"),
+        ('network = "tiny"', 'network = "huge"', "no recipe is called 'huge'; expected one of"),
+        ("[gate]", "[gates]", "unknown key 'gates' in the head of the file; did you mean 'gate'"),
+        ("[data.presses]", "[data.'../x']", "a data set is called .*expected letters, digits"),
+    ],
+)
+def test_whatever_is_wrong_with_a_recipe_is_named(old: str, new: str, said: str) -> None:
+    assert old in TINY
+    with pytest.raises(ValueError, match=said):
+        parsed(TINY.replace(old, new))
+
+
+def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for old, new, said in (
+        ('touches = "press"', 'touches = "soft"', "[data.presses] touches 'soft' are unknown"),
+        ("epochs = 2", "epochs = 2\nstart_from = 'gone.eitskin'", "gone.eitskin"),
+    ):
+        (tmp_path / "r.toml").write_text(TINY.replace(old, new))
+        assert main(["build", str(tmp_path / "r.toml"), "--out", str(tmp_path / "b.eitskin")]) == 1
+        out, line = capsys.readouterr()
+        assert (out, line.count("\n")) == ("", 1)
+        assert said in line
+        assert not (tmp_path / "b.eitskin.build").exists()
+
+
+@pytest.mark.slow
+def test_hours_scale_deformations_and_epochs_alike() -> None:
+    small = recipes.load("tiny")
+    data = {"presses": replace(small.data["presses"], deformations=30, per_deformation=1000)}
+    tiny = replace(small, data=data, training=(Leg(epochs=20),))
+    pace = Pace(deformation_s=40.0, sample_s=0.02, trained_s=1e-2)
+    whole = seconds(tiny, pace)
+    assert scaled(tiny, whole / 3600, pace) == tiny
+    for hours in (0.4 * whole / 3600, 2.5 * whole / 3600):
+        found = scaled(tiny, hours, pace)
+        assert seconds(found, pace) == pytest.approx(3600 * hours, rel=0.1)
+        for name, one in found.data.items():
+            share = one.deformations / tiny.data[name].deformations
+            assert share == pytest.approx(found.training[0].epochs / tiny.training[0].epochs, rel=0.15)
+    with pytest.raises(ValueError, match=r"--hours 0.1 is too little on this machine, expected 0\.\d+ or more"):
+        scaled(tiny, 0.1, pace)
+    assert REST_S < 3600

@@ -1,0 +1,1 @@
+"""``eitskin build``: data, training, export and card from one file."""

@@ -1,0 +1,109 @@
+"""``--hours``: how large data and training may be so that a bundle is built in so long on this machine.
+
+A few hundred samples are made and trained on. What a deformation, a sample and a sample trained on take follows from
+that; the deformations and the epochs of the recipe are then scaled alike, up or down. Gate, export and card take what
+they take, ``REST_S`` is kept for them.
+"""
+
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from eitskin_tools.build.recipe import BuildRecipe
+from eitskin_tools.build.steps import Tell, plan_of
+
+REST_S: Final = 600.0
+"""For gate, export and card: five minutes on two quiet cores."""
+
+SAMPLES: Final = (50, 250)
+"""Samples a deformation of the two small data sets."""
+
+LEAST_DEFORMATIONS: Final = 2
+
+
+@dataclass(frozen=True, slots=True)
+class Pace:
+    """What this machine takes, in seconds."""
+
+    deformation_s: float
+    """A deformation without its samples, of all processes together."""
+    sample_s: float
+    """A sample, likewise."""
+    trained_s: float
+    """A sample, once through training."""
+
+
+def measure(recipe: BuildRecipe, workers: int, tell: Tell) -> Pace:
+    """Make a few hundred samples of a recipe's first data set, train on them, and return the pace."""
+    from eitskin_sim.dataset.generate import generate
+    from eitskin_training import train
+    from eitskin_training.recipes import fitted
+    from eitskin_training.recipes import recipe as network_named
+    from eitskin_training.samples.joined import load_all
+
+    tell("measuring this machine")
+    first = next(iter(recipe.data.values()))
+    with tempfile.TemporaryDirectory(prefix="eitskin-build-") as name:
+        folder, taken = Path(name), []
+        for number, each in enumerate((SAMPLES[0], *SAMPLES)):  # the first one warms up
+            small = replace(first, deformations=2, kept=0, per_deformation=each, touch_sets=None)
+            began = time.perf_counter()
+            generate(plan_of(recipe, small), folder / str(number), workers=0)
+            taken.append(time.perf_counter() - began)
+        data = load_all([str(folder / "2")])
+        network = fitted(replace(network_named(recipe.network), epochs=2), data.skin)
+        history = train.train(data, network, folder / "run").history
+    samples = 2 * SAMPLES[1]
+    sample_s = max(1e-4, (taken[2] - taken[1]) / (2 * (SAMPLES[1] - SAMPLES[0])))
+    deformation_s = max(1e-3, taken[1] / 2 - SAMPLES[0] * sample_s)
+    return Pace(deformation_s / workers, sample_s / workers, history[-1].seconds / samples)
+
+
+def scaled(recipe: BuildRecipe, hours: float, pace: Pace) -> BuildRecipe:
+    """Return a recipe whose data and training fit into a time.
+
+    Args:
+        recipe: As it was written.
+        hours: For everything.
+        pace: Of this machine.
+
+    Raises:
+        ValueError: Not even the smallest fits; the text says what would.
+    """
+    budget = 3600.0 * hours - REST_S
+    fixed, linear, square = _costs(recipe, pace)
+    least = fixed + linear * 1e-2 + square * 1e-4
+    if budget < least:
+        raise ValueError(
+            f"--hours {hours:g} is too little on this machine, expected {(REST_S + least) / 3600:.2f} or more"
+        )
+    left = budget - fixed
+    factor = 2.0 * left / (linear + (linear * linear + 4.0 * square * left) ** 0.5)
+    data = {
+        name: replace(one, deformations=max(LEAST_DEFORMATIONS, round(factor * one.deformations)))
+        for name, one in recipe.data.items()
+    }
+    legs = tuple(replace(leg, epochs=max(1, round(factor * leg.epochs))) for leg in recipe.training)
+    return replace(recipe, data=data, training=legs)
+
+
+def seconds(recipe: BuildRecipe, pace: Pace) -> float:
+    """Return how long a recipe takes at a pace."""
+    return REST_S + sum(_costs(recipe, pace))
+
+
+def _costs(recipe: BuildRecipe, pace: Pace) -> tuple[float, float, float]:
+    """Return seconds that do not depend on the factor, that go with it, and with its square."""
+    fixed = linear = square = 0.0
+    for one in recipe.data.values():
+        plan = plan_of(recipe, one)
+        apart = len(plan.bends) - one.deformations
+        counts = plan.counts
+        fixed += apart * pace.deformation_s + sum(counts[one.deformations :]) * pace.sample_s
+        linear += one.deformations * pace.deformation_s + sum(counts[: one.deformations]) * pace.sample_s
+    for leg in recipe.training:
+        trained = sum(sum(plan_of(recipe, recipe.data[name]).counts) for name in leg.data or recipe.data)
+        square += leg.epochs * trained * pace.trained_s
+    return fixed, linear, square

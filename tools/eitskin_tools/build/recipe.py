@@ -1,0 +1,244 @@
+"""One bundle's recipe: a TOML file that says its skin, data, training and card, all of it.
+
+::
+
+    format = "eitskin-recipe"      version = 1     name = "press"
+    skin = "hydrogel"              a shipped skin, or a file beside this one
+    network = "free"               what is trained: a recipe of 'eitskin train'
+
+    [data.presses]                 a data set, by any name: the options of 'eitskin dataset'
+    set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
+
+    [[training]]                   one leg of training, on all data sets or on those that ``data`` names; the next one
+    epochs = 10                    begins with its best weights. learning_rate, schedule, seed; of the first leg
+    start_from = "free"            start_from: a shipped bundle, or a file beside this one
+
+    [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
+    [card]                         how much is tried for the card: deformations, each, draws
+"""
+
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_proto.files.digest import id_of_values
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import to_toml, unknown
+from eitskin_tools.command_line import files, skins
+
+FORMAT: Final = "eitskin-recipe"
+VERSION: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Data:
+    """A data set; what is None is as ``eitskin dataset`` has it."""
+
+    set: str = "free"
+    touches: str = "hard"
+    devices: str = "ideal"
+    seed: int = 0
+    deformations: int = 400
+    per_deformation: int = 1000
+    touch_sets: int | None = None
+    kept: int | None = None
+    near: float | None = None
+    skin: str | None = None
+    """Another one than the recipe's: its name or file."""
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One leg of training; what is None is as the network's own recipe has it."""
+
+    epochs: int
+    data: tuple[str, ...] = ()
+    """Names of data sets; none are all of them."""
+    learning_rate: float | None = None
+    schedule: str | None = None
+    seed: int = 0
+    start_from: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class GateWork:
+    """What the gate is fitted with."""
+
+    untouched: int = 900
+    """Untouched sheets that are solved for it; 0 for those of the data alone."""
+    steps: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CardWork:
+    """How much is tried for the card."""
+
+    deformations: int = 8
+    each: int = 3
+    draws: int = 2
+    """Devices of each mismatch."""
+
+
+@dataclass(frozen=True, slots=True)
+class BuildRecipe:
+    """Everything that makes a bundle."""
+
+    name: str
+    skin: Skin
+    network: str
+    data: dict[str, Data]
+    training: tuple[Leg, ...]
+    gate: GateWork = GateWork()
+    card: CardWork = CardWork()
+    beside: Path = Path()
+    """The folder that its files are named from."""
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return it as plain values, the skin as its TOML."""
+        found = {**asdict(self), "skin": to_toml(self.skin)}
+        del found["beside"]
+        return found
+
+    @property
+    def digest(self) -> str:
+        """16 hex digits that stand for all of it."""
+        return id_of_values(self.as_dict())
+
+    def skin_of(self, data: Data) -> Skin:
+        """Return the skin of one of its data sets.
+
+        Raises:
+            MissingFileError: There is no such file.
+            ValueError: It is no skin's description.
+        """
+        return self.skin if data.skin is None else _skin(data.skin, self.beside)
+
+
+def load(name: str) -> BuildRecipe:
+    """Return the recipe of a file, the usual one for a skin's file, or a shipped one by its name.
+
+    Raises:
+        MissingFileError: There is no such file.
+        ValueError: It is neither a recipe nor a skin's description; the text names file and key.
+    """
+    if not Path(name).exists() and name in files.SKIN.names() and name not in files.RECIPE.names():
+        return usual(skins.read(name))
+    path = files.find(name, files.RECIPE)
+    try:
+        content = parse_toml(read_text(path, LARGEST_TOML))
+        if content.get("format") != FORMAT:
+            return usual(skins.read(str(path)))
+        return parse(content, path.parent)
+    except ValueError as error:
+        text = str(error)
+        raise ValueError(text if text.startswith(str(path)) else f"{path}: {text}") from error
+
+
+def usual(skin: Skin) -> BuildRecipe:
+    """Return what is built for a skin where nothing else is said: random devices, touched as the skin says."""
+    touches = {"raising": "raise", "lowering": "press", "both": "both"}[skin.touch_kind]
+    data = Data(touches=touches, devices="random")
+    return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20),))
+
+
+def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
+    """Return the recipe of a TOML file's content.
+
+    Args:
+        content: What the file says.
+        beside: The folder that its files are named from.
+
+    Raises:
+        MissingFileError: A file that it names is not there.
+        ValueError: A key is unknown, missing or of another kind; named.
+    """
+    from eitskin_training.recipes import recipe as network_named
+
+    keys = ["format", "version", "name", "skin", "network", "data", "training", "gate", "card"]
+    unknown(content, keys, "the head of the file")
+    if content.get("version") != VERSION:
+        raise ValueError(f"version is {quoted(content.get('version'))}, expected {VERSION}")
+    texts = {key: _text(content, key) for key in ("name", "skin", "network")}
+    network = network_named(texts["network"])
+    sets, legs = content.get("data"), content.get("training")
+    if not isinstance(sets, dict) or not sets or not all(isinstance(one, dict) for one in sets.values()):
+        raise ValueError("there is no data set: expected tables such as [data.touches]")
+    if not isinstance(legs, list) or not legs or not all(isinstance(one, dict) for one in legs):
+        raise ValueError("there is no training: expected tables [[training]]")
+    if bad := [name for name in sets if not name.replace("-", "").replace("_", "").isalnum()]:
+        raise ValueError(f"a data set is called {quoted(bad[0])}, expected letters, digits, - and _")
+    data = {name: _table(Data, one, f"[data.{name}]") for name, one in sets.items()}
+    training = tuple(_table(Leg, one, f"[[training]] {number}") for number, one in enumerate(legs, 1))
+    for number, leg in enumerate(training, 1):
+        if missing := [name for name in leg.data if name not in data]:
+            raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
+        if number > 1 and leg.start_from is not None:
+            raise ValueError(f"[[training]] {number} has start_from; only the first leg may, the next go on from it")
+    for name, one in data.items():
+        if (one.set == "free") != (network.labels == "area"):
+            kind = "free" if network.labels == "area" else "units"
+            raise ValueError(f"[data.{name}] set is {quoted(one.set)}, network {network.name} learns from {kind!r}")
+    return BuildRecipe(
+        plain(texts["name"]),
+        _skin(texts["skin"], beside),
+        texts["network"],
+        data,
+        training,
+        _table(GateWork, content.get("gate", {}), "[gate]"),
+        _table(CardWork, content.get("card", {}), "[card]"),
+        beside,
+    )
+
+
+def _skin(name: str, beside: Path) -> Skin:
+    own = beside / name
+    return skins.read(str(own) if own.exists() else name)
+
+
+def _text(content: dict[str, Any], key: str) -> str:
+    value = content.get(key)
+    if not isinstance(value, str) or not value or len(value) > 200:
+        raise ValueError(f"{key} is {quoted(value)}, expected a text")
+    return value
+
+
+KINDS: Final[dict[str, tuple[type, ...]]] = {
+    "set": (str,), "touches": (str,), "devices": (str,), "skin": (str,), "schedule": (str,), "start_from": (str,),
+    "data": (list,), "near": (int, float), "learning_rate": (int, float),
+}  # fmt: skip
+"""Of the keys of tables; all others are whole numbers."""
+
+LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "steps": 1}
+"""Of whole numbers; all others are at least 1."""
+
+
+def _table(kind: type, content: Any, where: str) -> Any:
+    """Return a table as its dataclass, every key checked."""
+    if not isinstance(content, dict):
+        raise ValueError(f"{where} is {quoted(content)}, expected a table")
+    unknown(content, list(kind.__dataclass_fields__), where)  # type: ignore[attr-defined]
+    values: dict[str, Any] = {}
+    for key, value in content.items():
+        kinds = KINDS.get(key, (int,))
+        fits = isinstance(value, kinds) and not isinstance(value, bool)
+        if kinds == (list,):
+            fits = fits and all(isinstance(item, str) for item in value)
+        elif str not in kinds:
+            fits = fits and LEAST.get(key, 1 if kinds == (int,) else 0) <= value <= 1e9
+        if not fits:
+            raise ValueError(f"{key} in {where} is {quoted(value)}, expected {_expected(key, kinds)}")
+        values[key] = tuple(value) if kinds == (list,) else value
+    try:
+        return kind(**values)
+    except TypeError as error:
+        raise ValueError(f"{where} lacks {str(error).rsplit(':', 1)[-1].strip()}") from error
+
+
+def _expected(key: str, kinds: tuple[type, ...]) -> str:
+    if kinds == (list,):
+        return "a list of names"
+    if kinds == (str,):
+        return "a text"
+    return f"a whole number of at least {LEAST.get(key, 1)}" if kinds == (int,) else "a number of at least 0"

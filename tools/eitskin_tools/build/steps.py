@@ -1,0 +1,193 @@
+"""The way from a recipe to a bundle, step by step; whatever is there already is not made again."""
+
+import os
+from collections.abc import Callable
+from dataclasses import replace
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from eitskin_proto.skin.skin import Skin
+from eitskin_tools.build.folder import keep, stored
+from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
+from eitskin_tools.command_line import files
+
+Tell = Callable[[str], None]
+"""Told what is being done."""
+
+
+def plan_of(recipe: BuildRecipe, data: Data) -> Any:
+    """Return the plan of one of a recipe's data sets.
+
+    Raises:
+        ValueError: A number is outside its bounds, or things do not go together.
+    """
+    return _plan(data, recipe.skin_of(data))
+
+
+@lru_cache(maxsize=16)
+def _plan(data: Data, skin: Skin) -> Any:
+    from eitskin_sim.dataset.plan import make_plan
+
+    return make_plan(
+        data.set,
+        data.seed,
+        deformations=data.deformations,
+        touch_sets=data.touch_sets,
+        per_deformation=data.per_deformation,
+        kept=data.kept,
+        near=data.near,
+        touches=data.touches,
+        devices=data.devices,
+        skin=skin,
+    )
+
+
+def check(recipe: BuildRecipe) -> None:
+    """Refuse what would fail hours later: data that cannot be planned, a start that is not there.
+
+    Raises:
+        SkinError: A file is missing or is no bundle.
+        ValueError: A number is outside its bounds, or things do not go together.
+    """
+    for name, data in recipe.data.items():
+        try:
+            plan_of(recipe, data)
+        except ValueError as error:
+            raise ValueError(f"[data.{name}] {error}") from error
+    for leg in recipe.training:
+        _network(recipe, leg)
+    start_of(recipe, recipe.training[0])
+
+
+def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> None:
+    """Make every data set, or go on with it."""
+    from eitskin_sim.dataset.generate import generate
+
+    for name, data in recipe.data.items():
+        tell(f"data {name}")
+        generate(plan_of(recipe, data), folder / "data" / name, workers=workers)
+
+
+def train_legs(recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = lambda _: None) -> Path:
+    """Train every leg, or go on with it, and return the last one's folder.
+
+    Args:
+        recipe: What is made.
+        folder: Of the half-made bundle.
+        tell: Told what is being done.
+        finished: Told how each epoch went.
+    """
+    from eitskin_training import train
+    from eitskin_training.gate.stored import gate_of_run
+    from eitskin_training.samples.joined import load_all
+    from eitskin_training.start import Start
+
+    def epoch(now: Any) -> None:
+        if (one := now.finished) is not None:
+            scores = f"validation {one.validation_loss:.5f} CC {one.validation_cc:.4f}"
+            left = (now.epochs - one.number) * one.seconds / 60
+            finished(f"epoch {one.number}/{now.epochs} {scores} {one.seconds:.1f} s, {left:.0f} min left")
+
+    run = folder
+    for number, leg in enumerate(recipe.training, 1):
+        tell(f"training {number} of {len(recipe.training)}, on {train.device()}")
+        start = start_of(recipe, leg) if number == 1 else Start.of_run(run)
+        run = folder / "runs" / str(number)
+        where = [folder / "data" / name for name in leg.data or recipe.data]
+        data = load_all([str(one) for one in where])
+        sources = tuple(str(one.resolve()) for one in where)
+        chosen = _fitted(recipe, leg, data.skin)
+        train.train(data, chosen, run, seed=leg.seed, resume=True, start=start, sources=sources, progress=epoch)
+    bends, steps = _gate(recipe)
+    gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
+    return run
+
+
+def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tuple[Path, dict[str, Any]]:
+    """Export a run, or find what was exported; return the bundle and what the export said."""
+    from eitskin_export import package
+    from eitskin_export.bundle import read, write
+    from eitskin_training.run_files import data_of, trained
+
+    out, said = folder / "exported.eitskin", folder / "exported.json"
+    if out.exists() and (known := stored(said)) is not None:
+        return out, known
+    found = trained(run)
+    bends, gate_steps = _gate(recipe)
+    result = package.export(found, data_of(found), out, tell=tell, bends=bends, gate_steps=gate_steps)
+    members, facts, skin = read(out)
+    result["bundle"] = write(out, members, {**facts, "build": recipe.as_dict()}, skin)
+    keep(said, result)
+    return out, result
+
+
+def make_card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, tell: Tell) -> dict[str, Any]:
+    """Try the bundle, part by part, and return its card."""
+    from eitskin_tools.evaluation import card
+
+    found: dict[str, Any] = {}
+    for name in card.parts(bundle):
+        path = folder / "card" / f"{name}.json"
+        part = stored(path)
+        if part is None or part.get("bundle") != identity:
+            tell(f"card: {name}")
+            work = recipe.card
+            part = {"bundle": identity, "found": card.part(name, bundle, work.deformations, work.each, work.draws)}
+            keep(path, part)
+        found[name] = part["found"]
+    return card.whole(found, bundle)
+
+
+def finish(bundle: Path, card: dict[str, Any], out: Path) -> str:
+    """Write the bundle with its card to where it belongs and return its id."""
+    from eitskin_export.bundle import read, write
+
+    members, facts, skin = read(bundle)
+    return write(out, members, {**facts, "metrics": {**facts.get("metrics", {}), "card": card}}, skin)
+
+
+def start_of(recipe: BuildRecipe, leg: Leg) -> Any:
+    """Return the network that a leg begins with, None for a new one.
+
+    Raises:
+        SkinError: There is no such bundle, or it cannot be taken apart.
+    """
+    from eitskin.model.bundle import default_path
+    from eitskin_export.unfold import start_of_bundle
+
+    if leg.start_from is None:
+        return None
+    own = recipe.beside / leg.start_from
+    shipped = default_path().with_name(f"{leg.start_from}.eitskin")
+    return start_of_bundle(own if own.is_file() else shipped if shipped.exists() else files.find(own, files.BUNDLE))
+
+
+def _network(recipe: BuildRecipe, leg: Leg) -> Any:
+    from eitskin_training.recipes import recipe as network_named
+
+    given = {name: getattr(leg, name) for name in ("learning_rate", "schedule") if getattr(leg, name) is not None}
+    return replace(network_named(recipe.network), epochs=leg.epochs, **given)
+
+
+def _fitted(recipe: BuildRecipe, leg: Leg, skin: Any) -> Any:
+    from eitskin_training.recipes import fitted
+
+    return fitted(_network(recipe, leg), skin)
+
+
+def _gate(recipe: BuildRecipe) -> tuple[Callable[[Any], Any], int | None]:
+    """Return what gives the gate's untouched sheets, and the steps of its fit."""
+    from eitskin_training.gate import untouched
+
+    def bends(data: Any) -> Any:
+        if recipe.gate.untouched == 0:
+            return untouched.bends_of(data)
+        return untouched.solved_bends(data, recipe.gate.untouched)
+
+    return bends, recipe.gate.steps
+
+
+def processes(workers: int | None) -> int:
+    """Return how many processes make data: as many as asked for, or one a core."""
+    return workers or len(os.sched_getaffinity(0))

@@ -1,0 +1,99 @@
+"""``eitskin build SKIN.toml --out FILE.eitskin``: data, training, export and card of a bundle, in one command.
+
+It may be stopped at any point, by Ctrl-C or by force; the same command goes on where it was.
+"""
+
+import argparse
+import json
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    from eitskin_tools.command_line import files
+
+    shipped = ", ".join(dict.fromkeys((*files.RECIPE.names(), *files.SKIN.names())))
+    parser.add_argument(
+        "recipe", metavar="SKIN.toml", help=f"a skin's description, or a recipe: a file, or one of {shipped}"
+    )
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the bundle, by custom FILE.eitskin")
+    parser.add_argument(
+        "--hours",
+        type=float,
+        metavar="H",
+        help="scale data and epochs to so long on this machine (default: not)",
+    )
+    parser.add_argument(
+        "--work", type=Path, metavar="DIR", help="folder of the half-made bundle (default: FILE.eitskin.build)"
+    )
+    parser.add_argument("--workers", type=int, metavar="N", help="processes that make data (default: one a core)")
+    parser.add_argument("--threads", type=int, default=0, help="CPU threads of training (default: torch's choice)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Build, and report."""
+    import torch
+
+    from eitskin_tools.build import folder as half_made
+    from eitskin_tools.build import hours, recipe, steps
+    from eitskin_tools.command_line import files
+    from eitskin_tools.errors import UsageError
+    from eitskin_tools.evaluation import card
+    from eitskin_tools.stages import Stages
+
+    if arguments.hours is not None and not 0 < arguments.hours < 1e4:
+        raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
+    if arguments.threads < 0 or (arguments.workers is not None and arguments.workers < 1):
+        raise UsageError("--workers is at least 1, --threads at least 0")
+    asked = recipe.load(arguments.recipe)
+    files.writable(arguments.out)
+    work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
+    steps.check(asked)
+    begun = half_made.begun(work, asked, arguments.hours)
+    if arguments.threads:
+        torch.set_num_threads(arguments.threads)
+    workers = steps.processes(arguments.workers)
+    began = time.monotonic()
+    with Stages() as tell:
+        if begun is not None:
+            wanted = half_made.scaled_as_before(asked, begun)
+        else:
+            wanted = asked
+            if arguments.hours is not None:
+                wanted = hours.scaled(asked, arguments.hours, hours.measure(asked, workers, tell))
+            half_made.begin(work, asked, wanted, arguments.hours)
+        steps.make_data(wanted, work, workers, tell)
+        trained = steps.train_legs(wanted, work, tell, _say)
+        bundle, exported = steps.export_run(wanted, work, trained, tell)
+        found = steps.make_card(wanted, work, bundle, str(exported["bundle"]), tell)
+        identity = steps.finish(bundle, found, arguments.out)
+    result: dict[str, Any] = {
+        "bundle": identity,
+        "path": str(arguments.out),
+        "bytes": arguments.out.stat().st_size,
+        "recipe": {"name": wanted.name, "digest": wanted.digest},
+        "labels": exported["labels"],
+        "touches": exported["touches"],
+        "seconds": round(time.monotonic() - began, 1),
+        "gate": exported["gate"],
+        "card": found,
+    }
+    if arguments.json:
+        print(json.dumps(result))
+        return 0
+    print(
+        f"{arguments.out}: bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, "
+        f"{result['touches']} touches"
+    )
+    for line in card.told(found):
+        print(line)
+    print(f"{work} may be removed")
+    return 0
+
+
+def _say(text: str) -> None:
+    print(text, file=sys.stderr, flush=True)

@@ -1,0 +1,150 @@
+"""A bundle's card: what its network scores under N2 of 50 dB, by contrast and by mismatch, ideal and on other devices.
+
+On the paper's sheet every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network is
+told of the nominal one. Of another sheet there are no drawn devices; its card has touches of several contrasts on the
+ideal one, and the held-out samples of its data, whose devices are as random as the data's.
+"""
+
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin.model.bundle import Bundle, load_bundle
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.evaluation import trials
+from eitskin_sim.evaluation.devices import runs
+from eitskin_sim.evaluation.devices.mismatch import IDEAL, LAB, Mismatch, Row, load_rows
+from eitskin_sim.evaluation.harness import Conditions
+from eitskin_tools.command_line import files
+from eitskin_tools.evaluation.devices import trials_of
+from eitskin_tools.evaluation.gate_judge import judge_of
+from eitskin_tools.evaluation.solvers import Request, named
+from eitskin_tools.evaluation.trial_runs import touched_trial
+
+RAISING: Final = (50.0, 10.0, 5.0, 3.0, 2.0, 1.5)
+"""Contrasts of 10 mm squares, or of units."""
+
+LOWERING: Final = (0.2, 0.4, 0.6, 0.8)
+"""Contrasts of 16 mm squares and discs with borders of 4 mm, or of units."""
+
+NAMED: Final = (
+    "electrodes off by 1 mm", "gauge factor +1", "gauge factor -1", "drift +10 %", "uneven drift of 5 %",
+    "reference stretched 1 %", "scan noise 1 mm",
+)  # fmt: skip
+"""Of the shipped list, beside none, random devices and the lab mix."""
+
+
+def parts(path: Path) -> list[str]:
+    """Return the names of the parts that a bundle's card has."""
+    bundle = load_bundle(path, lazily=True)
+    found = [f"contrast-{contrast:g}" for contrast in _contrasts(bundle)]
+    if bundle.skin.grid_id == PAPER.grid_id:
+        found += [f"mismatch-{number}" for number in range(len(_mismatches()))]
+    return found
+
+
+def part(name: str, path: Path, deformations: int, each: int, draws: int) -> list[dict[str, Any]]:
+    """Return the rows of one part.
+
+    Args:
+        name: One of :func:`parts`.
+        path: The bundle.
+        deformations: Unseen ones.
+        each: Touches at each of them.
+        draws: Devices of each mismatch.
+    """
+    kind, _, which = name.partition("-")
+    bundle = load_bundle(path)
+    if kind == "mismatch":
+        return _rows([_mismatches()[int(which)]], _trials(bundle, deformations, each), bundle, draws)
+    contrast = float(which)
+    if bundle.skin.grid_id != PAPER.grid_id:
+        return _of_another_sheet(bundle, contrast, deformations, each)
+    if bundle.labels == "units":
+        rows: list[Row] = [(f"contrast {contrast:g}", Mismatch(contrast=contrast))]
+        return _rows(rows, trials_of(["units"], deformations, each), bundle, draws)
+    touched = runs.Trial("touch", tuple(_touches(contrast, deformations, each)), lowering=True)
+    return _rows([("none", IDEAL), ("random", None)], [touched], bundle, draws)
+
+
+def whole(found: dict[str, Any], path: Path) -> dict[str, Any]:
+    """Return the card of its parts: {by_contrast: [...], by_mismatch: [...]}, and what they were measured with."""
+    by_contrast = [
+        {"contrast": float(name.partition("-")[2]), "rows": rows}
+        for name, rows in found.items()
+        if name.startswith("contrast")
+    ]
+    by_mismatch = [row for name, rows in found.items() if name.startswith("mismatch") for row in rows]
+    card = {"noise": "N2", "snr_db": 50.0, "solver": "vd2t", "by_contrast": by_contrast, "by_mismatch": by_mismatch}
+    held_out = load_bundle(path, lazily=True).manifest.get("metrics", {}).get("held_out")
+    return {**card, "unseen_deformations_of_the_data": held_out}
+
+
+def told(card: dict[str, Any]) -> list[str]:
+    """Return a card as lines for people."""
+    lines = []
+    for one in card["by_contrast"]:
+        cells = [f"{row['name']} {_figures(row)}" for row in one["rows"]]
+        lines.append(f"contrast {one['contrast']:g}: {'; '.join(cells)}")
+    lines += [f"{row['name']}: {_figures(row)}" for row in card["by_mismatch"]]
+    return lines
+
+
+def _figures(row: dict[str, Any]) -> str:
+    cells = []
+    for trial, one in row.items():
+        if isinstance(one, dict) and "cc" in one:
+            missed = f", missed {100 * one['missed']:.0f} %" if one["missed"] else ""
+            cells.append(f"{trial} CC {one['cc']:.3f}{missed}")
+    return ", ".join(cells) or "-"
+
+
+def _contrasts(bundle: Bundle) -> tuple[float, ...]:
+    if bundle.labels == "units" and bundle.skin.grid_id != PAPER.grid_id:
+        return RAISING[:1]  # trials of units on other sheets have the paper's contrast
+    lowering = LOWERING if bundle.touch_kind != "raising" else ()
+    return lowering + (RAISING if bundle.touch_kind != "lowering" else ())
+
+
+def _mismatches() -> list[Row]:
+    listed = dict(load_rows(files.find("single", files.MISMATCHES)))
+    return [("none", IDEAL), ("random", None), ("lab mix", LAB), *((name, listed[name]) for name in NAMED)]
+
+
+def _trials(bundle: Bundle, deformations: int, each: int) -> list[runs.Trial]:
+    """Return the trials of a bundle's labels and touches."""
+    if bundle.labels == "units":
+        return trials_of(["units"], deformations, each)
+    kinds = {"raising": ["mm", "single"], "lowering": ["press04", "press06"]}
+    wanted = kinds.get(bundle.touch_kind, [*kinds["raising"], *kinds["lowering"]])
+    return trials_of(wanted, deformations, each)
+
+
+def _touches(contrast: float, deformations: int, each: int, skin: Any = PAPER) -> list[Any]:
+    """Return phantoms of one touch of a contrast: a hard square, or by turns a soft square and a soft disc."""
+    if contrast > 1.0:
+        return trials.single(runs.SINGLE_MM, deformations, each, "A", trials.Softness(contrast), skin)
+    square, disc = (
+        trials.single(
+            runs.PRESS_MM, deformations, each, "A", trials.Softness(contrast, runs.PRESS_BORDER_MM, round_), skin
+        )
+        for round_ in (False, True)
+    )
+    return [two[number % 2] for number, two in enumerate(zip(square, disc, strict=True))]
+
+
+def _rows(rows: list[Row], kinds: list[runs.Trial], bundle: Bundle, draws: int) -> list[dict[str, Any]]:
+    request = Request("vd2t", "pre", bundle.path)
+    solvers = {one.name: named(request, one.labels).run for one in kinds}
+    judges = {one.name: judge_of(bundle) for one in kinds}
+    return runs.run_rows(rows, kinds, solvers, judges, runs.Plan(draws))
+
+
+def _of_another_sheet(bundle: Bundle, contrast: float, deformations: int, each: int) -> list[dict[str, Any]]:
+    conditions = Conditions("N2", skin=bundle.skin)
+    if bundle.labels == "units":
+        phantoms = trials.random((1, 2), deformations, each, "A", "units", bundle.skin)
+    else:
+        phantoms = _touches(contrast, deformations, each, bundle.skin)
+    found = touched_trial(phantoms, each, Request("vd2t", bundle=bundle.path), conditions, None)
+    figures = {key: found[key] for key in ("maps", "cc", "localisation_rms_mm", "missed")}
+    return [{"name": "none", "devices": [{}], "touch": figures}]
