@@ -49,7 +49,7 @@ def test_the_two_magics_are_the_specifications():
 def test_what_a_blob_always_has_is_what_blobs_are_refused_for():
     always = {row[2]: row[4] for row in table("<!-- generated: configuration -->") if row[4]}
     assert always == {"magic": "EITC", "format": str(config.FORMAT), "size": str(config.BLOB_BYTES)}
-    assert f"bytes {config.SKIN_AT} to {config.SKIN_AT + 7}, then is that skin's digest" in FLAT
+    assert f"bytes {config.SKIN_AT} to {config.SKIN_AT + 7}, then is that skin's `grid_id` or digest" in FLAT
     assert f"a name has at most {config.SHORT_NAME} characters" in FLAT
 
 

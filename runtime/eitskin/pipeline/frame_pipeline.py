@@ -119,8 +119,8 @@ class Pipeline:
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
         step_V, read, reference = self.normaliser.volts_per_count, reference, reference.flat()
-        self.front_end.use(read, step_V)
         self.normaliser.use(reference.voltages_V, reference.weak)
+        self.front_end.use(read, step_V)
         if self.health is not None:
             spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))  # of rounding
             self.health.use(reference.voltages_V, spread_V, self._gate, frames=reference.frames, fresh=fresh)

@@ -228,6 +228,7 @@ def test_a_free_set_that_was_interrupted_goes_on_with_two_workers_and_ends_the_s
     assert load(copy).voltages_V.shape == (30, 104)
 
 
+@pytest.mark.slow
 def test_a_scheduler_that_is_not_there_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed", reason="the extra 'cluster' is not installed")
     monkeypatch.setattr(cluster_module, "CONNECT_S", 0.5)
