@@ -1,9 +1,8 @@
 """Connected pieces of a map: labelled in runs of pixels, and taken apart where a saddle divides two peaks.
 
 A piece is made of the pixels that are at least ``HALF``, neighbours along rows and columns. It is two where
-the way from one peak to the other leads down by ``SADDLE`` at least from the lower one. Two 10 mm touches of which the
-network's map shows a valley are thus two, and the noise on the flat top of one touch makes no second one: the shipped
-network tells pairs 10 mm apart by a valley below one half nearly always, and a flat top is uneven by less than 0.2.
+the way from one peak to the other leads down by ``SADDLE`` at least from the lower one: two touches that run together
+in the map are thus two, and noise on the flat top of one makes no second one. ``eitskin bench touches`` counts both.
 
 The time is bounded: a map of more than ``MOST_RUNS`` runs is taken for no picture of touches, and a piece of more than
 ``MOST_DIVIDED`` pixels is not looked at for saddles.
