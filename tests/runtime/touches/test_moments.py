@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from scipy import ndimage
 
 from eitskin.touches.moments import MOST_TOUCHES, Finder
 from eitskin.touches.pieces import HALF, SADDLE, pieces
@@ -107,6 +106,7 @@ def test_noise_on_a_flat_top_makes_no_second_touch(finder):
 
 
 def test_pieces_are_those_of_scipy_where_no_saddle_divides_them():
+    ndimage = pytest.importorskip("scipy.ndimage", reason="it labels pieces independently")
     for _ in range(500):
         rows, columns = RNG.integers(1, 12, 2)
         image = np.minimum(RNG.random((rows, columns)) * RNG.choice([0.6, 0.8, 1.0]), HALF + SADDLE - 0.01)
