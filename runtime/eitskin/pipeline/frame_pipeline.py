@@ -118,14 +118,14 @@ class Pipeline:
 
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
-        step_V, read, reference = self.normaliser.volts_per_count, reference, reference.flat()
-        self.normaliser.use(reference.voltages_V, reference.weak)
-        self.front_end.use(read, step_V)
+        step_V, flat = self.normaliser.volts_per_count, reference.flat()
+        self.normaliser.use(flat.voltages_V, flat.weak)
+        self.front_end.use(reference, step_V)
         if self.health is not None:
-            spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))  # of rounding
-            self.health.use(reference.voltages_V, spread_V, self._gate, frames=reference.frames, fresh=fresh)
+            spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))  # of rounding
+            self.health.use(flat.voltages_V, spread_V, self._gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
-        self.maps.compare_by(reference.voltages_V, reference.spread_V, reference.frames, step_V)
+        self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
 
     def start_with(self, geometry: Geometry) -> None:
         """Use a geometry at once, without an event; only between two frames of the same thread."""
