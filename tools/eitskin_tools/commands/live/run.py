@@ -7,6 +7,7 @@ standard output stays empty but for the one object of ``--json`` at the end.
 import argparse
 import contextlib
 import gc
+import importlib
 import json
 import os
 import signal
@@ -113,6 +114,7 @@ def run(arguments: argparse.Namespace) -> int:
             from eitskin.acquisition.hotplug import HotPlug
 
             port = HotPlug(arguments.port, **keywords, give_up_s=arguments.reconnect)
+        _load_what_serves()
         skin = stack.enter_context(
             Skin(
                 port,
@@ -146,6 +148,12 @@ def run(arguments: argparse.Namespace) -> int:
             log.say(_closing(skin.summary()))
     _leave_unfinished_work()
     return 0
+
+
+def _load_what_serves() -> None:
+    """Load the modules of :func:`_serve` now, while SIGTERM still ends the process at once."""
+    for name in ("eitskin.messaging.control", "eitskin.serving", "eitskin_tools.console.run_status"):
+        importlib.import_module(name)
 
 
 def _bundle(arguments: argparse.Namespace) -> "Bundle | Path | None":
