@@ -76,7 +76,7 @@ def parse(text: str) -> Skin:
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         found = f"{quoted(content.get('format'))} version {quoted(content.get('version'))}"
         raise ValueError(f"format is {found}, expected {FORMAT!r} version {VERSION}: is it a skin's description?")
-    texts = {name: _text(content.get(name, ""), name) for name in TEXTS}
+    texts: dict[str, Any] = {name: _text(content.get(name, ""), name) for name in TEXTS}
     parts: dict[str, Any] = {name: _part(kind, content.get(name, {}), name) for name, kind in TABLES.items()}
     return Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
 

@@ -50,8 +50,8 @@ def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
         )
         parts.setdefault(part, {})[stated] = quantity
     changed = {part: replace(getattr(skin, part), **values) for part, values in parts.items()}
-    origin = {"calibrated_from": skin.digest, "stated_grid_id": skin.grid_id}
-    return replace(skin, **changed, **origin, name=f"{skin.name}, calibrated")
+    name = f"{skin.name}, calibrated"
+    return replace(skin, **changed, name=name, calibrated_from=skin.digest, stated_grid_id=skin.grid_id)
 
 
 def xy_of(model: Model) -> Any:
