@@ -165,3 +165,63 @@ def test_drift_and_lost_electrodes_are_made_again_too(virtual_skin, running, tmp
     lost = next(item for item in reversed(items) if isinstance(item, Conditions))
     assert len(lost.missing_rows) >= 40
     assert (lost.drift < 1.0).any()
+
+
+def test_withheld_frames_are_told_too_and_what_happened_stands_in_the_state(virtual_skin, running, tmp_path):
+    faults = ["frozen@1.0:0.4", "reset@2.0"]
+    with (
+        virtual_skin(rate_hz=100.0, noise=1e-2, faults=faults) as port,
+        running(port, tmp_path) as runtime,
+        eitskin.subscribe_streams(runtime.publisher.endpoint) as streams,
+    ):
+        listener = Listener(runtime.publisher.endpoint)
+        items = until(streams, lambda item: isinstance(item, SkinState) and "device_reset" in str(item.events))
+        items += until(streams, lambda item: isinstance(item, WireFrame) and not item.withheld)
+        frames = listener.stop(max(item.frame or 0 for item in items if isinstance(item, WireFrame)))
+    assert sum(streams.lost.values()) == 0
+    wire = [item for item in items if isinstance(item, WireFrame)]
+    assert [item.n for item in wire] == list(range(wire[0].n, wire[0].n + len(wire)))
+    frozen = [item for item in wire if item.withheld == "frozen"]
+    assert len(frozen) > 5
+    for item in frozen:
+        assert (item.frame, item.solver, item.map_seq, item.touched) == (None, "none", None, False)
+        assert int.from_bytes(item.payload[8:12], "little") == item.seq % 2**32
+        assert item.payload[20:] == frozen[0].payload[20:]
+    assert {frame.sequence for frame in frames.values()}.isdisjoint({item.seq for item in frozen})
+    assert sorted(wire, key=lambda item: item.read_ns) == wire
+    events = [event for item in items if isinstance(item, SkinState) for event in item.events]
+    published = {frame.sequence: frame for frame in frames.values()}
+    for name in ("withheld:frozen", "device_reset"):
+        (seq,) = {seq for seq, text in events if text == name}
+        assert name in published[seq].events
+    states = [item for item in items if isinstance(item, SkinState)]
+    assert states[-1].status["withheld_by_reason"]["frozen"] == len(frozen)
+    assert {item.reference for item in states} == {captured.stored(runtime.skin.reference)}
+    assert states[-1].as_dict()["serial"] == "VIRTUAL-0001"
+
+
+def test_nothing_is_made_while_nobody_asks(virtual_skin, running, tmp_path):
+    with virtual_skin(rate_hz=100.0) as port, running(port, tmp_path) as runtime:
+        with eitskin.subscribe(runtime.publisher.endpoint, "all", touches=True) as frames:
+            first = next(frames)
+            until(frames, lambda frame: frame.number > first.number + 20)
+            assert frames.passed_over == frames.rejected == 0
+        desk = runtime.publisher.streams
+        assert not desk.asked
+        assert set(desk.numbers.values()) == {0}
+        with eitskin.subscribe_streams(runtime.publisher.endpoint, clouds=False, state=False) as streams:
+            until(streams, lambda item: isinstance(item, WireFrame))
+        assert desk.numbers["wire"] > 0
+        assert desk.numbers["cloud"] == desk.numbers["state"] == 0
+
+
+def test_the_wire_alone_computes_no_map(virtual_skin, running, tmp_path):
+    """Who records need not make the runtime infer: what is not published is made again from the recording."""
+    with (
+        virtual_skin(touches=[[0.5, 600, 0.3]], rate_hz=100.0) as port,
+        running(port, tmp_path) as runtime,
+        eitskin.subscribe_streams(runtime.publisher.endpoint, clouds=False, state=False) as streams,
+    ):
+        (*_, found) = until(streams, lambda item: isinstance(item, WireFrame) and item.touched)
+        assert (found.frame, found.solver, found.map_seq) == (None, "none", None)
+        assert runtime.skin.published == 0
