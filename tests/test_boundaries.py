@@ -57,7 +57,8 @@ ROOMS: dict[str, Arrows] = {
             "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
         },
         "serving": {"messaging", "skin"},
-        "__init__": {"acquisition", "errors", "messaging", "model", "reference", "serving", "skin", "touches"},
+        "robot": {"errors", "messaging", "touches"},
+        "__init__": {"acquisition", "errors", "messaging", "model", "reference", "robot", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
         "__init__": set(),
@@ -117,6 +118,7 @@ ROOMS: dict[str, Arrows] = {
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"},
+        "robot": {"console", "errors", "processes", "service"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -128,7 +130,7 @@ ROOMS: dict[str, Arrows] = {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "robot", "service", "stages",
             "virtual_skin",
         },
         "cli": {"command_line", "errors"},

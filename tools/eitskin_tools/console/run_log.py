@@ -12,6 +12,9 @@ from typing import Final, Literal, TextIO
 
 from eitskin_tools.console.status_line import StatusLine
 
+LOUD: Final = ("warning", "error", "ready")
+"""Events that are said even when quiet."""
+
 FORMATS: Final = ("text", "json")
 """What ``--log-format`` takes."""
 
@@ -58,6 +61,17 @@ class RunLog:
     def failed(self, text: str, stacks: str) -> None:
         """Report why the process ends by itself, and what each of its threads was doing."""
         self._put("error", f"eitskin run: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
+
+    def event(self, kind: str, text: str, fields: Mapping[str, object]) -> None:
+        """Report an event of another log: warnings, errors and ``ready`` also when quiet.
+
+        Args:
+            kind: ``info``, ``warning``, ``error``, ``ready`` or ``status``.
+            text: For people, in a line.
+            fields: The same for programs.
+        """
+        if not self._quiet or kind in LOUD:
+            self._put(kind, text, fields)
 
     def end(self) -> None:
         """Leave the status where it is."""
