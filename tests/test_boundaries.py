@@ -133,7 +133,7 @@ ROOMS: dict[str, Arrows] = {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "robot", "service", "stages",
             "virtual_skin",
         },
-        "cli": {"command_line", "errors"},
+        "cli": {"command_line", "console", "errors"},
     },
 }  # fmt: skip
 """Of each package: room, and what it may import of its neighbours."""

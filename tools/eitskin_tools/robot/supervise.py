@@ -70,6 +70,7 @@ class Family:
             stack.callback(self._end_all)
             for one in self.skins:
                 self._start(one)
+            self._write()
             self._tell()
             while any(one.runs or one.due_s is not None for one in self.skins):
                 self._turn()
@@ -101,7 +102,7 @@ class Family:
         for one in self.skins:
             if one.due_s is not None and not one.runs and now_s >= one.due_s and not self._ending:
                 self._start(one)
-                self._tell()
+                self._write()
         if self._sign_s is not None and now_s >= self._next_sign_s:
             self._next_sign_s = now_s + self._sign_s
             self._supervisor.alive()
@@ -131,6 +132,8 @@ class Family:
             return
         one.hear_summary()
         for event in one.events(time.monotonic()):
+            if event["event"] == "ready":
+                self._write()  # before it is said: whoever hears it finds it so
             self._log.event(one.settings.name, event)
             if event["event"] == "ready":
                 self._tell()
@@ -149,15 +152,19 @@ class Family:
                 self._selector.unregister(lines.stream if lines is not None else -1)
         now_s = time.monotonic()
         one.reap(now_s, ending=self._ending)
+        self._write()
         if one.state in ("failed", "waiting") and one.why:
             next_s = "" if one.due_s is None else f"; starts again in {one.due_s - now_s:.3g} s"
             others = sum(other.runs for other in self.skins)
             self._log.failed(one.settings.name, f"{one.why}{next_s}; {others} of {len(self.skins)} skins run on")
         self._tell()
 
-    def _tell(self) -> None:
-        """Write down how the skins are, and tell systemd."""
+    def _write(self) -> None:
+        """Write down how the skins are."""
         write_states(self._folder, os.getpid(), [one.described for one in self.skins])
+
+    def _tell(self) -> None:
+        """Tell systemd how the skins are, and once that all were ready or have failed."""
         ready = [one.settings.name for one in self.skins if one.state == "ready"]
         text = f"{len(ready)} of {len(self.skins)} skins publish"
         for one in self.skins:
