@@ -53,7 +53,7 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.seconds < 1e5 or not 1 <= arguments.rate <= 1000 or arguments.rounds < 1:
         raise UsageError("--seconds must be at least 1, --rate 1 to 1000 and --rounds at least 1")
     rows = measure([int(part) for part in parts], arguments.seconds, arguments.rate, arguments.rounds)
-    found = {"rows": rows, "summary": summary(rows), "cores": len(os.sched_getaffinity(0))}
+    found: dict[str, Any] = {"rows": rows, "summary": summary(rows), "cores": len(os.sched_getaffinity(0))}
     if arguments.json:
         print(json.dumps(found))
         return 0
