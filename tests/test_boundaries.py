@@ -56,8 +56,7 @@ ROOMS: dict[str, Arrows] = {
         "skin": {
             "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
         },
-        "serving": {"messaging", "skin"},
-        "robot": {"errors", "messaging", "touches"},
+        "serving": {"messaging", "skin"}, "robot": {"errors", "messaging", "touches"},
         "__init__": {"acquisition", "errors", "messaging", "model", "reference", "robot", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
@@ -117,8 +116,7 @@ ROOMS: dict[str, Arrows] = {
         "processes": set(),
         "scans": {"command_line"},
         "scenes": set(),
-        "service": {"processes"},
-        "robot": {"console", "errors", "processes", "service"},
+        "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},

@@ -5,7 +5,8 @@ Virtual skins, ``eitskin run --config`` with 1, 2, 4, ... of them, and one subsc
 a skin can cost. Per count the two follow each other, and again in each round, so that a busy machine is busy for both.
 
 CPU time is read from /proc, each process by itself. The virtual skins need cores too, about as much as the runtimes,
-which a robot's own electronics do not take: frames that are lost here would be lost later there.
+which a robot's own electronics do not take: frames that are lost here would be lost later there. What other programs
+took meanwhile is said in each row; where that is much, frames are lost by them, and not by the number of skins.
 """
 
 import argparse
@@ -132,15 +133,15 @@ def _one(kind: str, skins: list[tuple[str, int]], seconds: float, folder: Path, 
         _take(frames, WARM_S)
         counts = _take(frames, 0.0)
         received, missed, start_s = dict(frames.received), dict(frames.lost), time.monotonic()
-        before = (cpu_s(runtimes), cpu_s([pid for _, pid in skins]), cpu_s([robot.pid]), time.process_time())
+        begin = (cpu_s(runtimes), cpu_s([pid for _, pid in skins]), cpu_s([robot.pid]), time.process_time(), busy_s())
         ended = _take(frames, seconds)
         elapsed_s = time.monotonic() - start_s
-        after = (cpu_s(runtimes), cpu_s([pid for _, pid in skins]), cpu_s([robot.pid]), time.process_time())
+        end = (cpu_s(runtimes), cpu_s([pid for _, pid in skins]), cpu_s([robot.pid]), time.process_time(), busy_s())
         taken = [frames.received[name] - count for name, count in received.items()]
         behind = sum(frames.lost[name] - count for name, count in missed.items())
     children.remove(robot)
     robot.stop()
-    spent = [end - begin for begin, end in zip(before, after, strict=True)]
+    spent = [after - before for before, after in zip(begin, end, strict=True)]
     lost = sum(ended[name].counts["lost"] - counts[name].counts["lost"] for name in ended)
     withheld = sum(ended[name].counts["withheld"] - counts[name].counts["withheld"] for name in ended)
     return {
@@ -151,6 +152,7 @@ def _one(kind: str, skins: list[tuple[str, int]], seconds: float, folder: Path, 
         "virtual_core_percent_a_skin": round(100 * spent[1] / elapsed_s / len(skins), 2),
         "supervisor_core_percent": round(100 * spent[2] / elapsed_s, 2),
         "subscriber_core_percent": round(100 * spent[3] / elapsed_s, 2),
+        "others_core_percent": round(100 * max(0.0, spent[4] - sum(spent[:4])) / elapsed_s),
     }  # fmt: skip
 
 
@@ -171,6 +173,14 @@ def cpu_s(pids: list[int]) -> float:
         fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
         ticks += int(fields[11]) + int(fields[12])
     return ticks / os.sysconf("SC_CLK_TCK")
+
+
+def busy_s() -> float:
+    """Return the CPU seconds that all programs of this machine have used, and other machines have taken from it."""
+    name, *ticks = Path("/proc/stat").read_text().splitlines()[0].split()
+    assert name == "cpu"
+    user, nice, system, _, _, interrupts, soft, stolen = map(int, ticks[:8])
+    return (user + nice + system + interrupts + soft + stolen) / os.sysconf("SC_CLK_TCK")
 
 
 def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
