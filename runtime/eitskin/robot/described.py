@@ -36,7 +36,7 @@ STATES: Final = ("starting", "ready", "waiting", "failed", "ended")
 
 
 @dataclass(frozen=True, slots=True)
-class SkinState:
+class ProcessState:
     """One skin, and how its process is.
 
     Attributes:
@@ -54,7 +54,7 @@ class SkinState:
     why: str = ""
 
 
-def write_states(folder: Path, pid: int, states: Sequence[SkinState]) -> None:
+def write_states(folder: Path, pid: int, states: Sequence[ProcessState]) -> None:
     """Write the file whole.
 
     Raises:
@@ -71,7 +71,7 @@ def write_states(folder: Path, pid: int, states: Sequence[SkinState]) -> None:
     write_bytes(folder / FILE, (json.dumps(content) + "\n").encode(), 0o600)
 
 
-def read_states(folder: Path) -> tuple[SkinState, ...]:
+def read_states(folder: Path) -> tuple[ProcessState, ...]:
     """Return the skins of a folder in which ``eitskin run --config`` runs, or ran.
 
     Raises:
@@ -93,7 +93,7 @@ def read_states(folder: Path) -> tuple[SkinState, ...]:
         raise RobotError(f"{path} is not what this version writes ({error}); use the runtime's release") from error
 
 
-def _states(found: Any) -> tuple[SkinState, ...]:
+def _states(found: Any) -> tuple[ProcessState, ...]:
     if (found["format"], found["version"]) != (FORMAT, VERSION):
         raise ValueError(f"expected {FORMAT} version {VERSION}")
     if not 1 <= len(found["skins"]) <= MOST:
@@ -101,7 +101,7 @@ def _states(found: Any) -> tuple[SkinState, ...]:
     return tuple(_state(one) for one in found["skins"])
 
 
-def _state(one: Any) -> SkinState:
+def _state(one: Any) -> ProcessState:
     if not isinstance(one["name"], str) or NAME.fullmatch(one["name"]) is None or one["state"] not in STATES:
         raise ValueError("name or state")
     for key in ("publish", "control"):
@@ -112,14 +112,14 @@ def _state(one: Any) -> SkinState:
         raise ValueError("pid or restarts")
     pose = Pose.of(rotation=one["rotation"], translation_mm=one["translation_mm"])
     skin = RobotSkin(one["name"], one["publish"], one["control"], pose)
-    return SkinState(skin, one["state"], one["pid"], one["restarts"], plain(str(one["why"])))
+    return ProcessState(skin, one["state"], one["pid"], one["restarts"], plain(str(one["why"])))
 
 
 Source = str | Path | Robot | None
 """A robot.toml, a folder in which ``eitskin run --config`` runs, what was loaded; None for the default folder."""
 
 
-def states_of(source: Source = None) -> tuple[SkinState, ...]:
+def states_of(source: Source = None) -> tuple[ProcessState, ...]:
     """Return the skins of a robot, in its own order, and how their processes are where that is known.
 
     Raises:
@@ -127,7 +127,7 @@ def states_of(source: Source = None) -> tuple[SkinState, ...]:
         OSError: There is no such file.
     """
     if isinstance(source, Robot):
-        return tuple(SkinState(one.skin) for one in source.skins)
+        return tuple(ProcessState(one.skin) for one in source.skins)
     if source is None:
         folders = runtime_folders()
         return read_states(next((one for one in folders if (one / FILE).exists()), folders[0]))

@@ -7,13 +7,13 @@ import pytest
 
 from eitskin.errors import RobotError
 from eitskin.robot.config import RobotSkin
-from eitskin.robot.described import FILE, SkinState, read_states, robot_skins, states_of, write_states
+from eitskin.robot.described import FILE, ProcessState, read_states, robot_skins, states_of, write_states
 from eitskin.robot.pose import Pose
 
 POSE = Pose.of(quaternion_wxyz=[0.5, 0.5, 0.5, 0.5], translation_mm=[1.0, -2.0, 3.5])
 STATES = (
-    SkinState(RobotSkin("left", "ipc:///l/frames", "ipc:///l/control", POSE), "ready", 17, 2, "ended by signal 9"),
-    SkinState(RobotSkin("right", "ipc:///r/frames", "ipc:///r/control"), "failed", 0, 0, "no port"),
+    ProcessState(RobotSkin("left", "ipc:///l/frames", "ipc:///l/control", POSE), "ready", 17, 2, "ended by signal 9"),
+    ProcessState(RobotSkin("right", "ipc:///r/frames", "ipc:///r/control"), "failed", 0, 0, "no port"),
 )
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from eitskin.messaging.control import ControlServer
 from eitskin.robot.config import RobotSkin
-from eitskin.robot.described import SkinState, write_states
+from eitskin.robot.described import ProcessState, write_states
 from eitskin_tools import cli
 
 
@@ -71,8 +71,8 @@ def test_nobody_there_is_said_in_a_line(tmp_path, capsys):
 def test_all_skins_of_a_robot_are_asked_and_one_that_fell_is_told_with_its_reason(runtime, tmp_path, capsys):
     left = runtime("left")
     states = (
-        SkinState(RobotSkin("left", "ipc:///l", left), "ready", 17, 2, "ended by signal 9 (Killed)"),
-        SkinState(
+        ProcessState(RobotSkin("left", "ipc:///l", left), "ready", 17, 2, "ended by signal 9 (Killed)"),
+        ProcessState(
             RobotSkin("right", "ipc:///r", f"ipc://{tmp_path}/none"), "failed", 0, 0, "ended with status 1: no port"
         ),
     )

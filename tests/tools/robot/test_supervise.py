@@ -8,6 +8,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -197,6 +198,21 @@ def test_what_is_no_log_is_passed_on_as_a_warning_and_stops_nobody(family):
     with family(a="babbles", b="good") as found:
         assert found.ready()["skins"] == ["a", "b"]
         assert any(event["event"] == "warning" and "no json" in event["text"] for event in found.heard)
+
+
+def test_whoever_reads_the_log_no_more_stops_nobody(family):
+    with family("on-failure", a="good", b="other") as found:
+        found.ready()
+        before = found.states()
+        found.process.stderr.close()
+        os.kill(before["a"].pid, signal.SIGKILL)  # there is something to say
+        while (now := found.states())["a"].restarts == 0 or now["a"].state != "ready":
+            assert found.process.poll() is None
+            time.sleep(0.01)
+        assert now["b"].pid == before["b"].pid
+        found.process.terminate()
+        assert found.process.wait(PATIENCE_S) == 0
+        found.process.stderr = None
 
 
 def test_a_folder_in_use_is_refused(family, tmp_path):

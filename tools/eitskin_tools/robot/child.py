@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import IO, Any, Final
 
 from eitskin.robot.config import SkinSettings
-from eitskin.robot.described import SkinState
+from eitskin.robot.described import ProcessState
 from eitskin_tools.processes.children import die_with_parent
 from eitskin_tools.robot.words import words_of
 
@@ -115,10 +115,10 @@ class SkinProcess:
         return self._process is not None
 
     @property
-    def described(self) -> SkinState:
+    def described(self) -> ProcessState:
         """What robot.json says of it."""
         pid = 0 if self._process is None else self._process.pid
-        return SkinState(self.settings.skin, self.state, pid, self.restarts, self.why)
+        return ProcessState(self.settings.skin, self.state, pid, self.restarts, self.why)
 
     def start(self) -> None:
         """Start it.

@@ -5,6 +5,7 @@ import json
 import os
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -50,7 +51,10 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
     more += ["--json"] if arguments.json else []
     more += [] if arguments.seconds is None else [f"--seconds={arguments.seconds}"]
     supervisor = Supervisor.of(os.environ)
-    skins = [SkinProcess(one, Pauses(), more) for one in robot.skins]
+    whole = robot.skins
+    if arguments.seconds is not None:  # whoever came to its end is not started again
+        whole = tuple(replace(one, restart="on-failure") if one.restart == "always" else one for one in whole)
+    skins = [SkinProcess(one, Pauses(), more) for one in whole]
     log = RobotLog(RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet))
     try:
         status = Family(robot.folder, skins, log, supervisor).run()

@@ -160,8 +160,11 @@ class Family:
         self._tell()
 
     def _write(self) -> None:
-        """Write down how the skins are."""
-        write_states(self._folder, os.getpid(), [one.described for one in self.skins])
+        """Write down how the skins are; a full disk stops no skin."""
+        try:
+            write_states(self._folder, os.getpid(), [one.described for one in self.skins])
+        except OSError as error:
+            self._log.warn("all", f"{self._folder / FILE} cannot be written: {error.strerror or error}")
 
     def _tell(self) -> None:
         """Tell systemd how the skins are, and once that all were ready or have failed."""

@@ -15,7 +15,7 @@ from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys
-    from eitskin.robot.described import SkinState
+    from eitskin.robot.described import ProcessState
 
 LOOK_S = 0.5
 """Between two looks: at 200 frames/s some hundred frames."""
@@ -47,13 +47,13 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.curve_keys import load_client_keys
     from eitskin.messaging.endpoints import default_control
     from eitskin.robot.config import RobotSkin
-    from eitskin.robot.described import SkinState, states_of
+    from eitskin.robot.described import ProcessState, states_of
 
     keys = None if arguments.server_key is None else load_client_keys(arguments.server_key, arguments.client_key)
     if arguments.all:
         states = states_of(arguments.where)
     else:
-        states = (SkinState(RobotSkin("eitskin", "", arguments.where or default_control())),)
+        states = (ProcessState(RobotSkin("eitskin", "", arguments.where or default_control())),)
     rows = looked_at(states, arguments.timeout_s, keys)
     well = sum(bool(row["well"]) for row in rows)
     if arguments.json:
@@ -64,7 +64,7 @@ def run(arguments: argparse.Namespace) -> int:
     return 0 if well == len(rows) else 1
 
 
-def looked_at(states: "tuple[SkinState, ...]", timeout_s: float, keys: "ClientKeys | None") -> list[dict[str, Any]]:
+def looked_at(states: "tuple[ProcessState, ...]", timeout_s: float, keys: "ClientKeys | None") -> list[dict[str, Any]]:
     """Return how each skin is, after two looks at all of them at once.
 
     Args:
@@ -73,7 +73,7 @@ def looked_at(states: "tuple[SkinState, ...]", timeout_s: float, keys: "ClientKe
         keys: CURVE keys, for TCP.
     """
 
-    def ask(one: "SkinState") -> tuple[float, dict[str, Any]]:
+    def ask(one: "ProcessState") -> tuple[float, dict[str, Any]]:
         from eitskin.errors import SkinError
         from eitskin.messaging.control_client import request
 
@@ -92,7 +92,7 @@ def looked_at(states: "tuple[SkinState, ...]", timeout_s: float, keys: "ClientKe
 
 
 def _row(
-    state: "SkinState", first: tuple[float, dict[str, Any]], second: tuple[float, dict[str, Any]]
+    state: "ProcessState", first: tuple[float, dict[str, Any]], second: tuple[float, dict[str, Any]]
 ) -> dict[str, Any]:
     from eitskin_tools.console.run_status import Status
 
