@@ -42,6 +42,9 @@ if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
     from eitskin.messaging.publish import Publisher
+    from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+    from eitskin.messaging.streams.state import SkinState
+    from eitskin.messaging.streams.subscription import StreamSubscription, subscribe_streams
     from eitskin.messaging.subscription import Subscription, subscribe
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
@@ -64,7 +67,9 @@ __all__ = [
     "BundleError",
     "CalibrationError",
     "ClientKeys",
+    "CloudInUse",
     "CloudWarning",
+    "Conditions",
     "ControlError",
     "ControlServer",
     "EndpointError",
@@ -90,13 +95,16 @@ __all__ = [
     "Skin",
     "SkinError",
     "SkinFrame",
+    "SkinState",
     "StaleFrame",
+    "StreamSubscription",
     "Subscription",
     "Touch",
     "TouchEvent",
     "TouchList",
     "Transport",
     "TransportError",
+    "WireFrame",
     "__version__",
     "load_bundle",
     "load_client_keys",
@@ -109,11 +117,14 @@ __all__ = [
     "serve",
     "subscribe",
     "subscribe_all",
+    "subscribe_streams",
 ]
 
 _HOMES: Final = {
     "Bundle": "eitskin.model.bundle",
     "ClientKeys": "eitskin.messaging.curve_keys",
+    "CloudInUse": "eitskin.messaging.streams.measured",
+    "Conditions": "eitskin.messaging.streams.measured",
     "ControlServer": "eitskin.messaging.control",
     "ForceTable": "eitskin.touches.force",
     "Frame": "eitskin.messaging.frame",
@@ -125,11 +136,14 @@ _HOMES: Final = {
     "RobotSubscription": "eitskin.robot.all_frames",
     "Skin": "eitskin.skin",
     "SkinFrame": "eitskin.robot.all_frames",
+    "SkinState": "eitskin.messaging.streams.state",
+    "StreamSubscription": "eitskin.messaging.streams.subscription",
     "Subscription": "eitskin.messaging.subscription",
     "Touch": "eitskin.touches.touch",
     "TouchEvent": "eitskin.touches.touch",
     "TouchList": "eitskin.touches.touch",
     "Transport": "eitskin.acquisition.transport",
+    "WireFrame": "eitskin.messaging.streams.measured",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
     "load_robot": "eitskin.robot.config",
@@ -141,6 +155,7 @@ _HOMES: Final = {
     "serve": "eitskin.serving",
     "subscribe": "eitskin.messaging.subscription",
     "subscribe_all": "eitskin.robot.all_frames",
+    "subscribe_streams": "eitskin.messaging.streams.subscription",
 }
 """Where each public name lives; the errors live in ``eitskin.errors``."""
 
