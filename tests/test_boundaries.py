@@ -55,8 +55,8 @@ ROOMS: dict[str, Arrows] = {
             "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
             "stream_source",
         },
-        "serving": {"messaging", "skin"},
-        "__init__": {"acquisition", "errors", "messaging", "model", "reference", "serving", "skin", "touches"},
+        "serving": {"messaging", "skin"}, "robot": {"errors", "messaging", "touches"},
+        "__init__": {"acquisition", "errors", "messaging", "model", "reference", "robot", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
         "__init__": set(),
@@ -115,7 +115,7 @@ ROOMS: dict[str, Arrows] = {
         "processes": set(),
         "scans": {"command_line"},
         "scenes": set(),
-        "service": {"processes"},
+        "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -128,10 +128,10 @@ ROOMS: dict[str, Arrows] = {
             "virtual_skin",
         },
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "robot", "service", "stages",
             "virtual_skin",
         },
-        "cli": {"command_line", "errors"},
+        "cli": {"command_line", "console", "errors"},
     },
 }  # fmt: skip
 """Of each package: room, and what it may import of its neighbours."""

@@ -18,6 +18,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
@@ -28,6 +29,8 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
     "surface": ("live.surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
+    "status": ("live.status", "how the runtime is, or all skins of a robot"),
+    "service": ("live.service", "files for systemd, udev and containers: list, print or write them"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
@@ -134,10 +137,11 @@ def _main(words: list[str]) -> int:
 
 def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
     """Say what is wrong, in the format of the log where there is one, and return the exit status."""
+    before = prefix("error") if goes_to_journal(sys.stderr, os.environ) else ""
     if getattr(arguments, "log_format", "text") == "json":
-        print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
+        print(before + json.dumps({"event": "error", "text": text}), file=sys.stderr)
     else:
-        print(f"eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
+        print(f"{before}eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
     return status
 
 

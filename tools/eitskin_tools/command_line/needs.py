@@ -29,6 +29,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
     "bench memory": ("scipy",),
+    "bench skins": ("scipy",),
     "bench skip": ("scipy", "torch"),
     "bench tradeoff": ("scipy",),
     "bench physics": ("scipy", "skfem"),

@@ -15,6 +15,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "frame": "from the wire to the subscriber, stage by stage, and other ways to infer the same map",
     "footprint": "memory, import time and size of the runtime",
     "memory": "whether the runtime's memory stays flat over minutes at 1000 frames a second",
+    "skins": "what a skin takes of a core, and how many skins lose no frame",
     "skip": "what each skipped stage saves",
     "touches": "what the list of touches takes for a frame, and how far off it is",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
