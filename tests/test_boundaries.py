@@ -114,6 +114,7 @@ ROOMS: dict[str, Arrows] = {
         "mismatches": set(), "phantoms": set(),
         "pictures": set(),
         "processes": set(),
+        "recording": {"command_line"},
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"},
@@ -128,8 +129,8 @@ ROOMS: dict[str, Arrows] = {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",
-            "virtual_skin",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "service",
+            "stages", "virtual_skin",
         },
         "cli": {"command_line", "errors"},
     },
