@@ -180,7 +180,7 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
     disk = SmallDisk(150_000, reserve)
     clock, path = Clock(), tmp_path / "a.mcap"
     writer = RecordingWriter(path, HEAD, reserve_bytes=reserve, now_s=clock)
-    disk.sink, disk.used = writer._sink, writer.bytes
+    disk.sink, disk.used = writer._sink, writer.size
     monkeypatch.setattr(sinks.os, "write", disk.write)
     contents = []
     while not writer.full:

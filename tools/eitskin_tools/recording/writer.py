@@ -62,7 +62,7 @@ class RecordingWriter:
         return self._sink.path
 
     @property
-    def bytes(self) -> int:
+    def size(self) -> int:
         """On the way to the disk so far."""
         return self._sink.bytes
 
@@ -82,7 +82,7 @@ class RecordingWriter:
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
         """Write a file within the file."""
-        self._writer.flush()  # what came before it stays before it
+        self._writer.flush()  # type: ignore[no-untyped-call]  # what came before it stays before it
         self._writer.add_attachment(log_ns, log_ns, name, media_type, content)
 
     def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
@@ -110,7 +110,7 @@ class RecordingWriter:
 
     def sync(self) -> None:
         """End the chunk, and return when it is on disk."""
-        self._writer.flush()
+        self._writer.flush()  # type: ignore[no-untyped-call]
         self._sink.sync()
         self._synced_s = self._now_s()
 
@@ -123,6 +123,6 @@ class RecordingWriter:
         if self._open:
             self._open = False
             try:
-                self._writer.finish()
+                self._writer.finish()  # type: ignore[no-untyped-call]
             finally:
                 self._sink.close()

@@ -10,6 +10,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from time import perf_counter_ns
 from typing import Final
 
@@ -151,8 +152,6 @@ class RecordedLine:
     def _answer(self, payload: bytes) -> bytes:
         kind, tag = payload[0], payload[1] if len(payload) > 1 else 0
         if kind == MessageType.HELLO_REQUEST:
-            from dataclasses import replace
-
             return replace(self._hello, tag=tag).pack()
         if kind == MessageType.TIME_REQUEST:
             return Time(self._device_us(), tag).pack()
@@ -172,7 +171,7 @@ class RecordedLine:
                 self.before(self._next)
         if self._next is None or len(self._next.frame.payload) < _AT + _SEQUENCE.size:
             return 0
-        return (_SEQUENCE.unpack_from(self._next.frame.payload, _AT)[1] + self._ahead[1]) & 0xFFFFFFFF
+        return int(_SEQUENCE.unpack_from(self._next.frame.payload, _AT)[1] + self._ahead[1]) & 0xFFFFFFFF
 
     def cancel(self) -> None:
         """Make the ``read`` that waits now, or else the next one, return at once."""
