@@ -120,9 +120,9 @@ ROOMS: dict[str, Arrows] = {
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
-        "evaluation": {"command_line", "pictures"},
+        "evaluation": {"command_line", "pictures", "recording"},
         "demo": {"pictures", "processes", "scripted_scene"},
-        "fault_injection": {"emulator", "flash", "virtual_skin"},
+        "fault_injection": {"emulator", "flash", "recording", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
