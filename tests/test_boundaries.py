@@ -125,7 +125,8 @@ ROOMS: dict[str, Arrows] = {
         "fault_injection": {"emulator", "flash", "recording", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
-            "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
+            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "stages",
+            "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "service",

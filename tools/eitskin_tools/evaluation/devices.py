@@ -70,7 +70,8 @@ def evaluate_devices(
     for kind in kinds:
         bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
         bundles[kind.name] = bundle.id
-        solvers[kind.name] = named(Request(request.name, reference, bundle.path, request.prediction), kind.labels)
+        one = Request(request.name, reference, bundle.path, request.prediction)
+        solvers[kind.name] = named(one, kind.labels, plan.skin)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
             followers[kind.name] = DriftRemoved(bundle, drift)

@@ -113,7 +113,7 @@ class Series:
             self._writer.add(channel, data, log_ns, sequence)
 
     def sync(self) -> None:
-        """Return when everything is on disk."""
+        """Have everything forced onto the disk."""
         self._writer.sync()
 
     def close(self) -> None:
