@@ -127,8 +127,9 @@ ROOMS: dict[str, Arrows] = {
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
+        "view": {"pictures"},
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages", "view",
             "virtual_skin",
         },
         "cli": {"command_line", "errors"},
