@@ -126,7 +126,7 @@ ROOMS: dict[str, Arrows] = {
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
-        "view": {"pictures"},
+        "view": {"pictures", "processes"},
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages", "view",
             "virtual_skin",

@@ -32,7 +32,8 @@ class Browser:
                  "--disable-background-networking", "--disable-component-update", "--disable-sync", "--no-first-run",
                  "--disable-default-apps", "--no-default-browser-check", "--hide-scrollbars", "--disable-dev-shm-usage",
                  "--enable-unsafe-swiftshader", f"--window-size={width},{height}", "about:blank"],
-                preexec_fn=lambda: _onto_3_and_4(to_read, to_write), close_fds=False, start_new_session=True,
+                preexec_fn=lambda: _onto_3_and_4(to_read, to_write),  # noqa: PLW1509 -- system calls alone
+                close_fds=False, start_new_session=True,
                 stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
                 env={**os.environ, "HOME": home, "TMPDIR": home},
             )  # fmt: skip

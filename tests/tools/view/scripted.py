@@ -46,7 +46,7 @@ class Scene:
 
     map: np.ndarray = field(default_factory=lambda: np.zeros(PAPER.grid.shape, np.float32))
     cloud: int = 0
-    cloud_mm: np.ndarray = field(default_factory=lambda: flat())
+    cloud_mm: np.ndarray = field(default_factory=flat)
     skipped: tuple = ("geometry:cloud_unchanged",)
     events: tuple = ()
     electrodes: tuple = ()

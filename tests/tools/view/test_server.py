@@ -12,10 +12,10 @@ from eitskin_tools.view.address import host_allowed, is_loopback, page_address
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import electrode_places_mm, packed, skin_message, status_message, unpacked
 from eitskin_tools.view.pages import pages
-from eitskin_tools.view.server import PortTaken, Recorder, ViewServer
+from eitskin_tools.view.server import PortTaken, ViewServer
 
 
-class Remembering(Recorder):
+class Remembering:
     def __init__(self):
         self.done = []
 

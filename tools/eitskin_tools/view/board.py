@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-KINDS: Final = ("skin", "surface", "frame", "status")
+KINDS: Final = ("skin", "surface", "frame", "state", "status")
 """In the order in which a page takes them."""
 
 MOST_PAGES: Final = 16

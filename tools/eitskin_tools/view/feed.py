@@ -1,7 +1,7 @@
 """The viewer's own subscriber: takes the newest frame, 30 times a second at most, and only while somebody looks on.
 
-Frames in between are dropped by libzmq (CONFLATE) and never decoded. CONFLATE excludes more than one topic on a socket,
-so the wish for touches stands on a socket of its own, over which nothing ever comes.
+Frames in between are dropped by libzmq and never decoded (:mod:`eitskin_tools.view.tap`); surfaces and what happened
+come by streams of their own (:mod:`eitskin_tools.view.streams`).
 """
 
 import threading
@@ -9,15 +9,14 @@ import time
 from collections.abc import Callable
 from typing import Any, Final
 
-import zmq
-
 import eitskin
-from eitskin.errors import EndpointError, NoFrame
+from eitskin.errors import NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
-from eitskin.messaging.regions import TOUCHES
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import frame_message, status_message
+from eitskin_tools.view.streams import Streams
+from eitskin_tools.view.tap import Tap
 
 REFRESH_HZ: Final = 30.0
 """Pictures a second at most."""
@@ -80,15 +79,12 @@ class Feed:
 
     def _follow(self) -> None:
         """Post frames until nobody looks on."""
-        with (
-            _TouchesWanted(self.endpoint, self._keys),
-            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=self._keys) as frames,
-        ):
+        with Tap(self.endpoint, self._keys) as tap, Streams(self.endpoint, self._board, self._keys):
             status_s, seen_s = 0.0, time.monotonic()
             while not self._left.is_set():
                 due_s = time.monotonic() + 1.0 / REFRESH_HZ
                 try:
-                    frame = frames.next_frame()
+                    frame = tap.newest(SILENCE_S)
                 except NoFrame as error:
                     self._say("silent", str(error))
                 else:
@@ -116,27 +112,3 @@ class Feed:
 
     def _say(self, state: str, text: str) -> None:
         self._board.post("status", status_message(state, text, **self._more()))
-
-
-class _TouchesWanted:
-    """A socket that only says to the runtime that somebody wants touches."""
-
-    def __init__(self, endpoint: str, keys: ClientKeys | None) -> None:
-        self._context: zmq.Context[Any] = zmq.Context()
-        self._socket = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        if keys is not None:
-            keys.apply(self._socket)
-        self._socket.setsockopt(zmq.SUBSCRIBE, TOUCHES)
-        try:
-            self._socket.connect(endpoint)
-        except zmq.ZMQError as error:
-            self.__exit__()
-            raise EndpointError(f"{endpoint!r} cannot be connected to: {error.strerror}") from error
-
-    def __enter__(self) -> None:
-        return
-
-    def __exit__(self, *_: object) -> None:
-        self._socket.close(0)
-        self._context.term()

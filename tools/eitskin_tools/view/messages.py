@@ -19,6 +19,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.messaging.frame import STAGES, Frame
+from eitskin.messaging.streams.state import SkinState
 from eitskin.touches.touch import Touch
 from eitskin_proto.skin.skin import Skin
 
@@ -121,18 +122,32 @@ def skin_message(skin: Skin, palette: npt.NDArray[np.intp], about: dict[str, Any
     return packed(head)
 
 
-def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], predicted: bool) -> bytes:
+def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], run: str) -> bytes:
     """Return the message of a surface.
 
     Args:
         revision: As frames name it in ``cloud``.
         cloud_mm: (3, rows, columns) mm.
-        predicted: Whether it came with V_pred.
+        run: Of the runtime.
     """
     body = np.ascontiguousarray(cloud_mm, dtype="<f4")
-    return packed(
-        {"kind": "surface", "revision": revision, "shape": body.shape[1:], "predicted": predicted}, body.tobytes()
-    )
+    return packed({"kind": "surface", "revision": revision, "shape": body.shape[1:], "run": run}, body.tobytes())
+
+
+def state_message(state: SkinState) -> bytes:
+    """Return the message of what happened since the one before, and who measures."""
+    head = {
+        "kind": "state",
+        "n": state.n,
+        "run": state.run,
+        "t_ms": state.made_ns / 1e6,
+        "events": [text for _, text in state.events],
+        "bundle": state.bundle,
+        "skin": state.skin,
+        "version": state.version,
+        "trouble": str(state.status.get("trouble", "")),
+    }
+    return packed(head)
 
 
 def status_message(state: str, text: str, **more: Any) -> bytes:

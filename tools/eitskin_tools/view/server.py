@@ -12,7 +12,7 @@ import threading
 import time
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final
+from typing import Any, Final, Protocol
 
 from eitskin.errors import SkinError
 from eitskin_tools.view.address import came_from_here, host_allowed, is_loopback, page_address, token_given
@@ -42,16 +42,16 @@ class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
     """The server cannot be bound; the text says why, and what to do."""
 
 
-class Recorder:
-    """What starts and stops recordings; this one can do neither."""
+class Actions(Protocol):
+    """What starts and stops recordings."""
 
     def start(self) -> str:
         """Begin; return "" or why not."""
-        return "this viewer cannot record"
+        ...
 
     def stop(self) -> str:
         """End; return "" or why not."""
-        return "nothing is being recorded"
+        ...
 
 
 class ViewServer(ThreadingHTTPServer):
@@ -62,7 +62,7 @@ class ViewServer(ThreadingHTTPServer):
         port: 0 for any that is free.
         board: What pages show.
         token: What a page must know, or empty.
-        recorder: What records.
+        recorder: What records; None for nothing.
 
     Raises:
         PortTaken: The address cannot be bound.
@@ -74,12 +74,12 @@ class ViewServer(ThreadingHTTPServer):
     request_queue_size = 32
     allow_reuse_address = True
 
-    def __init__(self, host: str, port: int, board: Board, token: str = "", recorder: Recorder | None = None) -> None:
+    def __init__(self, host: str, port: int, board: Board, token: str = "", recorder: Actions | None = None) -> None:
         if not token and not is_loopback(host):
             raise ValueError(f"{host} can be reached from other machines; expected a token")
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.host, self.board, self.token = host, board, token
-        self.recorder = recorder or Recorder()
+        self.recorder = recorder
         self.pages = pages()
         self._room = threading.BoundedSemaphore(MOST)
         try:
@@ -158,7 +158,7 @@ class _Request(BaseHTTPRequestHandler):
                 more = self.connection.recv(4096)
             except OSError:
                 return None
-            if not more:
+            if not more or self.server.board.closed:
                 return None
             self._rest += more
         head, self._rest = self._rest[: end + 4], self._rest[end + 4 :]
@@ -180,14 +180,14 @@ class _Request(BaseHTTPRequestHandler):
         """Start or stop a recording."""
         if not self._trusted():
             return
-        if self.path not in ACTIONS:
+        recorder = self.server.recorder
+        if self.path not in ACTIONS or recorder is None:
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such action")
         elif not self.headers.get("Origin", "").endswith(f"://{self.headers.get('Host')}"):
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
         elif not self._has_token():
             self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
         else:
-            recorder = self.server.recorder
             why_not = recorder.start() if self.path == "/record/start" else recorder.stop()
             self._answer(HTTPStatus.CONFLICT if why_not else HTTPStatus.OK, why_not.encode(), "text/plain")
 

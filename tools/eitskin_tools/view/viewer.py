@@ -1,6 +1,7 @@
 """Everything that ``eitskin view`` runs, as one context: the feed, the server, and what they share."""
 
 import threading
+from pathlib import Path
 from typing import Any, Self
 
 from eitskin.messaging.curve_keys import ClientKeys
@@ -9,6 +10,7 @@ from eitskin_tools.pictures.draw import palette
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import REFRESH_HZ, Feed
 from eitskin_tools.view.messages import skin_message
+from eitskin_tools.view.recorder import Recorder
 from eitskin_tools.view.server import ViewServer
 
 
@@ -22,6 +24,8 @@ class Viewer:
         port: 0 for any that is free.
         token: What a page must know; empty only on loopback.
         keys: CURVE keys.
+        recordings: Folder for what the page has recorded; None if it is not to record.
+        record_options: Of ``eitskin record``, besides.
 
     Raises:
         PortTaken: The address cannot be bound.
@@ -38,13 +42,20 @@ class Viewer:
         port: int = 0,
         token: str = "",
         keys: ClientKeys | None = None,
+        recordings: Path | None = None,
+        record_options: tuple[str, ...] = (),
     ) -> None:
         self.board = Board()
-        self.feed = Feed(endpoint, self.board, skin, keys)
+        self.feed = Feed(endpoint, self.board, skin, keys, lambda: self._recorder.about())
         self.endpoint = self.feed.endpoint
         about: dict[str, Any] = {"refresh_hz": REFRESH_HZ, "endpoint": self.endpoint}
         self.board.post("skin", skin_message(skin, palette(), about))
-        self.server = ViewServer(host, port, self.board, token)
+        self._recorder = Recorder(self.endpoint, recordings, record_options)
+        try:
+            self.server = ViewServer(host, port, self.board, token, self._recorder)
+        except BaseException:
+            self._recorder.close()
+            raise
         self.address = self.server.address
         """What to type into a browser."""
         self._thread = threading.Thread(target=self.server.serve_forever, name="view-server", daemon=True)
@@ -59,3 +70,4 @@ class Viewer:
         self.server.shutdown()
         self._thread.join()
         self.server.server_close()
+        self._recorder.close()

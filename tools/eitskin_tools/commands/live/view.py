@@ -18,6 +18,7 @@ PORT = 8416
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE.mcap", help="look at a recording, over and over")
     parser.add_argument("--endpoint", metavar="E", help="where the runtime publishes (default: its default)")
     parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
     parser.add_argument(
@@ -27,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="address to serve on (127.0.0.1); any other than this machine's own asks for a token",
     )
     parser.add_argument("--token", action="store_true", help="ask for a token on this machine too")
+    parser.add_argument("--recordings", type=Path, metavar="DIR", help="where the page's recordings go (default: here)")
     parser.add_argument("--no-open", action="store_true", help="do not open a browser")
     skins.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")

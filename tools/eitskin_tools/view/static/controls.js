@@ -24,7 +24,7 @@ export function wearTheme() {
   $("theme").textContent = `Theme: ${theme}`;
 }
 
-export function listen(page, history, camera, flat, strips) {
+export function listen(page, history, camera, flat, strips, token) {
   const redraw = () => { page.changed = true; page.slowAt = 0; };
   const acts = {
     pause: () => (history.mode === "paused" ? history.play() : history.pause()),
@@ -32,6 +32,7 @@ export function listen(page, history, camera, flat, strips) {
     forward: () => history.step(1),
     live: () => history.live(),
     theme: () => { theme = THEMES[theme]; keep(theme); wearTheme(); },
+    record: () => record(page, token),
     help: () => $("keys").showModal(),
   };
   const act = (name) => { acts[name](); redraw(); };
@@ -46,7 +47,7 @@ export function listen(page, history, camera, flat, strips) {
   const look = (name) => (views[name] ? views[name]() : camera.view(name));
   for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => look(button.dataset.view));
 
-  const keys = { " ": "pause", ",": "back", ".": "forward", l: "live", t: "theme", "?": "help" };
+  const keys = { " ": "pause", ",": "back", ".": "forward", l: "live", r: "record", t: "theme", "?": "help" };
   const looks = { 1: "tilted", 2: "above", 3: "front", "+": "closer", "=": "closer", "-": "farther" };
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || $("keys").open) return;
@@ -64,5 +65,17 @@ export function listen(page, history, camera, flat, strips) {
   $("flat").addEventListener("pointermove", pointed);
   for (const canvas of document.querySelectorAll(".strips canvas")) {
     canvas.addEventListener("click", (event) => { history.go(strips.timeAt(canvas, event, history)); redraw(); });
+  }
+}
+
+async function record(page, token) {
+  if ($("record").hidden) return;
+  $("record").disabled = true;
+  try {
+    const headers = token ? { Authorization: `Bearer ${token}` } : {};
+    const answer = await fetch(page.status.recording ? "record/stop" : "record/start", { method: "POST", headers });
+    $("record").title = (await answer.text()) || $("record").title;
+  } finally {
+    $("record").disabled = false;
   }
 }

@@ -15,14 +15,14 @@ export class Diary {
     this.highest = 0;
   }
 
-  note(t, head, before) {
+  note(t, head, before, eventsComeApart) {
     if (before && before.run !== head.run) {
       this.say(t, "The runtime started anew");
       this.touches.clear();
       this.highest = 0;
     }
     if (before && before.run === head.run) this.count(t, head.counts, before.counts);
-    for (const code of head.events) if (!TOLD_OTHERWISE.has(code)) this.say(t, eventWords(code));
+    if (!eventsComeApart) for (const code of head.events) this.event(t, code);
     for (const [kind, id, other] of head.touch_events) {
       if (kind === "merged" && this.touches.delete(id)) this.say(t, `Touch ${id} became one with ${other}`);
     }
@@ -36,6 +36,10 @@ export class Diary {
       this.touches.delete(id);
       this.say(t, `Touch ${id} ended`);
     }
+  }
+
+  event(t, code) {
+    if (!TOLD_OTHERWISE.has(code)) this.say(t, eventWords(code));
   }
 
   count(t, now, before) {

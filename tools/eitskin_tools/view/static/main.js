@@ -29,9 +29,10 @@ function take(head, body) {
   page.gone = null;
   page.changed = true;
   if (head.kind === "skin") takeSkin(head);
-  else if (head.kind === "surface") page.surface = surfaceOf(head.revision, head.shape, new Float32Array(body.buffer));
+  else if (head.kind === "surface") page.surface = Object.assign(surfaceOf(head.revision, head.shape, new Float32Array(body.buffer)), { run: head.run });
   else if (head.kind === "frame") takeFrame(head, body);
-  else if (head.kind === "status") page.status = head;
+  else if (head.kind === "state") takeState(head);
+  else if (head.kind === "status") takeStatus(head);
 }
 
 function takeSkin(skin) {
@@ -57,9 +58,31 @@ function surfaceOf(revision, [rows, columns], cloud) {
 
 function takeFrame(head, body) {
   const before = history.newest;
-  const frame = { t: head.t_ms, head, map: body, surface: head.cloud && page.surface ? page.surface : page.flatSurface };
+  const frame = { t: head.t_ms, head, map: body, surface: surfaceFor(head) };
   history.add(frame);
-  diary.note(frame.t, head, before?.head);
+  diary.note(frame.t, head, before?.head, page.state?.run === head.run);
+}
+
+function takeStatus(head) {
+  const before = page.status;
+  page.status = head;
+  const t = history.newest?.t ?? 0;
+  if (head.recording && head.recording !== before?.recording) diary.say(t, `Recording to ${head.recording}`);
+  if (head.recorder && head.recorder !== before?.recorder) diary.say(t, head.recorder);
+}
+
+/** What happened since the message before, at all frames, those between two pictures too. */
+function takeState(head) {
+  const before = page.state;
+  page.state = head;
+  if (before?.run === head.run && before.n < head.n) for (const code of head.events) diary.event(history.newest?.t ?? head.t_ms, code);
+}
+
+/** The surface that a frame is drawn on: that in use, the one before until it has come, or none. */
+function surfaceFor(head) {
+  const { surface } = page;
+  if (!head.cloud) return page.flatSurface;
+  return surface && surface.run === head.run ? surface : page.flatSurface;
 }
 
 /** Frames a second that the runtime publishes, over the last second. */
@@ -78,6 +101,7 @@ function drawState(shown) {
   if ($("state-text").textContent !== text) $("state-text").textContent = text;
   const said = page.gone !== null ? page.gone || "The viewer has ended, or cannot be reached. Start 'eitskin view' again; this page goes on by itself."
     : page.status?.text ? `${page.status.text}${silent ? ". This page goes on by itself when frames come." : ""}` : "";
+  panel.drawRecord(page.status);
   $("notice").hidden = !said;
   if ($("notice").textContent !== said) $("notice").textContent = said;
 }
@@ -120,10 +144,10 @@ function draw(now) {
   requestAnimationFrame(draw);
 }
 
-listen(page, history, camera, flat, strips);
+const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
+listen(page, history, camera, flat, strips, token);
 new ResizeObserver(() => { page.changed = true; page.slowAt = 0; }).observe(document.body);
 wearTheme();
 requestAnimationFrame(draw);
-const token = new URLSearchParams(location.hash.slice(1)).get("token") ?? "";
 follow(token, take, (why) => { page.gone = why; page.changed = true; if (!page.skin) drawState(null); });
 window.eitskin = { page, history, camera, flat }; // for the console

@@ -78,6 +78,14 @@ export function drawNow(frame) {
   say($("drift-now"), drift === null ? "unknown" : `${signed(drift)}${sd === null ? "" : ` ± ${sd.toFixed(1)}`} %`);
 }
 
+export function drawRecord(status) {
+  const button = $("record"), on = Boolean(status?.recording);
+  button.hidden = !status?.can_record;
+  button.setAttribute("aria-pressed", String(on));
+  button.title = on ? `Stop recording ${status.recording} (R)` : "Record what is measured to a file (R)";
+  say($("record-text"), on ? "Stop recording" : "Record");
+}
+
 export function makeStageLegend() {
   STAGES.forEach((stage, k) => {
     const entry = $("stages").appendChild(document.createElement("span"));
