@@ -113,6 +113,7 @@ ROOMS: dict[str, Arrows] = {
         "mismatches": set(), "phantoms": set(),
         "pictures": set(),
         "processes": set(),
+        "recording": {"command_line"},
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"},
@@ -128,8 +129,8 @@ ROOMS: dict[str, Arrows] = {
         },
         "view": {"pictures", "processes"},
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages", "view",
-            "virtual_skin",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "service",
+            "stages", "view", "virtual_skin",
         },
         "cli": {"command_line", "errors"},
     },

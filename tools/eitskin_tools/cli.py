@@ -48,7 +48,15 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
 }
 """Subcommands of simulation, training and evaluation, as in ``LIVE``."""
 
-COMMANDS: Final = {**LIVE, **OFFLINE}
+RECORDED: Final[dict[str, tuple[str, str]]] = {
+    "record": ("recorded.record", "write what a runtime measures into a file that survives power cuts"),
+    "replay": ("recorded.replay", "publish a recording as if its skin were there"),
+    "reinfer": ("recorded.reinfer", "compute a recording's maps once more, by the same or by another bundle or solver"),
+    "convert": ("recorded.convert", "a recording as NPZ, Parquet or rosbag2"),
+}
+"""Subcommands that write or read recordings, as in ``LIVE``."""
+
+COMMANDS: Final = {**LIVE, **RECORDED, **OFFLINE}
 """All subcommands in the order of the help."""
 
 FIRST_STEPS: Final = """first steps, without hardware:
@@ -60,9 +68,10 @@ FIRST_STEPS: Final = """first steps, without hardware:
 
 
 def _help_text() -> str:
-    """Return the commands in two groups, and the first steps."""
+    """Return the commands in three groups, and the first steps."""
     groups = []
-    for title, commands in (("around a running skin", LIVE), ("simulation, training, evaluation", OFFLINE)):
+    titled = (("around a running skin", LIVE), ("recordings", RECORDED), ("simulation, training, evaluation", OFFLINE))
+    for title, commands in titled:
         lines = [f"    {name:<14}{summary}" for name, (_, summary) in commands.items()]
         groups.append("\n".join([f"{title}:", *lines]))
     return "\n\n".join([*groups, FIRST_STEPS + "\n'eitskin COMMAND --help' says what a command takes."])

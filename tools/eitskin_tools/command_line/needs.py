@@ -9,7 +9,7 @@ from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
     "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "distributed": "cluster", "skfem": "dev",
+    "distributed": "cluster", "skfem": "dev", "mcap": "record", "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
 """Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings."""
 
@@ -21,6 +21,10 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "dataset": ("scipy",),
     "evaluate": ("scipy",),
     "calibrate": ("scipy",),
+    "record": ("mcap",),
+    "replay": ("mcap",),
+    "reinfer": ("mcap",),
+    "convert": ("mcap",),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "train": ("scipy", "torch"),
     "curves": ("torch",),

@@ -23,9 +23,11 @@ class RunLog:
         stream: Where they go.
         form: One of ``FORMATS``.
         quiet: Leave out all but ``ready``.
+        command: Which one says it.
     """
 
-    def __init__(self, stream: TextIO, form: str = "text", *, quiet: bool = False) -> None:
+    def __init__(self, stream: TextIO, form: str = "text", *, quiet: bool = False, command: str = "run") -> None:
+        self._name = f"eitskin {command}"
         self._form: Literal["text", "json"] = "json" if form == "json" else "text"
         self._quiet = quiet
         self._line = StatusLine(stream)
@@ -36,11 +38,11 @@ class RunLog:
     def say(self, text: str) -> None:
         """Report something that was found or done."""
         if not self._quiet:
-            self._put("info", f"eitskin run: {text}", {"text": text})
+            self._put("info", f"{self._name}: {text}", {"text": text})
 
     def warn(self, text: str) -> None:
         """Report something that is wrong and does not stop us; nobody may miss it."""
-        self._put("warning", f"eitskin run: {text}", {"text": text})
+        self._put("warning", f"{self._name}: {text}", {"text": text})
 
     def ready(self, publish: str, control: str) -> None:
         """Report that frames are published from now on."""
@@ -53,11 +55,11 @@ class RunLog:
             with self._lock:
                 self._line.show(text)
         elif not self._quiet:
-            self._put("status", f"eitskin run: {text}", fields)
+            self._put("status", f"{self._name}: {text}", fields)
 
     def failed(self, text: str, stacks: str) -> None:
         """Report why the process ends by itself, and what each of its threads was doing."""
-        self._put("error", f"eitskin run: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
+        self._put("error", f"{self._name}: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
 
     def end(self) -> None:
         """Leave the status where it is."""

@@ -3,20 +3,11 @@
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
-from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.processes.children import Child
-
-MODULE: Final = "eitskin_tools.commands.recorded.record"
-"""Of the command."""
-
-
-def can_record() -> bool:
-    """Return whether this installation has ``eitskin record`` and what it needs."""
-    return find_spec("eitskin_tools.commands.recorded") is not None and find_spec(MODULE) is not None
 
 
 class Recorder:

@@ -46,7 +46,7 @@ class Viewer:
         record_options: tuple[str, ...] = (),
     ) -> None:
         self.board = Board()
-        self.feed = Feed(endpoint, self.board, skin, keys, lambda: self._recorder.about())
+        self.feed = Feed(endpoint, self.board, skin, keys, self._about)
         self.endpoint = self.feed.endpoint
         about: dict[str, Any] = {"refresh_hz": REFRESH_HZ, "endpoint": self.endpoint}
         self.board.post("skin", skin_message(skin, palette(), about))
@@ -59,6 +59,9 @@ class Viewer:
         self.address = self.server.address
         """What to type into a browser."""
         self._thread = threading.Thread(target=self.server.serve_forever, name="view-server", daemon=True)
+
+    def _about(self) -> dict[str, Any]:
+        return self._recorder.about()
 
     def __enter__(self) -> Self:
         self.feed.start()

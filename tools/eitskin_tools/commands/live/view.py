@@ -4,9 +4,11 @@ import argparse
 import os
 import signal
 import sys
+import tempfile
 import threading
 from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from eitskin_tools.command_line import skins
 from eitskin_tools.console.say import say
@@ -14,6 +16,9 @@ from eitskin_tools.errors import UsageError
 
 PORT = 8416
 """Unless another one is named."""
+
+READY_S = 120.0
+"""How long a recording's bundle may take to load."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,24 +46,62 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--server-key and --client-key belong together")
     if not 0 <= arguments.port <= 65535:
         raise UsageError(f"--port is {arguments.port}, expected 0 to 65535")
+    if arguments.file is not None and (arguments.endpoint is not None or arguments.server_key is not None):
+        raise UsageError("a recording is played by the viewer itself: leave --endpoint and the keys out")
     from eitskin.messaging.curve_keys import load_client_keys
+    from eitskin_tools.processes.children import process_group
     from eitskin_tools.view.address import is_loopback, new_token
     from eitskin_tools.view.viewer import Viewer
 
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    options = [f"--{name}={value}" for name, value in (("server-key", arguments.server_key),
+               ("client-key", arguments.client_key)) if value is not None]  # fmt: skip
     token = new_token() if arguments.token or not is_loopback(arguments.host) else ""
+    skin, folder = skins.chosen(arguments), arguments.recordings or Path()
+    if not folder.is_dir():
+        raise UsageError(f"--recordings is {folder}, expected a folder that is there")
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    skin, where = skins.chosen(arguments), {"host": arguments.host, "port": arguments.port}
-    with suppress(KeyboardInterrupt), Viewer(arguments.endpoint, skin, **where, token=token, keys=keys) as viewer:
-        say(f"viewing {viewer.endpoint} at {viewer.address} until Ctrl-C")
-        sys.stdout.flush()
-        if not arguments.no_open and _has_display():
-            import webbrowser
+    with (
+        suppress(KeyboardInterrupt),
+        tempfile.TemporaryDirectory(prefix="eitskin-view-") as name,
+        process_group() as children,
+    ):
+        endpoint, recordings = arguments.endpoint, _writable(folder)
+        if arguments.file is not None:
+            endpoint, recordings = _played(arguments.file, Path(name), children), None
+        with Viewer(
+            endpoint, skin, host=arguments.host, port=arguments.port, token=token, keys=keys,
+            recordings=recordings, record_options=tuple(options),
+        ) as viewer:  # fmt: skip
+            say(f"viewing {arguments.file or viewer.endpoint} at {viewer.address} until Ctrl-C")
+            sys.stdout.flush()
+            if not arguments.no_open and _has_display():
+                import webbrowser
 
-            webbrowser.open(viewer.address)
-        threading.Event().wait()
+                webbrowser.open(viewer.address)
+            while all(child.wait(1.0) is None for child in children):
+                if not children:
+                    threading.Event().wait()
+            children[0].check()
     return 0
+
+
+def _writable(folder: Path) -> Path | None:
+    """Return a folder for recordings, or None where they cannot be written."""
+    return folder.resolve() if os.access(folder, os.W_OK) else None
+
+
+def _played(file: Path, folder: Path, children: list[Any]) -> str:
+    """Have a recording played over and over, and return where."""
+    from eitskin_tools.processes.children import Child
+
+    endpoint = f"ipc://{folder}/frames"
+    words = ["replay", str(file), f"--publish={endpoint}", f"--control=ipc://{folder}/control", "--loop", "--quiet"]
+    child = Child("replay", "eitskin_tools.cli", words, folder)
+    children.append(child)
+    child.line(child.err, "ready", READY_S)
+    return endpoint
 
 
 def _has_display() -> bool:
