@@ -116,7 +116,7 @@ ROOMS: dict[str, Arrows] = {
         "recording": {"command_line"},
         "scans": {"command_line"},
         "scenes": set(),
-        "service": {"processes"},
+        "service": {"processes"}, "view": {"pictures", "processes"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -127,7 +127,6 @@ ROOMS: dict[str, Arrows] = {
         "bench": {
             "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
         },
-        "view": {"pictures", "processes"},
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "service",
             "stages", "view", "virtual_skin",

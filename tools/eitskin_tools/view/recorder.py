@@ -24,6 +24,7 @@ class Recorder:
         self._child: Child | None = None
         self._file = ""
         self._said = ""
+        self._closed = False
         # One thread for all of them: the kernel ends a process together with the thread that started it.
         self._starter = ThreadPoolExecutor(1, "view-recorder")
         self._logs = tempfile.TemporaryDirectory(prefix="eitskin-view-")
@@ -66,7 +67,10 @@ class Recorder:
         return "" if child.status == 0 else f"the recording ended: {child.last_words()}"
 
     def close(self) -> None:
-        """End what is being recorded."""
+        """End what is being recorded; closing twice is fine."""
+        if self._closed:
+            return
+        self._closed = True
         self.stop()
         self._starter.shutdown()
         self._logs.cleanup()

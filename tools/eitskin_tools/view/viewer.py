@@ -26,6 +26,7 @@ class Viewer:
         keys: CURVE keys.
         recordings: Folder for what the page has recorded; None if it is not to record.
         record_options: Of ``eitskin record``, besides.
+        file: Name of the recording that is played; empty for a skin.
 
     Raises:
         PortTaken: The address cannot be bound.
@@ -44,11 +45,12 @@ class Viewer:
         keys: ClientKeys | None = None,
         recordings: Path | None = None,
         record_options: tuple[str, ...] = (),
+        file: str = "",
     ) -> None:
         self.board = Board()
         self.feed = Feed(endpoint, self.board, skin, keys, self._about)
         self.endpoint = self.feed.endpoint
-        about: dict[str, Any] = {"refresh_hz": REFRESH_HZ, "endpoint": self.endpoint}
+        about: dict[str, Any] = {"refresh_hz": REFRESH_HZ, "endpoint": self.endpoint, "file": file}
         self.board.post("skin", skin_message(skin, palette(), about))
         self._recorder = Recorder(self.endpoint, recordings, record_options)
         try:

@@ -1,14 +1,12 @@
 """``eitskin view``: a live page in the browser."""
 
 import argparse
+import contextlib
 import os
 import signal
 import sys
-import tempfile
 import threading
-from contextlib import suppress
 from pathlib import Path
-from typing import Any
 
 from eitskin_tools.command_line import skins
 from eitskin_tools.console.say import say
@@ -16,9 +14,6 @@ from eitskin_tools.errors import UsageError
 
 PORT = 8416
 """Unless another one is named."""
-
-READY_S = 120.0
-"""How long a recording's bundle may take to load."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -49,8 +44,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.file is not None and (arguments.endpoint is not None or arguments.server_key is not None):
         raise UsageError("a recording is played by the viewer itself: leave --endpoint and the keys out")
     from eitskin.messaging.curve_keys import load_client_keys
-    from eitskin_tools.processes.children import process_group
     from eitskin_tools.view.address import is_loopback, new_token
+    from eitskin_tools.view.played import played
     from eitskin_tools.view.viewer import Viewer
 
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
@@ -62,46 +57,32 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--recordings is {folder}, expected a folder that is there")
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     signal.signal(signal.SIGTERM, signal.default_int_handler)
-    with (
-        suppress(KeyboardInterrupt),
-        tempfile.TemporaryDirectory(prefix="eitskin-view-") as name,
-        process_group() as children,
-    ):
-        endpoint, recordings = arguments.endpoint, _writable(folder)
-        if arguments.file is not None:
-            endpoint, recordings = _played(arguments.file, Path(name), children), None
-        with Viewer(
-            endpoint, skin, host=arguments.host, port=arguments.port, token=token, keys=keys,
-            recordings=recordings, record_options=tuple(options),
-        ) as viewer:  # fmt: skip
-            say(f"viewing {arguments.file or viewer.endpoint} at {viewer.address} until Ctrl-C")
-            sys.stdout.flush()
-            if not arguments.no_open and _has_display():
-                import webbrowser
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(contextlib.suppress(KeyboardInterrupt))
+        player = None if arguments.file is None else stack.enter_context(played(arguments.file))
+        viewer = stack.enter_context(
+            Viewer(
+                player.endpoint if player else arguments.endpoint, skin, host=arguments.host, port=arguments.port,
+                token=token, keys=keys, recordings=None if player else _writable(folder),
+                record_options=tuple(options), file=player.name if player else "",
+            )
+        )  # fmt: skip
+        say(f"viewing {arguments.file or viewer.endpoint} at {viewer.address} until Ctrl-C")
+        sys.stdout.flush()
+        if not arguments.no_open and _has_display():
+            import webbrowser
 
-                webbrowser.open(viewer.address)
-            while all(child.wait(1.0) is None for child in children):
-                if not children:
-                    threading.Event().wait()
-            children[0].check()
+            webbrowser.open(viewer.address)
+        if player is None:
+            threading.Event().wait()
+        else:
+            player.wait()
     return 0
 
 
 def _writable(folder: Path) -> Path | None:
     """Return a folder for recordings, or None where they cannot be written."""
     return folder.resolve() if os.access(folder, os.W_OK) else None
-
-
-def _played(file: Path, folder: Path, children: list[Any]) -> str:
-    """Have a recording played over and over, and return where."""
-    from eitskin_tools.processes.children import Child
-
-    endpoint = f"ipc://{folder}/frames"
-    words = ["replay", str(file), f"--publish={endpoint}", f"--control=ipc://{folder}/control", "--loop", "--quiet"]
-    child = Child("replay", "eitskin_tools.cli", words, folder)
-    children.append(child)
-    child.line(child.err, "ready", READY_S)
-    return endpoint
 
 
 def _has_display() -> bool:

@@ -96,7 +96,7 @@ function drawState(shown) {
   const silent = page.status?.state === "silent";
   const [state, text] = page.gone !== null ? ["gone", "Viewer not reachable"]
     : history.mode !== "live" ? ["paused", history.mode === "playing" ? "Playing" : "Paused"]
-    : silent ? ["silent", "No frames"] : shown ? ["live", "Live"] : ["waiting", "Waiting"];
+    : silent ? ["silent", "No frames"] : shown ? ["live", page.skin?.file ? "Recording" : "Live"] : ["waiting", "Waiting"];
   $("state").dataset.state = state;
   if ($("state-text").textContent !== text) $("state-text").textContent = text;
   const said = page.gone !== null ? page.gone || "The viewer has ended, or cannot be reached. Start 'eitskin view' again; this page goes on by itself."

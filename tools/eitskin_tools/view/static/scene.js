@@ -44,7 +44,7 @@ const STRIDE = 36;
 
 export class Scene {
   constructor(canvas) {
-    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true });
+    const gl = canvas.getContext("webgl2", { antialias: true, alpha: true, premultipliedAlpha: true, stencil: true });
     this.gl = gl;
     this.canvas = canvas;
     if (!gl) return;
@@ -93,7 +93,7 @@ export class Scene {
     const floorZ = surface.low[2] - Math.max(6, 0.06 * surface.radius);
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
-    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
+    gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
     this.drawFloor(camera, matrix, surface, floorZ, dark);
 
     gl.useProgram(this.sheet.program);
@@ -121,12 +121,15 @@ export class Scene {
     gl.uniform1i(at.colours, 1);
 
     gl.enable(gl.BLEND);
-    gl.depthFunc(gl.LESS); // of triangles over each other in the shadow only the first is drawn
+    gl.enable(gl.STENCIL_TEST); // each pixel of the shadow is darkened once
+    gl.stencilFunc(gl.EQUAL, 0, 255);
+    gl.stencilOp(gl.KEEP, gl.INCR, gl.INCR);
+    gl.disable(gl.DEPTH_TEST);
     gl.uniform1i(at.shadow, 1);
     if (camera.eye[2] > floorZ) gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_SHORT, 0);
+    gl.disable(gl.STENCIL_TEST);
+    gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
-    gl.clear(gl.DEPTH_BUFFER_BIT);
-    gl.depthFunc(gl.LEQUAL);
     gl.uniform1i(at.shadow, 0);
     gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_SHORT, 0);
     return matrix;
