@@ -117,6 +117,7 @@ ROOMS: dict[str, Arrows] = {
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
+        "view": {"pictures", "processes"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -130,7 +131,7 @@ ROOMS: dict[str, Arrows] = {
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot", "service",
-            "stages", "virtual_skin",
+            "stages", "view", "virtual_skin",
         },
         "cli": {"command_line", "console", "errors"},
     },

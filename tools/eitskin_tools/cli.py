@@ -25,6 +25,7 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
     "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
     "run": ("live.run", "read a skin, publish tactile frames"),
     "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
+    "view": ("live.view", "look at a running skin in the browser"),
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),

@@ -39,6 +39,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "bench physics": ("scipy", "skfem"),
     "bench surface": ("scipy",),
     "bench touches": ("scipy",),
+    "bench view": ("scipy",),
     "bench dataset": ("scipy",),
     "bench ablation": ("scipy", "torch"),
     "bench stability": ("scipy",),

@@ -18,6 +18,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "skins": "what a skin takes of a core, and how many skins lose no frame",
     "skip": "what each skipped stage saves",
     "touches": "what the list of touches takes for a frame, and how far off it is",
+    "view": "what the live page costs, with 0, 1 and 3 pages open, and that the stream loses nothing by it",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",
     "surface": "measured points to a cloud, V_pred and operators, and what the classical solvers take",
