@@ -2,8 +2,8 @@
 
 The network answers as it does in the runtime; its touched units, at several thresholds, are where the verifier starts
 (:mod:`eitskin_sim.verification.units`). A reduced model is made from each cloud, as in a process beside the runtime,
-and once more with the uneven stretch that the first frame there shows, which no scan can: that belongs to the shape and not
-to the frame, so it counts as set-up, and serves all frames of the shape. Voltages come from the harness's own mesh,
+and once more with the uneven stretch that the first frame there shows, which no scan can: that belongs to the shape and
+not to the frame, so it counts as set-up, and serves all frames of the shape. Voltages come from the harness's own mesh,
 whatever the model's.
 """
 
