@@ -60,9 +60,7 @@ ROOMS: dict[str, Arrows] = {
         "__init__": {"acquisition", "errors", "messaging", "model", "reference", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
-        "__init__": set(),
-        "scene": set(),
-        "fem": {"scene"},
+        "__init__": set(), "scene": set(), "fem": {"scene"},
         "measurement": {"fem"},
         "devices": {"fem", "measurement", "scene"},
         "unit_grid": {"devices", "fem", "scene"},
