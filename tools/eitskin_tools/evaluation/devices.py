@@ -70,8 +70,9 @@ def evaluate_devices(
     for kind in kinds:
         bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
         bundles[kind.name] = bundle.id
-        own = Request(request.name, reference, bundle.path, request.prediction)
-        solvers[kind.name] = named(own, kind.labels, conditions=Conditions(plan.noise, plan.snr_db))
+        one = Request(request.name, reference, bundle.path, request.prediction)
+        told = Conditions(plan.noise, plan.snr_db)
+        solvers[kind.name] = named(one, kind.labels, plan.skin, conditions=told)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
             followers[kind.name] = DriftRemoved(bundle, drift)

@@ -25,6 +25,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "what breaks a skin, at which level, and why",
     "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
+    "twins": "what calibrating a device, and adapting a bundle to it, is worth on that device",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",
 }
 """Benchmarks, each with what it measures."""
