@@ -192,7 +192,7 @@ def verdicts_of(
     found = {}
     for key, one in by_group.items():
         assert one.verified is not None
-        group = [phantom for phantom in phantoms if (phantom.truth, touches_of(phantom)) == key]
+        group = [phantom for phantom in phantoms if (phantom.truth, phantom.scene.touch_kind) == key]
         for number, phantom in enumerate(group):
             found[id(phantom)] = one.verified.checked[number * seeds : (number + 1) * seeds]
     return found
