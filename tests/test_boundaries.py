@@ -59,9 +59,7 @@ ROOMS: dict[str, Arrows] = {
         "__init__": {"acquisition", "errors", "messaging", "model", "reference", "robot", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
-        "__init__": set(),
-        "scene": set(),
-        "fem": {"scene"},
+        "__init__": set(), "scene": set(), "fem": {"scene"},
         "measurement": {"fem"},
         "devices": {"fem", "measurement", "scene"},
         "unit_grid": {"devices", "fem", "scene"},
@@ -72,6 +70,8 @@ ROOMS: dict[str, Arrows] = {
         "outline": {"fem", "scene"}, "tank": {"fem", "outline", "scene", "solvers"},
         "calibration": {"devices", "fem", "measurement", "scene"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
+        "reduced": {"devices", "fem", "scene", "surface", "unit_grid"},
+        "verification": {"fem", "reduced", "scene", "surface"},
     },
     "eitskin_training": {
         "__init__": set(),
