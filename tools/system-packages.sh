@@ -1,7 +1,7 @@
 #!/bin/sh
 # Installs the Debian packages for the C tests, the emulated board, the mocked USB bus, the look at system calls, the
-# certificates and the client in C++. Only root can; anyone else is told what will be skipped. Tests that need a missing tool skip themselves
-# and say which.
+# certificates and the client in C++. Only root can; anyone else is told what will be skipped. Tests that need a
+# missing tool skip themselves and say which.
 set -u
 board="gcc libc6-dev make gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck"
 bus="libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi"
