@@ -73,6 +73,8 @@ ROOMS: dict[str, Arrows] = {
         "outline": {"fem", "scene"}, "tank": {"fem", "outline", "scene", "solvers"},
         "calibration": {"devices", "fem", "measurement", "scene"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
+        "reduced": {"devices", "fem", "scene", "surface", "unit_grid"},
+        "verification": {"fem", "reduced", "scene", "surface"},
     },
     "eitskin_training": {
         "__init__": set(),

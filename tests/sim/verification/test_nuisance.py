@@ -1,0 +1,67 @@
+"""Nuisance modes against the forward model with the nuisance in it."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_sim.fem.forward import assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet
+from eitskin_sim.verification.nuisance import ELEMENT_MM, Modes, Spreads, modes_of, stretched
+
+BEND = Bend(angle_deg=100.0, skew=0.3, twist_deg=10.0, stretch_along=1.1, stretch_across=0.97)
+MESH = scene_mesh(replace(Scene(), element_size_mm=ELEMENT_MM))
+
+
+def volts(sheet: Sheet, bend: Bend = BEND) -> np.ndarray:
+    return assemble(MESH, sheet, Electrodes(), bend_metric(bend, sheet)).factorise().voltages()
+
+
+@pytest.fixture(scope="module")
+def modes() -> Modes:
+    return modes_of(bend_metric(BEND, Sheet()))
+
+
+def close(found: np.ndarray, expected: np.ndarray, share: float) -> bool:
+    return float(np.linalg.norm(found - expected)) < share * float(np.linalg.norm(expected))
+
+
+def test_drift_and_gauge_are_the_model_s_own_derivatives(modes: Modes) -> None:
+    nominal, step = volts(Sheet()), 1e-3
+    drifted = np.log(volts(replace(Sheet(), late=Late(factor=1.0 + step))) / nominal) / np.log(1.0 + step)
+    assert close(modes.logs[:, modes.of("drift")], drifted, 2e-3)
+    gauge = np.log(volts(replace(Sheet(), gauge_factor=step)) / nominal) / step
+    assert close(modes.logs[:, modes.of("gauge")], gauge, 5e-3)
+
+
+def test_tilts_are_what_the_two_of_them_make_of_any_direction(modes: Modes) -> None:
+    late = Late(gradient_rms=1e-3, seed=5)
+    tilted = np.log(volts(replace(Sheet(), late=late)) / volts(Sheet())) / 1e-3
+    two = modes.logs[:, [modes.of("tilt x"), modes.of("tilt y")]]
+    left = tilted - two @ np.linalg.lstsq(two, tilted, rcond=None)[0]
+    assert np.linalg.norm(left) < 5e-3 * np.linalg.norm(tilted)
+
+
+def test_uneven_stretch_is_predicted_to_second_order(modes: Modes) -> None:
+    at = 0.05
+    metric = stretched(bend_metric(BEND, Sheet()), at, 150.0)
+    moved = np.log(assemble(MESH, Sheet(), Electrodes(), metric).factorise().voltages() / volts(Sheet()))
+    slope = modes.logs[:, modes.of("stretch")]
+    assert close(at * slope + at**2 * modes.curved, moved, 2e-3)
+    assert not close(at * slope, moved, 0.01)
+
+
+def test_stretching_an_even_sheet_is_what_a_bend_s_nonuniformity_does() -> None:
+    even = Bend(stretch_along=1.1, stretch_across=0.95)
+    points = np.random.default_rng(0).uniform((0.0, 0.0), (150.0, 100.0), (50, 2))
+    own = bend_metric(replace(even, nonuniformity=0.1), Sheet())(points)
+    assert np.allclose(stretched(bend_metric(even, Sheet()), 0.1, 150.0)(points), own, rtol=1e-12)
+
+
+def test_a_nuisance_without_spread_is_left_out() -> None:
+    found = modes_of(bend_metric(Bend(), Sheet()), spreads=Spreads(drift=0.0, gauge=0.0, stretch=0.0))
+    assert found.names == ("tilt x", "tilt y")
+    assert found.columns.shape == (104, 2)
+    assert found.of("gauge") == -1
