@@ -15,6 +15,7 @@ from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.freeform.mesh import with_contacts, without_middle
 from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
 from eitskin_sim.scene.gap import half_extents_mm
+from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.shapes.parameters import BORDER, COUNT, parameters_of, pieces_of
 
@@ -93,7 +94,8 @@ def rates(sheet: InvertedSheet, pieces: Array, free: Array, base: Blocks) -> Rat
     sets = []
     for one, which in zip(touch.tolist(), parameter.tolist(), strict=True):
         moved = values.copy()
-        moved[one, which] += -STEP if which == BORDER else STEP  # a border may be as wide as its touch already
+        # A border may be as wide as its touch already, or as narrow as one may be.
+        moved[one, which] += _sign(pieces[one], which) * STEP
         sets.append(pieces_of(kinds, moved)[near[one]])
     if not sets:
         none = np.zeros(0, dtype=np.intp)
@@ -103,7 +105,8 @@ def rates(sheet: InvertedSheet, pieces: Array, free: Array, base: Blocks) -> Rat
     place[base.element] = np.arange(len(base.element))
     at = place[varied.element]
     before = np.where((at >= 0)[:, None, None], base.blocks[at], sheet.before[varied.element])
-    sign = np.where(parameter == BORDER, -STEP, STEP)[varied.of_set]
+    signs = [_sign(pieces[one], which) for one, which in zip(touch.tolist(), parameter.tolist(), strict=True)]
+    sign = STEP * np.array(signs)[varied.of_set]
     change = (varied.blocks - before) / sign[:, None, None]
     # A neighbour's elements that the moved touch does not reach stay as they were but for rounding, and the element of
     # a neighbour that is left out of this set is not among them.
@@ -113,6 +116,11 @@ def rates(sheet: InvertedSheet, pieces: Array, free: Array, base: Blocks) -> Rat
     of_set = varied.of_set[own]
     first = np.searchsorted(of_set, np.arange(len(touch) + 1))
     return Rates(touch, parameter, varied.element[own], first.astype(np.intp), change[own])
+
+
+def _sign(piece: Array, parameter: int) -> float:
+    """Return which way a parameter may go: a border not beyond its bounds, nor a width below the border."""
+    return -1.0 if parameter == BORDER and piece[7] > LEAST_BORDER_MM + STEP else 1.0
 
 
 def _reach(pieces: Array, mesh: TensorMesh) -> Array:

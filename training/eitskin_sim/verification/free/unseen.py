@@ -9,13 +9,12 @@ X of the untouched sheet every such change answers as
 
 so the three powers of every element are made once, and a change costs one small product. ::
 
-    stretch     u(x, y) along x and v(x, y) along y, waves whose mean along each row or column is none
+    stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
     scan        random noise of the scanner, through the same fit
     drift, tilt x, tilt y, gauge       of the conductivity, as in eitskin_sim.verification.nuisance
 """
 
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -28,18 +27,8 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
 from eitskin_sim.unit_grid.units import to_voltages
-
-MAIN_SD: Final = 0.06
-"""Of the wave cos(2 pi x / L) of stretch along the sheet: that of the skin's deformations."""
-
-WAVE_SD: Final = 0.02
-"""Of every other wave, over its number."""
-
-WAVES: Final = (6, 4)
-"""Half waves along x and along y."""
-
-ORDERS: Final = 3
-"""Polynomials across, orders 0 to 2."""
+from eitskin_sim.verification.free.usual_waves import usual_waves
+from eitskin_sim.verification.free.waves import Waves, waves_of
 
 DRAWS: Final = 24
 """Scans whose noise is looked at: its columns are as many."""
@@ -53,7 +42,7 @@ class Doubts:
     """Standard deviations of what may differ."""
 
     scan_mm: float = 0.1
-    drift: float = 0.02
+    drift: float = 0.05
     tilt: float = 0.01
     gauge: float = 0.5
     stretch: float = 1.0
@@ -61,67 +50,16 @@ class Doubts:
 
 
 @dataclass(frozen=True, slots=True)
-class Waves:
-    """Waves of stretch: n along x, then those along y."""
-
-    names: tuple[str, ...]
-    sd: Array
-    """(n + m,)"""
-    along: Callable[[Array], Array] = field(repr=False)
-    """(k, 2) mm -> (k, n) of u."""
-    across: Callable[[Array], Array] = field(repr=False)
-    """(k, 2) mm -> (k, m) of v."""
-
-    def stretched(self, metric: Metric, amplitudes: Array) -> Metric:
-        """Return a metric with such stretch besides."""
-        n = self.along(np.zeros((1, 2))).shape[1]
-
-        def found(xy_mm: Array) -> Array:
-            first = metric(xy_mm).copy()
-            u = np.exp(self.along(xy_mm) @ amplitudes[:n])
-            v = np.exp(self.across(xy_mm) @ amplitudes[n:])
-            first[:, 0] *= u * u
-            first[:, 1] *= u * v
-            first[:, 2] *= v * v
-            return first
-
-        return found
-
-
-def waves_of(skin: Skin = PAPER, size: float = 1.0) -> Waves:
-    """Return the waves of a skin's sheet."""
-    length, width = skin.outline.size_mm
-    names, sd = [], []
-    for axis, count in (("x", WAVES[0]), ("y", WAVES[1])):
-        for wave in range(1, count + 1):
-            for order in range(ORDERS):
-                names.append(f"stretch {axis}{wave}.{order}")
-                main = axis == "x" and wave == 2 and order == 0
-                sd.append(size * (MAIN_SD if main else WAVE_SD / wave))
-
-    def waves(at: Array, extent: float, other: Array, other_extent: float, count: int) -> Array:
-        t = 2.0 * other / other_extent - 1.0
-        powers = np.stack([np.ones_like(t), t, 1.5 * t * t - 0.5], axis=-1)
-        cosines = np.cos(np.pi * np.arange(1, count + 1) * at[:, None] / extent)
-        return np.asarray((cosines[:, :, None] * powers[:, None, :]).reshape(len(at), -1))
-
-    return Waves(
-        tuple(names),
-        np.array(sd),
-        lambda xy: waves(xy[:, 0], length, xy[:, 1], width, WAVES[0]),
-        lambda xy: waves(xy[:, 1], width, xy[:, 0], length, WAVES[1]),
-    )
-
-
-@dataclass(frozen=True, slots=True)
 class Unseen:
     """All changes of one deformation."""
 
     names: tuple[str, ...]
-    """Of those that are named; waves come first, scans last and have no names."""
+    """Of those after the waves; the scans' come last and have no names."""
     columns: Array
     """(104, m) V for one standard deviation of each, under 1 A, untouched."""
     waves: Waves
+    mixed: Array
+    """(w, k) amplitudes of the waves by the first k columns."""
     by_log_sigma: Array
     """(n_elements, 104) V by log conductivity of each element, untouched."""
 
@@ -176,14 +114,12 @@ def unseen(
             -scale[:, None] * dF + tensor[1][:, None] * shrink,
             scale[:, None] / ratio[:, None] * dE + tensor[2][:, None] * shrink,
         )
-        return np.asarray(sum(one.T @ part for one, part in zip(power, parts, strict=True)).T).T
+        return np.asarray(power[0].T @ parts[0] + power[1].T @ parts[1] + power[2].T @ parts[2])
 
     by_log_sigma = np.einsum("ce,cer->er", tensor, power)
-    waves = waves_of(skin, doubts.stretch)
-    along, across = waves.along(at), waves.across(at)
-    nil = np.zeros((len(at), across.shape[1]))
-    u, v = np.concatenate([along, nil], axis=1), np.concatenate([np.zeros_like(along), across], axis=1)
-    stretch = answer(2.0 * E[:, None] * u, F[:, None] * (u + v), 2.0 * G[:, None] * v) * waves.sd
+    waves = waves_of(skin)
+    mixed = doubts.stretch * usual_waves(skin)
+    stretch = answer(*waves.rates(metric, at)) @ mixed
     length, width = skin.outline.size_mm
     x, y = at.T
     fields = {
@@ -196,7 +132,7 @@ def unseen(
     parts = [stretch, layer]
     if surface is not None and doubts.scan_mm > 0.0:
         parts.append(answer(*_scans(surface, at, doubts.scan_mm, skin)))
-    return Unseen((*waves.names, *fields), np.concatenate(parts, axis=1), waves, by_log_sigma)
+    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
 
 
 def _scans(surface: FittedSurface, at: Array, noise_mm: float, skin: Skin) -> tuple[Array, Array, Array]:
