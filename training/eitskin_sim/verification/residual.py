@@ -59,19 +59,19 @@ class Noise:
         """Return (rows,) the standard deviation of dV.
 
         Args:
-            change: (rows,) dV of the frame: what it reads, or what is modelled.
+            change: (rows,) dV of the frame: what it reads, or what is modelled; NaN in rows that are missing.
             reference: (rows,) V.
         """
         if self.measured is not None:
             return np.asarray(self.measured, dtype=np.float64)
         level = 10.0 ** (-self.snr_db / 20.0)
         if self.law == "N1":
-            return np.full(len(change), level * float(np.sqrt(np.mean(np.square(change)))))
+            return np.full(len(change), level * float(np.sqrt(np.nanmean(np.square(change)))))
         if self.law == "N2":
             return np.asarray(level * np.abs(1.0 + change))
         if self.law == "N3":
             volts = reference * (1.0 + change)
-            return np.asarray(level * float(np.sqrt(np.mean(np.square(volts)))) / np.abs(reference))
+            return np.asarray(level * float(np.sqrt(np.nanmean(np.square(volts)))) / np.abs(reference))
         return np.zeros(len(change))
 
 
