@@ -9,7 +9,7 @@ whatever the model's.
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -37,11 +37,15 @@ LEAST_STRETCH: Final = 0.02
 """Less of it is left to the nuisance."""
 
 
+Found = TypeVar("Found", bound=Verdict[Any])
+"""A verdict on units, or on shapes anywhere."""
+
+
 @dataclass(frozen=True, slots=True)
-class Checked:
+class Checked(Generic[Found]):
     """One map's verdict, and what it took."""
 
-    verdict: Verdict[UnitTouch]
+    verdict: Found
     extra_ms: float
     """The verifier's own time on the frame, by the clock."""
     cpu_ms: float
@@ -62,7 +66,7 @@ class Verified:
 
     def __init__(self, network: Run, noise: Noise, skin: Skin, budget_s: float = BUDGET_S) -> None:
         self._network, self._noise, self._skin, self._budget_s = network, noise, skin, budget_s
-        self.checked: list[Checked] = []
+        self.checked: list[Checked[Verdict[UnitTouch]]] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, UnitVerifier, float] | None = None
 
@@ -117,7 +121,7 @@ def _starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bo
     return [height >= one for one in THRESHOLDS]
 
 
-def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked]]) -> None:
+def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked[Any]]]) -> None:
     """Add to a report what the verifier said of each phantom, and of all of them.
 
     Args:
@@ -133,7 +137,7 @@ def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, lis
     found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
 
 
-def summary_of(every: list[tuple[Phantom, list[Score], list[Checked]]]) -> dict[str, Any]:
+def summary_of(every: list[tuple[Phantom, list[Score], list[Checked[Any]]]]) -> dict[str, Any]:
     """Return what verdicts come to, over all maps."""
     exact = np.array([one.exact for _, scores, _ in every for one in scores]) == 1.0
     all_ = [one for _, _, checked in every for one in checked]

@@ -9,7 +9,7 @@ What is minimised is chi-squared, what is unseen of the sheet fitted along withi
 Every touch costs the logarithm of the places where it might be besides (:mod:`eitskin_sim.verification.prior`).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -55,14 +55,14 @@ class Usual:
     """What this skin's touches are like."""
 
     log_contrast: float = float(np.log(40.0))
-    common_sd: float = 1.0
+    common_sd: float = 0.8
     """Of the mean log contrast."""
     own_sd: float = 0.3
     """Of each touch about it."""
     aspect_sd: float = 0.8
     border_mm: float = 3.0
     border_sd: float = 2.0
-    touches: Prior = Prior(places=60, expected=3.0)
+    touches: Prior = field(default_factory=lambda: Prior(places=60, expected=3.0))
 
 
 def usual_of(kind: TouchKind) -> Usual:
@@ -81,6 +81,8 @@ class Frame:
     change: Array
     """(104,) dV"""
     usual: Usual
+    expected: Array
+    """(104,) dV beside the touches."""
 
     def at(self, pieces: Array, turning: bool = False) -> "Fit":
         """Return touches as they stand.
@@ -89,7 +91,7 @@ class Frame:
             ValueError: They cannot be.
         """
         solved, change = self.model.solve(pieces)
-        residual = self.white.whiten(self.change - change)
+        residual = self.white.whiten(self.change - self.expected - change)
         cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
         return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch)
 

@@ -45,15 +45,15 @@ class Model:
 
     touched: TouchedSheet
     metric: Metric
-    surface: FittedSurface | None
+    surface: FittedSurface
     unseen: Unseen
     flat_V: Array
     """(104,) of the model's flat sheet."""
     doubts: Doubts
     skin: Skin
     size_mm: float
-    prior: Array
-    """(w,) amplitudes of the waves that the metric has already."""
+    held: Array
+    """(k,) amplitudes of the first columns that the metric has already."""
 
     @property
     def untouched(self) -> Array:
@@ -71,23 +71,34 @@ class Model:
 
     def whitener(self, change: Array, reference: Array, noise: Noise) -> Whitener:
         """Return the whitener of a frame (104,) dV against a reference (104,) V."""
-        ratio = np.clip(np.abs((1.0 + change) / (1.0 + self.untouched)), *RATIO)
-        columns = self.unseen.columns / self.flat_V[:, None] * ratio[:, None]
+        columns = self.unseen.columns / self.flat_V[:, None] * self.ratio(change)[:, None]
         return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=FLOOR)
 
+    def expected(self, ratio: Array) -> Array:
+        """Return (104,) dV that is expected of a frame beside the touches: the waves that the metric has are unlikely.
+
+        What the metric has already was believed of one frame; before any it is none.
+
+        Args:
+            ratio: (104,) of the frame's voltages over the untouched sheet's.
+        """
+        held = self.unseen.columns[:, : len(self.held)] @ self.held
+        return np.asarray(-held / self.flat_V * ratio)
+
+    def ratio(self, change: Array) -> Array:
+        """Return (104,) a frame's voltages over the untouched sheet's, within bounds."""
+        return np.clip(np.abs((1.0 + change) / (1.0 + self.untouched)), *RATIO)
+
+    def beyond(self, amplitudes: Array) -> Array:
+        """Return (w,) the waves that amplitudes of all columns say, less those that the metric has."""
+        own = amplitudes[: len(self.held)] - self.held
+        return np.asarray(self.unseen.mixed @ own)
+
     def about(self, amplitudes: Array) -> "Model":
-        """Return the model of the sheet stretched by further amplitudes (w,) of the waves."""
-        total = self.prior + amplitudes
-        base = fit_metric(self.surface) if self.surface is not None else self.metric
-        waves = self.unseen.waves
-        return _model(
-            waves.moved(base, total), self.surface, self.doubts, self.skin, self.size_mm, total
-        )
-
-
-def fit_metric(surface: FittedSurface) -> Metric:
-    """Return the metric of a fitted surface."""
-    return surface.metric
+        """Return the model of the sheet with the waves of some amplitudes of all columns."""
+        held = amplitudes[: len(self.held)]
+        moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held)
+        return _model(moved, self.surface, self.doubts, self.skin, self.size_mm, held)
 
 
 def model_of_cloud(
@@ -109,9 +120,9 @@ def model_of_cloud(
 
 
 def _model(
-    metric: Metric, surface: FittedSurface | None, doubts: Doubts, skin: Skin, size_mm: float, prior: Array | None
+    metric: Metric, surface: FittedSurface, doubts: Doubts, skin: Skin, size_mm: float, held: Array | None
 ) -> Model:
     sheet = TouchedSheet(inverted_metric(metric, size_mm, skin=skin), shared_mesh(size_mm, None, skin))
     found = unseen(sheet, metric, surface, doubts, skin)
-    own = np.zeros(len(found.waves.sd)) if prior is None else prior
+    own = np.zeros(found.mixed.shape[1]) if held is None else held
     return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), doubts, skin, size_mm, own)

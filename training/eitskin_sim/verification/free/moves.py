@@ -17,7 +17,7 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import Fit, Frame

@@ -11,7 +11,9 @@ deformation have it already.
 """
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -36,6 +38,9 @@ TRUSTED: Final = 0.02
 ANEW: Final = 2
 """Times that a deformation's model is made again, at most."""
 
+BUDGET_S: Final = 2.0
+"""What a frame may take; most take a thirtieth of it."""
+
 ALMOST: Final = 3
 """Derivatives taken of a move before it is judged."""
 
@@ -44,7 +49,7 @@ ALMOST: Final = 3
 class FreeVerdict(Verdict[FreeTouch]):
     """One frame, explained by shapes off the unit grid."""
 
-    pieces: Array = None  # type: ignore[assignment]
+    pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
     """(n, 8) the touches as a table: the next frame's first start."""
     trail: tuple[str, ...] = ()
     """Which moves were taken."""
@@ -75,7 +80,9 @@ class FreeVerifier:
         self._anew = 0
         self._fits = 0
         self.setup_s = 0.0
-        """What the present deformation's models took so far."""
+        """What the present deformation's models took so far, by the clock."""
+        self.setup_cpu_s = 0.0
+        """The same by the processor."""
 
     def deform(self, cloud_mm: npt.ArrayLike) -> None:
         """Take a scanned deformation for the frames that follow.
@@ -83,12 +90,19 @@ class FreeVerifier:
         Raises:
             ValueError: The cloud is malformed, or folds in its own plane.
         """
-        start = time.perf_counter()
-        self._model, self._anew = model_of_cloud(cloud_mm, self._skin, self._doubts), 0
-        self.setup_s = time.perf_counter() - start
+        self.setup_s = self.setup_cpu_s = 0.0
+        self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._doubts))
+        self._anew = 0
+
+    def _make(self, make: Callable[[], Model]) -> None:
+        """Make a model, and count what it takes."""
+        clock, processor = time.perf_counter(), time.process_time()
+        self._model = make()
+        self.setup_s += time.perf_counter() - clock
+        self.setup_cpu_s += time.process_time() - processor
 
     def verify(
-        self, voltages_V: Array, shares: Array, last: Array | None = None, budget_s: float = 2.0
+        self, voltages_V: Array, shares: Array, last: Array | None = None, budget_s: float = BUDGET_S
     ) -> FreeVerdict:
         """Return the touches that explain a frame best.
 
@@ -113,8 +127,7 @@ class FreeVerifier:
 
         self._fits = 0
         frame = self._frame(change)
-        fit = self._start(frame, shares, last)
-        frame, fit = self._settled(frame, fit)
+        frame, fit = self._start(frame, shares, last)
         trail: list[str] = []
         while left() > 0.0 and not self._explained(frame, fit):
             name, better = self._moved(frame, fit, left)
@@ -126,25 +139,41 @@ class FreeVerifier:
         seconds = time.perf_counter() - begin - (self.setup_s - setup)
         p = p_value(fit.chi_squared, freedom)
         return FreeVerdict(
-            touches_of(frame, fit), fit.chi_squared, freedom, p, LEVEL, self._fits, seconds, (), fit.pieces, tuple(trail)
+            touches_of(frame, fit),
+            fit.chi_squared,
+            freedom,
+            p,
+            LEVEL,
+            self._fits,
+            seconds,
+            (),
+            fit.pieces,
+            tuple(trail),
         )
 
     def _frame(self, change: Array) -> Frame:
-        assert self._model is not None
-        return Frame(
-            self._model, self._model.whitener(change, self._reference, self._noise), change, self._usual
-        )
+        model = self._model
+        assert model is not None
+        white = model.whitener(change, self._reference, self._noise)
+        return Frame(model, white, change, self._usual, model.expected(model.ratio(change)))
 
-    def _start(self, frame: Frame, shares: Array, last: Array | None) -> Fit:
-        """Return the best of what is at hand, fitted."""
-        tries: list[Array] = [] if last is None else [last]
+    def _start(self, frame: Frame, shares: Array, last: Array | None) -> tuple[Frame, Fit]:
+        """Return the first start that explains the frame once it is fitted, or the best of them."""
         rectangles = starts_of(shares, self._skin.grid)
+        tries: list[Array] = [] if last is None else [last]
         for log in _contrasts(self._usual.log_contrast) if len(rectangles) else ():
             tries.append(rectangles.copy())
             tries[-1][:, 6] = np.exp(log)
         tries.append(np.zeros((0, 8)))
-        best = min((self._at(frame, one, False) for one in tries), key=lambda one: one.cost)
-        return self._refined(frame, best)
+        best = None
+        for one in tries:
+            frame, fit = self._settled(frame, self._refined(frame, self._at(frame, one, False)))
+            if best is None or fit.cost < best.cost:
+                best = fit
+            if self._explained(frame, best):
+                break
+        assert best is not None
+        return frame, self._at(frame, best.pieces, False)
 
     def _at(self, frame: Frame, pieces: Array, turning: bool) -> Fit:
         self._fits += 1
@@ -158,15 +187,12 @@ class FreeVerifier:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
         while self._anew < ANEW:
             model = frame.model
-            residual = frame.change - model.solve(fit.pieces)[1]
+            residual = frame.change - frame.expected - model.solve(fit.pieces)[1]
             amplitudes, _ = frame.white.amplitudes(residual)
-            mixed = model.unseen.mixed
-            own = mixed @ amplitudes[: mixed.shape[1]]
-            if np.abs(own).max(initial=0.0) < TRUSTED:
+            if np.abs(model.beyond(amplitudes)).max(initial=0.0) < TRUSTED:
                 break
-            start = time.perf_counter()
-            self._model, self._anew = model.about(own), self._anew + 1
-            self.setup_s += time.perf_counter() - start
+            self._make(partial(model.about, amplitudes))
+            self._anew += 1
             frame = self._frame(frame.change)
             fit = self._refined(frame, self._at(frame, fit.pieces, fit.turning))
         return frame, fit
@@ -174,7 +200,7 @@ class FreeVerifier:
     def _explained(self, frame: Frame, fit: Fit) -> bool:
         return p_value(fit.chi_squared, max(degrees_of_freedom(frame, fit), 1)) > 5.0 * LEVEL
 
-    def _moved(self, frame: Frame, fit: Fit, left) -> tuple[str, Fit | None]:  # type: ignore[no-untyped-def]
+    def _moved(self, frame: Frame, fit: Fit, left: Callable[[], float]) -> tuple[str, Fit | None]:
         """Return the move that pays, or none."""
         tried: list[tuple[Fit, Move]] = []
         for move in moves(frame, fit):

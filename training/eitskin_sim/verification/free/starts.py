@@ -35,7 +35,7 @@ def starts_of(shares: Array, grid: Grid = PAPER.grid) -> Array:
 
 
 def shares_of(pixels: Array, touch: Array, weights: Array, count: int, grid: Grid = PAPER.grid) -> Array:
-    """Return (n, rows, columns) shares from the stream's lists: pixels of a map with a border, touch and weight of each.
+    """Return (n, rows, columns) shares from the stream's lists of pixels, touches and weights.
 
     Args:
         pixels: (m,) numbers in the map with its border of one pixel.
