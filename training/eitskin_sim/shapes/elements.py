@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.mesh import Index, TensorMesh
@@ -79,7 +80,7 @@ def _once(cuts: Cuts, n_elements: int) -> Index:
     return np.asarray(order[last])
 
 
-def rates(sheet: InvertedSheet, pieces: Array, free: Array, base: Blocks) -> Rates:
+def rates(sheet: InvertedSheet, pieces: Array, free: npt.NDArray[np.bool_], base: Blocks) -> Rates:
     """Return the rates of the blocks of one touch set.
 
     Args:

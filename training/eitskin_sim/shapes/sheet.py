@@ -14,6 +14,7 @@ blocks beside the one solve on D.
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 from scipy.linalg import lapack
 
 from eitskin_sim.fem.mesh import Index
@@ -93,7 +94,7 @@ class TouchedSheet:
         response = sheet.at_terminals - seen.T @ (change @ fields)
         return Solved(pieces, base, dofs, fields, np.asarray((response + response.T) / 2))
 
-    def jacobian(self, solved: Solved, free: Array) -> tuple[Array, Rates]:
+    def jacobian(self, solved: Solved, free: npt.NDArray[np.bool_]) -> tuple[Array, Rates]:
         """Return (104, r) V by mm, rad or 1, in the order of ``np.nonzero(free)``, and the rates of the blocks.
 
         Args:

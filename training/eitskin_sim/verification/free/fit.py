@@ -189,7 +189,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
         scale = np.diag(square) + 1e-9
         best = None
         for _ in range(4):
-            step = -np.linalg.solve(square + damping * np.diag(scale), gradient)
+            step = np.asarray(-np.linalg.solve(square + damping * np.diag(scale), gradient), dtype=np.float64)
             moved = bounded(frame, fit.pieces, own, step)
             try:
                 best = frame.at(moved, fit.turning)

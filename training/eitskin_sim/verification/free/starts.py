@@ -11,6 +11,7 @@ import numpy as np
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
 
 BETTER: Final = 0.45
@@ -34,7 +35,7 @@ def starts_of(shares: Array, grid: Grid = PAPER.grid) -> Array:
     return np.concatenate([np.zeros((0, 8)), *found])
 
 
-def shares_of(pixels: Array, touch: Array, weights: Array, count: int, grid: Grid = PAPER.grid) -> Array:
+def shares_of(pixels: Index, touch: Index, weights: Array, count: int, grid: Grid = PAPER.grid) -> Array:
     """Return (n, rows, columns) shares from the stream's lists of pixels, touches and weights.
 
     Args:
