@@ -33,9 +33,7 @@ Arrows = dict[str, set[str]]
 
 ROOMS: dict[str, Arrows] = {
     "eitskin_proto": {
-        "__init__": set(),
-        "errors": set(),
-        "files": {"errors"},
+        "__init__": set(), "errors": set(), "files": {"errors"},
         "sensor": {"errors", "files"},
         "skin": {"errors", "files", "sensor"},
         "wire": {"errors", "files", "sensor", "skin"},
@@ -45,24 +43,23 @@ ROOMS: dict[str, Arrows] = {
         "touches": {"errors"},
         "model": {"errors", "touches"},
         "reference": {"errors", "model"},
-        "acquisition": {"errors", "reference"},
-        "health": {"errors", "model", "reference"},
+        "acquisition": {"errors", "reference"}, "health": {"errors", "model", "reference"},
         "messaging": {"errors", "reference", "touches"},
         "pipeline": {"acquisition", "errors", "health", "messaging", "model", "reference"},
         "diagnostics": {"acquisition", "errors", "health", "messaging", "model", "reference"},
         "frame_source": {"acquisition", "errors", "pipeline"},
         "frame_loop": {"acquisition", "errors", "frame_source", "messaging", "pipeline", "reference", "touches"},
         "status": {"acquisition", "frame_loop", "pipeline"},
+        "stream_source": {"acquisition", "frame_loop", "messaging", "pipeline", "reference", "status"},
         "skin": {
             "acquisition", "errors", "frame_loop", "health", "messaging", "model", "pipeline", "reference", "status",
+            "stream_source",
         },
         "serving": {"messaging", "skin"},
         "__init__": {"acquisition", "errors", "messaging", "model", "reference", "serving", "skin", "touches"},
     },
     "eitskin_sim": {
-        "__init__": set(),
-        "scene": set(),
-        "fem": {"scene"},
+        "__init__": set(), "scene": set(), "fem": {"scene"},
         "measurement": {"fem"},
         "devices": {"fem", "measurement", "scene"},
         "unit_grid": {"devices", "fem", "scene"},
@@ -128,7 +125,8 @@ ROOMS: dict[str, Arrows] = {
         "fault_injection": {"emulator", "flash", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
-            "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "virtual_skin",
+            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "stages",
+            "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "service", "stages",

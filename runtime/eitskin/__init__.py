@@ -40,6 +40,9 @@ if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
     from eitskin.messaging.frame import Frame
     from eitskin.messaging.publish import Publisher
+    from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+    from eitskin.messaging.streams.state import SkinState
+    from eitskin.messaging.streams.subscription import StreamSubscription, subscribe_streams
     from eitskin.messaging.subscription import Subscription, subscribe
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
@@ -58,7 +61,9 @@ __all__ = [
     "BundleError",
     "CalibrationError",
     "ClientKeys",
+    "CloudInUse",
     "CloudWarning",
+    "Conditions",
     "ControlError",
     "ControlServer",
     "EndpointError",
@@ -77,13 +82,16 @@ __all__ = [
     "Reference",
     "Skin",
     "SkinError",
+    "SkinState",
     "StaleFrame",
+    "StreamSubscription",
     "Subscription",
     "Touch",
     "TouchEvent",
     "TouchList",
     "Transport",
     "TransportError",
+    "WireFrame",
     "__version__",
     "load_bundle",
     "load_client_keys",
@@ -93,22 +101,28 @@ __all__ = [
     "send_cloud",
     "serve",
     "subscribe",
+    "subscribe_streams",
 ]
 
 _HOMES: Final = {
     "Bundle": "eitskin.model.bundle",
     "ClientKeys": "eitskin.messaging.curve_keys",
+    "CloudInUse": "eitskin.messaging.streams.measured",
+    "Conditions": "eitskin.messaging.streams.measured",
     "ControlServer": "eitskin.messaging.control",
     "ForceTable": "eitskin.touches.force",
     "Frame": "eitskin.messaging.frame",
     "Publisher": "eitskin.messaging.publish",
     "Reference": "eitskin.reference.captured",
     "Skin": "eitskin.skin",
+    "SkinState": "eitskin.messaging.streams.state",
+    "StreamSubscription": "eitskin.messaging.streams.subscription",
     "Subscription": "eitskin.messaging.subscription",
     "Touch": "eitskin.touches.touch",
     "TouchEvent": "eitskin.touches.touch",
     "TouchList": "eitskin.touches.touch",
     "Transport": "eitskin.acquisition.transport",
+    "WireFrame": "eitskin.messaging.streams.measured",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
     "make_keys": "eitskin.messaging.curve_keys",
@@ -117,6 +131,7 @@ _HOMES: Final = {
     "send_cloud": "eitskin.messaging.control_client",
     "serve": "eitskin.serving",
     "subscribe": "eitskin.messaging.subscription",
+    "subscribe_streams": "eitskin.messaging.streams.subscription",
 }
 """Where each public name lives; the errors live in ``eitskin.errors``."""
 

@@ -20,6 +20,7 @@ from eitskin.errors import BadReference, HandshakeError, SkinError, TransportErr
 from eitskin.frame_source import FrameSource
 from eitskin.messaging.frame_message import Asked, FrameMessages
 from eitskin.messaging.frame_record import INFER, PACK, PUBLISH, READ, FrameRecord
+from eitskin.messaging.streams.teller import Teller, begin
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleMode
 from eitskin.pipeline.stats import Statistics
@@ -41,7 +42,7 @@ class Taker(Protocol):
     """Who takes the messages of frames: a publisher, or this process.
 
     One may also have ``asked``, an :class:`eitskin.messaging.frame_message.Asked`; one without takes frames, and no
-    touches.
+    touches. One may have ``streams`` (:mod:`eitskin.messaging.streams.teller`).
     """
 
     @property
@@ -74,6 +75,8 @@ class FrameLoop:
         self.source = FrameSource(device, pipeline)
         self.reference: Reference | None = None
         self._recapture: Recapture | None = None
+        self.teller: Teller | None = None
+        """Of what was measured, where a taker has streams."""
 
     @property
     def published(self) -> int:
@@ -98,6 +101,8 @@ class FrameLoop:
                 "with reference=FILE"
             )
         pipeline, record = self._pipeline, self._pipeline.record
+        streams, teller = begin(self.teller, taker, self._messages.run)
+        self.source.tell_withheld = teller.withheld
         try:
             for _ in self._accepted(until_ns):
                 recapture = self._recapture
@@ -106,12 +111,16 @@ class FrameLoop:
                 wanted = taker.wanted
                 if pipeline.compute(wanted):
                     self._choose_mode(whole=recapture is not None)
+                    if streams.asked:
+                        teller.frame(self.source.payload, self.published + 1 if wanted else None)
                     if wanted:
                         self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     self._finish()
                     yield record
+                elif streams.asked:
+                    teller.withheld(self.source.payload, record.stamps[READ])
         finally:
             self._give_up_recapture("the stream ended")
 

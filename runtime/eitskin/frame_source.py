@@ -7,7 +7,7 @@ frames becomes events of the next one.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
@@ -61,6 +61,10 @@ class FrameSource:
         self._withheld = 0
         self._bad_s = FIRST_BAD_S
         self._pending_events: tuple[str, ...] = ()
+        self.payload = b""
+        """Of the frame in hand."""
+        self.tell_withheld: Callable[[bytes, int], None] | None = None
+        """Takes the payload of each frame that is not accepted, and when it was read."""
 
     @property
     def stopping(self) -> bool:
@@ -131,10 +135,7 @@ class FrameSource:
                     payload = held.popleft()
                     if payload[0] != FRAME_TYPE:
                         self._take_note(payload)
-                    elif pipeline.accept(payload, read_ns):
-                        if self._pending_events:
-                            pipeline.record.note(*self._pending_events)
-                            self._pending_events = ()
+                    elif self._accept(payload, read_ns):
                         withheld = intake.withheld_total
                         self._reading = False
                         yield
@@ -201,8 +202,24 @@ class FrameSource:
                 continue
             for stale in newest:
                 self._pipeline.intake.discard(stale)
+                self._tell_of(stale, self._device.read_ns)
             newest = [payload]
         return newest
+
+    def _accept(self, payload: bytes, read_ns: int) -> bool:
+        """Return whether a frame is accepted; if so, it has what happened before it."""
+        if not self._pipeline.accept(payload, read_ns):
+            self._tell_of(payload, read_ns)
+            return False
+        self.payload = payload
+        if self._pending_events:
+            self._pipeline.record.note(*self._pending_events)
+            self._pending_events = ()
+        return True
+
+    def _tell_of(self, withheld: bytes, read_ns: int) -> None:
+        if self.tell_withheld is not None:
+            self.tell_withheld(withheld, read_ns)
 
     def _recover(self) -> None:
         """Greet the device anew, and let it start anew.

@@ -33,6 +33,7 @@ from eitskin.pipeline.region_worker import RegionWorker
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
 from eitskin.status import status_of
+from eitskin.stream_source import with_streams
 
 
 class Skin:
@@ -100,15 +101,14 @@ class Skin:
                 skin=self.description,
             )
             self._clouds = CloudChange(self.pipeline)
-            self.loop = FrameLoop(self.device, self.pipeline, idle)
+            self.loop = with_streams(FrameLoop(self.device, self.pipeline, idle), self.device, self.pipeline)
             if loaded is not None:
                 self.loop.use(loaded)
         except BaseException:
             self.transport.close()
             raise
         self.statistics = self.loop.statistics
-        self._closed = False
-        self._region_worker = RegionWorker(self.pipeline)
+        self._closed, self._region_worker = False, RegionWorker(self.pipeline)
 
     def __repr__(self) -> str:
         state = "closed" if self._closed else f"open, {self.statistics.frames} frames"

@@ -38,6 +38,18 @@ def test_touches_come_without_maps(example, runtime):
         assert "facing (" in program.until("touch 1 at")
 
 
+def test_the_command_prints_touches_with_the_users_own_forces(start, runtime, tmp_path):
+    table = tmp_path / "forces.csv"
+    table.write_text("strength,newtons,newtons_error\n0,0,0\n100,2,0.2\n")
+    words = ("-m", "eitskin_tools.cli", "subscribe", runtime.frames, "--touches", "--mode", "all")
+    with start(*words, "--force-table", table) as program:
+        _, touch, number, born = program.until(" born").split()
+        assert (touch, int(number) > 0, born) == ("touch", True, "born"), "numbers go on from subscriber to subscriber"
+        line = program.until("mm2")
+        assert "facing" in line
+        assert line.endswith("force unknown"), "no solver that runs tells a strength"
+
+
 def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
     (tmp_path / "eitskin.py").write_text("raise ModuleNotFoundError('eitskin is not installed here')\n")
     with example("without_eitskin.py", runtime.frames, PYTHONPATH=str(tmp_path)) as program:

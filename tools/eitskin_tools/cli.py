@@ -40,6 +40,7 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "train": ("offline.train", "train VD2T"),
     "curves": ("offline.curves", "losses of training runs side by side"),
     "calibrate": ("offline.calibrate", "find out what this device is, from its own readings"),
+    "adapt-skin": ("offline.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
     "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
     "export": ("offline.export", "export a trained network to a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),

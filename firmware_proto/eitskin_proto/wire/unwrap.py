@@ -46,6 +46,16 @@ class StreamCounter:
         self.resets = 0
         """Resets seen so far."""
 
+    @property
+    def sequence(self) -> int | None:
+        """Unwrapped, of the last frame; None before the first."""
+        return self._sequence
+
+    @property
+    def device_us(self) -> int:
+        """Unwrapped microseconds of the last frame."""
+        return self._device_us
+
     def restart(self) -> None:
         """Forget the last frame, as after a handshake with a device that is known to have restarted."""
         self._sequence = None

@@ -78,6 +78,8 @@ class Drift:
         self.resting = Resting()
         """What the untouched sheet reads."""
         self._factor = np.ones(N_ROWS, dtype=np.float32)
+        self.changes = 0
+        """How often what is taken out has changed."""
         self._gone = np.zeros(N_ROWS, dtype=np.bool_)
         self._scan = np.zeros(N_ROWS, dtype=np.float32)
         self.percent = self.sigma_percent = self.uneven_percent = math.nan
@@ -120,6 +122,11 @@ class Drift:
     def taken_out(self) -> float:
         """The common part of what is taken out of the frames, in log."""
         return self.resting.common if self._compensate and self._followed else 0.0
+
+    @property
+    def factors(self) -> npt.NDArray[np.float32] | None:
+        """(104,) what 1 + dV is multiplied with, a copy; None if nothing is taken out."""
+        return self._factor.copy() if self.active else None
 
     @property
     def known(self) -> bool:
@@ -208,12 +215,13 @@ class Drift:
         self.distance = self.percent, self.sigma_percent, self.uneven_percent
         if not self._followed:
             return
-        drift = resting.drift
+        drift, before = resting.drift, self._factor.copy()
         self.active = self._compensate and bool(np.abs(drift).max() > 1e-5)
         if self.active:
             drift[self._gone] = resting.common
             np.exp(-drift, out=drift)
             self._factor[:] = drift
+            self.changes += not np.array_equal(before, self._factor)
 
     def _news(self) -> tuple[str, ...]:
         """Return the events of drift, or of its unevenness, that is above what is worth one and was not before."""

@@ -118,7 +118,7 @@ class ElectrodeWatch:
         self.check(electrodes)
         chosen = tuple(sorted(set(electrodes)))
         kept = tuple(f for f in self.findings if f.state != "excluded" and f.electrode not in chosen)
-        self._use((*kept, *(Finding(electrode, "excluded") for electrode in chosen)))
+        self.go_on_with((*kept, *(Finding(electrode, "excluded") for electrode in chosen)))
 
     @staticmethod
     def check(electrodes: tuple[int, ...]) -> None:
@@ -137,12 +137,12 @@ class ElectrodeWatch:
         """
         if len(self.findings) >= MOST_OUT or any(finding.electrode == electrode for finding in self.findings):
             return False
-        self._use((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
+        self.go_on_with((*self.findings, Finding(electrode, NOT_RECIPROCAL)))
         return True
 
     def trust(self, electrode: int) -> None:
         """Use an electrode again that was not reciprocal."""
-        self._use(tuple(f for f in self.findings if f.electrode != electrode or f.state != NOT_RECIPROCAL))
+        self.go_on_with(tuple(f for f in self.findings if f.electrode != electrode or f.state != NOT_RECIPROCAL))
 
     def correct(self, change: npt.NDArray[np.float32], predicted: npt.NDArray[np.float32] = UNPREDICTED) -> None:
         """Rearrange and fill in (104,) dV, in place, for the failures that are known.
@@ -227,7 +227,7 @@ class ElectrodeWatch:
             self._pause = WINDOW
             return False
         self.unclear = False
-        self._use((*self.findings, *found))
+        self.go_on_with((*self.findings, *found))
         return True
 
     def _take_back(self, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
@@ -243,7 +243,7 @@ class ElectrodeWatch:
                 back.append(electrode)
         if not back:
             return False
-        self._use(tuple(f for f in self.findings if f.electrode not in back and f.partner not in back))
+        self.go_on_with(tuple(f for f in self.findings if f.electrode not in back and f.partner not in back))
         return True
 
     def _is_healthy(self, finding: Finding, raw: npt.NDArray[np.float32], change: npt.NDArray[np.float32]) -> bool:
@@ -260,7 +260,7 @@ class ElectrodeWatch:
         surprise, _ = self.surprise(np.where(mine, raw, change))
         return bool(surprise[electrode] < self.threshold / 3.0)
 
-    def _use(self, findings: tuple[Finding, ...]) -> None:
+    def go_on_with(self, findings: tuple[Finding, ...]) -> None:
         """Go on with these failures from the next frame on."""
         self.findings = tuple(sorted(findings, key=lambda finding: finding.electrode))
         self.texts = tuple(finding.text() for finding in self.findings)

@@ -28,12 +28,13 @@ class FrameMessages:
         shape: Rows and columns of the map.
     """
 
-    __slots__ = ("_packed_map", "_packer", "_sent_map", "_short", "published")
+    __slots__ = ("_packed_map", "_packer", "_sent_map", "_short", "published", "run")
 
     def __init__(self, configuration: str, bundle: str, serial_number: str, shape: tuple[int, int]) -> None:
-        run = os.urandom(4).hex()  # differs after each start
+        self.run = os.urandom(4).hex()
+        """Differs after each start."""
         self._packer = FramePacker(
-            configuration=configuration, bundle=bundle, serial_number=serial_number, run=run, shape=shape
+            configuration=configuration, bundle=bundle, serial_number=serial_number, run=self.run, shape=shape
         )
         self.published = 0
         """Frames packed so far."""

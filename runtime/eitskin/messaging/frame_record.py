@@ -27,7 +27,7 @@ class FrameRecord:
     """
 
     __slots__ = (
-        "_computed_map", "_nothing", "cloud", "corrupt", "device_us", "drift", "electrodes", "events",
+        "_computed_map", "_nothing", "cloud", "cloud_sequence", "corrupt", "device_us", "drift", "electrodes", "events",
         "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence",
         "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
     )  # fmt: skip
@@ -64,6 +64,8 @@ class FrameRecord:
         not a number while unknown."""
         self.cloud = 0
         """Revision of the cloud in use."""
+        self.cloud_sequence: int | None = None
+        """The first frame that it was used for; None if it was there at the start."""
         self.weak_rows = 0
         self.lost = 0
         self.corrupt = 0

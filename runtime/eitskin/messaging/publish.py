@@ -13,9 +13,11 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             besides: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
+    b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
 
 While somebody takes touches without maps, those with the empty topic get the touch messages too, and leave them alone
-for their version; they are sent first, so that who keeps one message keeps the frame.
+for their version; they are sent first, so that who keeps one message keeps the frame. Streams of what was measured are
+alike.
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
 are limited to a few bytes, few of them wait, and who sends more than any honest subscriber would is ended, as is who
@@ -34,6 +36,7 @@ from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
 from eitskin.messaging.frame_message import Asked
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED, Region, Regions, union, whole
+from eitskin.messaging.streams.desk import StreamDesk
 from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
@@ -86,6 +89,8 @@ class Publisher:
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
+        self.streams = StreamDesk(self._send_stream)
+        """Where messages of what was measured are handed in."""
         self._talkative = self._greedy = 0
         try:
             self._open(endpoint)
@@ -147,6 +152,7 @@ class Publisher:
         everywhere = plain or self.asked.touches  # a touch that a region's border cuts would lie elsewhere
         self.regions = whole(self._shape) if everywhere else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
+        self.streams.judge(topics)
         self.joined = True
 
     @property
@@ -187,6 +193,12 @@ class Publisher:
         except zmq.Again:
             self.dropped += 1
         self.joined = False
+
+    def _send_stream(self, message: bytes) -> None:
+        try:
+            self._send(message, _NOBLOCK, True)
+        except zmq.Again:
+            self.dropped += 1
 
     def _end(self) -> None:
         self._socket.close(0)

@@ -17,7 +17,7 @@ class Buffers:
         change: (104,) memory for dV that somebody else reads as well; None makes it.
     """
 
-    __slots__ = ("bias", "change", "log_predicted", "map", "revision", "surface")
+    __slots__ = ("bias", "change", "geometry", "log_predicted", "map", "revision", "surface")
 
     def __init__(self, bundle: Bundle, change: npt.NDArray[np.float32] | None = None) -> None:
         self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
@@ -30,11 +30,14 @@ class Buffers:
         """(1, pixels) the result."""
         self.revision = 0
         """Of the cloud in use."""
+        self.geometry: Geometry | None = None
+        """What was taken last."""
         self.surface = Surface(bundle.skin.grid.flat_cloud_mm(), bundle.skin.grid)
         """The cloud in use, as it was given."""
 
     def take(self, geometry: Geometry) -> None:
         """Use another geometry from the next frame on."""
+        self.geometry = geometry
         self.bias[:] = geometry.bias
         self.log_predicted[:] = geometry.log_predicted
         self.revision = geometry.revision

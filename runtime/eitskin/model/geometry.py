@@ -19,6 +19,22 @@ from eitskin_proto.skin.cloud import network_input
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Given:
+    """A surface as somebody gave it."""
+
+    cloud: npt.NDArray[np.float32] | None
+    """(3, rows, columns) mm; None for the flat sheet."""
+    predicted: npt.NDArray[np.float64] | None
+    """(104,) V"""
+    predicted_flat: npt.NDArray[np.float64] | None
+    """(104,) V"""
+    taken_ns: int
+    """On ``perf_counter_ns``."""
+    utc_ns: int
+    """Wall clock."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
     """What a cloud means to the head; immutable, so that it may cross threads."""
 
@@ -30,6 +46,8 @@ class Geometry:
     """Counts clouds since the start; 0 is the flat sheet."""
     surface: Surface
     """The cloud in the pose in which it was given."""
+    given: Given | None = None
+    """What it was made of; None for the flat sheet that a runtime starts with."""
 
 
 class GeometryGraph:

@@ -1,12 +1,14 @@
 """A new cloud takes effect: the geometry graph runs in the thread that brought the cloud, frames do not wait."""
 
 import threading
+import time
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BadReference
-from eitskin.model.geometry import GeometryGraph
+from eitskin.model.geometry import GeometryGraph, Given
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin.reference.plausible import check_prediction
@@ -54,6 +56,7 @@ class CloudChange:
         skin = self._pipeline.skin
         if cloud is not None:
             cloud, _ = check_sheet(cloud, skin)
+            cloud = cloud.astype(np.float32).astype(np.float64)  # as control requests and streams carry it
         ratio: npt.NDArray[np.float32] | None = None
         if predicted is not None:
             surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
@@ -69,5 +72,12 @@ class CloudChange:
         with self._lock:
             geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1
-            self._pipeline.use_geometry(geometry)
+            self._pipeline.use_geometry(replace(geometry, given=_given(cloud, predicted, predicted_flat)))
             return geometry.revision
+
+
+def _given(cloud: npt.ArrayLike | None, predicted: npt.ArrayLike | None, predicted_flat: npt.ArrayLike | None) -> Given:
+    """Return copies of what was given, for whoever wants to compute it once more."""
+    points = None if cloud is None else np.array(cloud, dtype=np.float32)
+    volts = [None if one is None else np.array(one, dtype=np.float64) for one in (predicted, predicted_flat)]
+    return Given(points, volts[0], volts[1], time.perf_counter_ns(), time.time_ns())

@@ -79,11 +79,11 @@ class Pipeline:
         self.whole = whole(grid.shape)
         """What is computed unless somebody wants less."""
         arrays = bundle.gate_arrays()
-        self._gate = Gate(arrays) if arrays is not None else None
+        self.gate = Gate(arrays) if arrays is not None else None
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
-        self.buffers = Buffers(bundle, None if self._gate is None else self._gate.change)
+        self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
         self._change = self.buffers.change[0]
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"), grid.shape)
         """The frame in hand; the next one overwrites it."""
@@ -123,7 +123,7 @@ class Pipeline:
         self.front_end.use(reference, step_V)
         if self.health is not None:
             spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))  # of rounding
-            self.health.use(flat.voltages_V, spread_V, self._gate, frames=flat.frames, fresh=fresh)
+            self.health.use(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
 
@@ -196,10 +196,9 @@ class Pipeline:
             health.prepare(self._change)
             record.events += health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
-        gate = self._gate
+        gate = self.gate
         if gate is not None:
-            record.touched = gate.touched()
-            record.gate_logit = gate.logit
+            record.touched, record.gate_logit = gate.touched(), gate.logit
         else:
             record.touched = True  # without a gate every frame is computed
         if health is not None:
@@ -261,6 +260,7 @@ class Pipeline:
             return False
         self._next_geometry = None
         self.start_with(geometry)
+        self.record.cloud_sequence = self.record.sequence
         self.record.events += ("cloud",)
         return True
 

@@ -107,6 +107,11 @@ class MapSource:
             )
 
     @property
+    def keeps_unchanged(self) -> bool:
+        """Whether a map is kept while only noise lies between two frames."""
+        return self._stillness is not None
+
+    @property
     def can_overrule(self) -> bool:
         """Whether the next map can say that nothing touches."""
         return self.engines[self.budget.engine].name != PROJECTION

@@ -111,9 +111,7 @@ class Reference:
         if weighed:
             lines.append(f"reference: {weighed} rows vary by more than {WEIGHED_SPREAD:.0%} and are weighed by it")
         if not self.spread_V.any():
-            lines.append(
-                "reference: its frames did not differ at all; a front end that hangs cannot be told from a sheet"
-            )
+            lines.append("reference: its frames did not differ at all; a hung front end cannot be told from a sheet")
         if self.judgement is not None:
             lines += [f"reference: {line}" for line in (*self.judgement.refusals, *self.judgement.remarks)]
         return lines
@@ -159,12 +157,8 @@ class Reference:
             )
 
 
-def save(reference: Reference, path: str | Path) -> None:
-    """Write a reference to a file, atomically.
-
-    Raises:
-        BadReference: The file cannot be written.
-    """
+def stored(reference: Reference) -> bytes:
+    """Return what a reference's file holds; the same reference gives the same bytes."""
     content: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION if reference.scan is None else SCANNED_VERSION,
@@ -182,9 +176,18 @@ def save(reference: Reference, path: str | Path) -> None:
     if reference.scan is not None:
         content["scan"] = reference.scan.stored()
     content["sha256"] = sha256_of_values(content)
+    return (json.dumps(content, indent=1) + "\n").encode("ascii")
+
+
+def save(reference: Reference, path: str | Path) -> None:
+    """Write a reference to a file, atomically.
+
+    Raises:
+        BadReference: The file cannot be written.
+    """
     where = Path(path)
     try:
-        write_bytes(where, (json.dumps(content, indent=1) + "\n").encode("ascii"), mode=0o600)
+        write_bytes(where, stored(reference), mode=0o600)
     except FileError as error:
         raise BadReference(str(error)) from error
     except OSError as error:
@@ -210,6 +213,18 @@ def load(path: str | Path, skin: Skin | None = None) -> Reference:
         raise BadReference(f"no reference: {error}; {hint}") from error
     except OSError as error:
         raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {hint}") from error
+    return parsed(raw, str(where), hint, skin)
+
+
+def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Reference:
+    """Return the reference of a file's bytes.
+
+    Args:
+        raw: What :func:`stored` gave.
+        where: They come from.
+        hint: What to do if they cannot be used.
+        skin: Whose it must be; None for anybody's. What is raised is as of :func:`load`.
+    """
     try:
         content = parse_json(raw)
     except FileError as error:

@@ -33,7 +33,7 @@ class Sees:
 
 
 def test_a_gate_that_is_blind_is_overruled_by_a_strong_map_and_says_so(pipeline, counts, touched):
-    pipeline._gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9, 1350)
+    pipeline.gate, pipeline.engines[0], pipeline.audit = Blind(), Sees(pipeline.buffers), GateAudit(9, 1350)
     for sequence in range(1, AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.record.solver == "none"
@@ -92,7 +92,7 @@ def test_a_nonsensical_number_of_strong_pixels_is_refused(value):
 def test_only_a_network_may_overrule_the_gate(tiny, hello, touched, counts):
     pipeline = Pipeline(tiny, hello, solver="tikhonov")
     pipeline.use_reference(Reference(counts * 1e-9, counts * 0.0, 2, "TEST-1", 0xABCD, "paper", ""))
-    pipeline._gate, pipeline.audit = Blind(), GateAudit(9, 1350)
+    pipeline.gate, pipeline.audit = Blind(), GateAudit(9, 1350)
     for sequence in range(1, 2 * AUDIT_FRAMES):
         assert go(pipeline, payload(touched, sequence))
         assert pipeline.record.solver == "none"

@@ -21,6 +21,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "dataset": ("scipy",),
     "evaluate": ("scipy",),
     "calibrate": ("scipy",),
+    "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "train": ("scipy", "torch"),
     "curves": ("torch",),
@@ -37,6 +38,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "bench ablation": ("scipy", "torch"),
     "bench stability": ("scipy",),
     "bench electrodes": ("scipy",),
+    "bench twins": ("scipy", "torch", "onnx", "onnxscript"),
     "bench peer": ("scipy",),
 }
 """Modules by command; those that are not here need none."""

@@ -135,13 +135,6 @@ def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raising")
     return load_bundle(request.bundle or (own if own.exists() else default_path(labels)))
 
 
-def touches_of(phantom: Phantom) -> TouchKind:
-    """Return which way a phantom's touches change conductance; one without touches counts as the paper's do."""
-    sheet = phantom.scene.sheet.conductivity_S_per_m
-    lower = {touch.factor(sheet) < 1.0 for touch in phantom.scene.touches}
-    return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
-
-
 def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> Named:
     from eitskin.model.buffers import Buffers
     from eitskin.model.engine import engines
@@ -201,7 +194,7 @@ def verdicts_of(
     found: dict[int, list[Checked[Any]]] = {}
     for key, one in by_group.items():
         assert one.verified is not None
-        group = [phantom for phantom in phantoms if (phantom.truth, touches_of(phantom)) == key]
+        group = [phantom for phantom in phantoms if (phantom.truth, phantom.scene.touch_kind) == key]
         for number, phantom in enumerate(group):
             found[id(phantom)] = list(one.verified.checked[number * seeds : (number + 1) * seeds])
     return found
@@ -271,7 +264,7 @@ def evaluate_named(
     """Return, for each request, its solvers by what the phantoms are like, and its scores in the phantoms' order."""
     groups: dict[Group, list[Phantom]] = {}
     for one in phantoms:
-        groups.setdefault((one.truth, touches_of(one)), []).append(one)
+        groups.setdefault((one.truth, one.scene.touch_kind), []).append(one)
     solvers = [
         {(labels, touches): named(request, labels, conditions.skin, touches, conditions) for labels, touches in groups}
         for request in requests

@@ -2,18 +2,18 @@
 
 ::
 
-    drift       of the whole layer's conductivity since the reference         part of it
-    tilt x, y   drift that differs from end to end, a plane of rms 1          part of it
-    gauge       conductivity goes with (local area stretch)^-k                k
-    stretch     uneven stretch along the sheet, a cos(2 pi x / L), which      a
-                no scan without marks can show
+    drift       of the whole layer's conductivity since the reference            part of it
+    tilt x, y   drift that differs from end to end, a plane of rms 1             part of it
+    gauge       conductivity goes with (local area stretch)^-k                   k
+    stretch     along x, by cos(2 pi x / L)                                      part of the local stretch
+    shift x, y  along x and along y, by (2 x / L - 1)(2 y / W - 1)               part of the local stretch
 
-A mode is d log V per unit of its nuisance, of the untouched sheet at its present shape; times V it serves the touched
-one too, but for what the two do to each other. Conductivities are answered by adjoint fields, of one factorisation; the
-stretch moves voltages by 8 %, too much for a derivative, so that its curvature comes along.
+The last three are material that lies elsewhere on the surface than a scan without marks can tell
+(:mod:`eitskin_sim.verification.material`). A mode is d log V per unit of its nuisance, of the untouched sheet at its
+present shape; times V it serves the touched one too, but for what the two do to each other. Conductivities are answered
+by adjoint fields, of one factorisation.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
@@ -23,18 +23,17 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.forward import Factor, assemble
 from eitskin_sim.fem.jacobian import jacobian
+from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_scene, nominal_sheet
+from eitskin_sim.verification.material import MATERIAL, moved, spreads_of
 
 Array = npt.NDArray[np.float64]
-Metric = Callable[[Array], Array]
-"""(n, 2) flat points in mm -> (n, 3) E, F, G."""
-
 ELEMENT_MM: Final = 4.5
 """Of the mesh that modes are solved on: they need two digits."""
 
-STEP: Final = 0.08
-"""Amplitude of stretch between whose ends the derivative is taken."""
+STEP: Final = 0.05
+"""Amplitudes of material between whose ends the derivative is taken."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,15 +43,8 @@ class Spreads:
     drift: float = 0.05
     tilt: float = 0.02
     gauge: float = 0.5
-    stretch: float | None = None
-    """None is what the skin's deformations say."""
-
-    def stretch_of(self, skin: Skin) -> float:
-        """Return the standard deviation of the amplitude of uneven stretch."""
-        if self.stretch is not None:
-            return self.stretch
-        low, high = skin.deformations.nonuniformity
-        return float(max(abs(low), abs(high)) / np.sqrt(3.0))
+    material: float = 1.0
+    """Of material that lies elsewhere: over what the skin's deformations say."""
 
 
 USUAL: Final = Spreads()
@@ -68,8 +60,6 @@ class Modes:
     """(rows, m) d log V per unit of each."""
     sd: Array
     """(m,) how large each is expected to be, in its own unit."""
-    curved: Array
-    """(rows,) half the second derivative of log V by the amplitude of stretch."""
 
     @property
     def columns(self) -> Array:
@@ -79,19 +69,6 @@ class Modes:
     def of(self, name: str) -> int:
         """Return the number of a nuisance, -1 if it is left out."""
         return self.names.index(name) if name in self.names else -1
-
-
-def stretched(metric: Metric, amplitude: float, length_mm: float) -> Metric:
-    """Return a metric with a cos(2 pi x / L) added to the stretch along x, and nothing else changed."""
-
-    def found(xy_mm: Array) -> Array:
-        first = metric(xy_mm).copy()
-        factor = 1.0 + amplitude * np.cos(2.0 * np.pi * xy_mm[:, 0] / length_mm) / np.sqrt(first[:, 0])
-        first[:, 0] *= factor**2
-        first[:, 1] *= factor
-        return first
-
-    return found
 
 
 def factor_of(metric: Metric, skin: Skin = PAPER) -> Factor:
@@ -124,14 +101,18 @@ def modes_of(metric: Metric, skin: Skin = PAPER, spreads: Spreads = USUAL) -> Mo
     }
     sizes = {"drift": spreads.drift, "tilt x": spreads.tilt, "tilt y": spreads.tilt, "gauge": spreads.gauge}
     logs = {name: by_element @ field for name, field in fields.items()}
-    sizes["stretch"] = spreads.stretch_of(skin)
-    curved = np.zeros(len(volts))
-    if sizes["stretch"] > 0.0:
-        lower, upper = (
-            np.log(np.abs(factor_of(stretched(metric, at, length), skin).voltages() / volts)) for at in (-STEP, STEP)
-        )
-        logs["stretch"] = (upper - lower) / (2.0 * STEP)
-        curved = (upper + lower) / (2.0 * STEP**2)
+    for number, (name, spread) in enumerate(spreads_of(skin).items()):
+        sizes[name] = spreads.material * spread
+        if sizes[name] > 0.0:
+            low, high = (
+                np.log(np.abs(factor_of(moved(metric, _only(number, at), skin), skin).voltages()))
+                for at in (-STEP, STEP)
+            )
+            logs[name] = (high - low) / (2.0 * STEP)
     names = tuple(name for name in logs if sizes[name] > 0.0)
     columns = np.array([logs[name] for name in names]).reshape(len(names), len(volts)).T
-    return Modes(names, columns, np.array([sizes[name] for name in names]), curved)
+    return Modes(names, columns, np.array([sizes[name] for name in names]))
+
+
+def _only(number: int, amplitude: float) -> tuple[float, ...]:
+    return tuple(amplitude if one == number else 0.0 for one in range(len(MATERIAL)))

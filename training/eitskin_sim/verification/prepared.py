@@ -12,8 +12,9 @@ from eitskin_sim.reduced.model import ReducedModel, cloud_digest, reduced, rows_
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.verification.frame import Doubts
+from eitskin_sim.verification.material import moved
 from eitskin_sim.verification.model_error import scan_columns
-from eitskin_sim.verification.nuisance import USUAL, Spreads, modes_of, stretched
+from eitskin_sim.verification.nuisance import USUAL, Spreads, modes_of
 from eitskin_sim.verification.residual import Array
 from eitskin_sim.verification.units import UnitVerifier
 
@@ -26,7 +27,7 @@ def prepared(
     skin: Skin = PAPER,
     spreads: Spreads = USUAL,
     model: ReducedModel | None = None,
-    stretch: float = 0.0,
+    material: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> UnitVerifier:
     """Return the verifier of units on the sheet of a cloud.
 
@@ -35,12 +36,12 @@ def prepared(
         skin: Whose.
         spreads: How large nuisances are expected to be.
         model: The cloud's, where it is there already.
-        stretch: Amplitude of the uneven stretch that frames of this shape have shown; the model is made with it.
+        material: Amplitudes by which frames of this shape have shown material to lie elsewhere; the model has them.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
-    metric = stretched(fit_cloud(cloud_mm, skin.grid).metric, stretch, skin.outline.size_mm[0])
+    metric = moved(fit_cloud(cloud_mm, skin.grid).metric, material, skin)
     made = model or reduced(exact_sheet(metric, skin), skin, cloud_digest=cloud_digest(np.asarray(cloud_mm)))
     modes = modes_of(metric, skin, spreads)
     noise_mm = float(np.mean(skin.may_be_off.scan_noise_mm)) or SCAN_NOISE_MM

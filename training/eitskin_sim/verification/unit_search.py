@@ -4,7 +4,7 @@ What :mod:`eitskin_sim.verification.units` says in words.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Final
 
 import numpy as np
@@ -45,14 +45,22 @@ class Search:
         frame: What is to be explained.
         prior: What touches are like.
         contrast: The usual one.
-        deadline: ``time.perf_counter()`` when it ends.
+        deadline: What the clock shows when it ends.
+        clock: In seconds.
     """
 
     def __init__(
-        self, model: ReducedModel, flat_V: Array, frame: Frame, prior: Prior, contrast: float, deadline: float
+        self,
+        model: ReducedModel,
+        flat_V: Array,
+        frame: Frame,
+        prior: Prior,
+        contrast: float,
+        deadline: float,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
         self._model, self._flat, self._frame, self._prior = model, flat_V, frame, prior
-        self._usual, self._deadline = contrast, deadline
+        self._usual, self._deadline, self._clock = contrast, deadline, clock
         self._columns = model.shape[1]
         self._content = least_chi_squared(CONTENT, len(frame.white))
         self._price = UnitPrice(model.shape, prior, contrast)
@@ -60,7 +68,7 @@ class Search:
 
     def on(self, frame: Frame) -> "Search":
         """Return the same search on the frame with another covariance."""
-        found = Search(self._model, self._flat, frame, self._prior, self._usual, self._deadline)
+        found = Search(self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock)
         found.evaluations, found._price = self.evaluations, self._price
         return found
 
@@ -90,7 +98,7 @@ class Search:
         return best
 
     def _late(self) -> bool:
-        return time.perf_counter() >= self._deadline
+        return self._clock() >= self._deadline
 
     def _nothing(self) -> State:
         return self._state(np.zeros(0, dtype=np.intp), np.zeros(0))

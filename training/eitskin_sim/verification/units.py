@@ -12,7 +12,7 @@ returns the best that it has seen.
 """
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -78,6 +78,7 @@ class UnitVerifier:
         rows: Rows | None = None,
         budget_s: float = BUDGET_S,
         before: Sequence[UnitTouch] = (),
+        clock: Callable[[], float] = time.perf_counter,
     ) -> Verdict[UnitTouch]:
         """Return the set of touched units that explains a frame best.
 
@@ -89,6 +90,7 @@ class UnitVerifier:
             rows: (104,) which rows there are; None is all.
             budget_s: The search ends after it; 0 only judges the starts.
             before: The last frame's touches, another start.
+            clock: What the budget is counted by, in seconds; ``time.process_time`` on a machine that is shared.
 
         Raises:
             ValueError: The budget is below 0, or shapes differ.
@@ -101,7 +103,7 @@ class UnitVerifier:
         if before:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
         frame = Frame(dv, held, noise, self._doubts, rows)
-        search = Search(self._model, self._flat, frame, self._prior, self._contrast, begin + budget_s)
+        search = Search(self._model, self._flat, frame, self._prior, self._contrast, clock() + budget_s, clock)
         best = search.best_of(sets)
         if self._doubts is not None:
             frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))

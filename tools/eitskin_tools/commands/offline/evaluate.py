@@ -127,10 +127,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     _softness(arguments)
-    if skin != PAPER and (arguments.measured or arguments.devices or arguments.tank):
-        raise UsageError(
-            f"--skin {arguments.skin}: --measured, --devices and --tank are of the paper's sheet; leave it out"
-        )
+    if skin != PAPER and (arguments.measured or arguments.tank):
+        raise UsageError(f"--skin {arguments.skin}: --measured and --tank are of the paper's sheet; leave it out")
+    if arguments.devices is not None and (skin.outline, skin.map) != (PAPER.outline, PAPER.map):
+        raise UsageError(f"--skin {arguments.skin}: --devices are of the paper's size and map; name a skin of these")
     if arguments.drift != "left" and arguments.devices is None:
         raise UsageError(f"--drift {arguments.drift} needs --devices: nothing else drifts")
     if arguments.measured is not None:
@@ -164,7 +164,8 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     drawn = {"lab": mismatch.lab_rows, "random": mismatch.random_rows}.get(arguments.devices)
     rows = drawn() if drawn else mismatch.load_rows(files.find(arguments.devices, files.MISMATCHES))
     kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
-    plan = runs.Plan(arguments.draws, arguments.seed, arguments.noise, arguments.snr_db)
+    skin = skins.chosen(arguments)
+    plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin)
     found = evaluate_devices(rows, kinds, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0

@@ -1,0 +1,1 @@
+"""What was measured, published on request: the wire's frames, clouds, conditions, state."""

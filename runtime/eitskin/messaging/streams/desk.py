@@ -1,0 +1,45 @@
+"""Where streams are handed in at a publisher: what is asked for, the number of each message, and the way out.
+
+Nobody packs anything for a stream that nobody asks for; whether somebody does is a look at an attribute.
+"""
+
+from collections.abc import Callable, Iterable
+
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, NAMES, STATE, WIRE, asked_for, packed
+
+
+class StreamDesk:
+    """Sends the messages of streams.
+
+    Args:
+        send: Takes one message, to whoever subscribed to it.
+    """
+
+    __slots__ = ("_send", "asked", "cloud", "conditions", "joined", "numbers", "run", "state", "wire")
+
+    def __init__(self, send: Callable[[bytes], None]) -> None:
+        self._send = send
+        self.numbers = dict.fromkeys(NAMES, 0)
+        """Bodies of each stream so far."""
+        self.run = ""
+        """Differs after each start of the runtime; who hands in bodies sets it."""
+        self.asked = self.wire = self.cloud = self.conditions = self.state = False
+        """Whether somebody asks for any stream, and for each."""
+        self.joined = False
+        """Somebody came since this was last set to False: what is only told when it changes must be told again."""
+
+    def judge(self, topics: Iterable[bytes]) -> None:
+        """Take note of what is subscribed to."""
+        streams = [topic for topic in topics if topic[:1] == b"\x86"]
+        if not streams and not self.asked:
+            return
+        for name in (WIRE, CLOUD, CONDITIONS, STATE):
+            setattr(self, name, any(asked_for(name, topic) for topic in streams))
+        self.asked = self.wire or self.cloud or self.conditions or self.state
+        self.joined = self.asked
+
+    def send(self, name: str, body: bytes) -> None:
+        """Send one body of a stream: a MessagePack map."""
+        self.numbers[name] = number = self.numbers[name] + 1
+        for message in packed(name, number, self.run, body):
+            self._send(message)

@@ -1,0 +1,152 @@
+r"""The outside of a stream's message: which stream, which number, and a body that may come in parts.
+
+A MessagePack map of six keys, the stream's name first, so that a subscriber selects a stream by a constant prefix::
+
+    86 | a4 "wire" | number | "v" 3 | "run" | "part" | "parts" | "body" bin
+
+    b"\x86"                      all streams
+    b"\x86\xa4wire"              the wire's frames; likewise cloud, conditions and state
+
+Whoever reads frames sees a map whose version is not 1, and leaves it alone. No message is larger than a frame may be,
+since a subscriber ends a connection over which more comes: a long body is cut into parts.
+"""
+
+import struct
+from dataclasses import dataclass
+from typing import Any, Final
+
+import msgpack  # type: ignore[import-untyped]
+
+from eitskin.errors import FrameError
+
+WIRE, CLOUD, CONDITIONS, STATE = NAMES = ("wire", "cloud", "conditions", "state")
+"""The streams."""
+
+VERSION: Final = 3
+"""Of a stream's message; a frame has 1, a touch message 2."""
+
+FIRST_BYTE: Final = b"\x86"
+"""A stream's message begins with it: a MessagePack map of six keys."""
+
+TOPICS: Final = {name: FIRST_BYTE + bytes(msgpack.packb(name)) for name in NAMES}
+"""What selects each stream."""
+
+PIECE: Final = 65_535
+"""Bytes of a body in one message."""
+
+MOST_PARTS: Final = 32
+"""Of a body: two megabytes; a reference has one at most."""
+
+MAX_RUN: Final = 64
+
+_NUMBER: Final = struct.Struct(">BQ")
+_LENGTH: Final = struct.Struct(">BH")
+_VERSION: Final = bytes(msgpack.packb("v") + msgpack.packb(VERSION) + msgpack.packb("run"))
+_PART: Final = bytes(msgpack.packb("part"))
+_PARTS: Final = bytes(msgpack.packb("parts"))
+_BODY: Final = bytes(msgpack.packb("body"))
+_WHOLE: Final = _PART + b"\x00" + _PARTS + b"\x01" + _BODY
+
+
+def asked_for(name: str, topic: bytes) -> bool:
+    """Return whether who subscribes to a topic is sent a stream and means it; the empty topic means frames."""
+    prefix = TOPICS[name]
+    return topic[:1] == FIRST_BYTE and (prefix.startswith(topic) or topic.startswith(prefix))
+
+
+def packed(name: str, number: int, run: str, body: bytes) -> list[bytes]:
+    """Return the messages of one body, mostly one.
+
+    Args:
+        name: Of the stream.
+        number: Counts the bodies of this stream.
+        run: Differs after each start of the runtime.
+        body: A MessagePack map.
+    """
+    head = b"".join((TOPICS[name], _NUMBER.pack(0xCF, number), _VERSION, msgpack.packb(run)))
+    if len(body) <= PIECE:
+        return [b"".join((head, _WHOLE, _LENGTH.pack(0xC5, len(body)), body))]
+    pieces = [body[at : at + PIECE] for at in range(0, len(body), PIECE)]
+    parts = _PARTS + bytes([len(pieces)])
+    return [
+        b"".join((head, _PART, bytes([part]), parts, _BODY, _LENGTH.pack(0xC5, len(piece)), piece))
+        for part, piece in enumerate(pieces)
+    ]
+
+
+@dataclass(frozen=True, slots=True)
+class Envelope:
+    """One message, opened."""
+
+    name: str
+    number: int
+    run: str
+    part: int
+    parts: int
+    body: bytes
+
+
+def opened(message: bytes) -> Envelope:
+    """Return a message's envelope.
+
+    Args:
+        message: Of any origin.
+
+    Raises:
+        FrameError: It is no message of a stream, or one of another version.
+    """
+    try:
+        fields = msgpack.unpackb(
+            message, raw=False, strict_map_key=True, max_str_len=256, max_bin_len=PIECE, max_array_len=0,
+            max_map_len=6, max_ext_len=0,
+        )  # fmt: skip
+    except Exception as error:  # msgpack's exceptions have no common base
+        raise FrameError(f"a message of {len(message)} bytes is of no stream ({type(error).__name__})") from error
+    name = next(iter(fields), None) if isinstance(fields, dict) else None
+    if name not in NAMES:
+        raise FrameError(f"a message of {len(message)} bytes is of no stream; expected one of {', '.join(NAMES)} first")
+    if fields.get("v") != VERSION:
+        found = fields.get("v")
+        raise FrameError(f"stream version: found {str(found)[:20]}, expected {VERSION}; use the runtime's release")
+    number, run, part, parts, body = (fields.get(key) for key in (name, "run", "part", "parts", "body"))
+    if not (_is_count(number) and _is_count(part) and _is_count(parts) and 0 <= part < parts <= MOST_PARTS):
+        raise FrameError(
+            f"stream {name}: found part {str(part)[:20]} of {str(parts)[:20]}, expected at most {MOST_PARTS}"
+        )
+    if not isinstance(run, str) or len(run) > MAX_RUN or not isinstance(body, bytes):
+        raise FrameError(f"stream {name}: expected a run of at most {MAX_RUN} characters, and a body")
+    return Envelope(name, number, run, part, parts, body)
+
+
+def _is_count(value: Any) -> bool:
+    return type(value) is int and 0 <= value < 1 << 64
+
+
+class Joiner:
+    """Puts bodies together whose parts come one after the other."""
+
+    __slots__ = ("_pieces", "_which", "broken")
+
+    def __init__(self) -> None:
+        self._pieces: dict[str, list[bytes]] = {}
+        self._which: dict[str, tuple[str, int, int]] = {}
+        self.broken = 0
+        """Bodies of which a part did not come."""
+
+    def take(self, found: Envelope) -> bytes | None:
+        """Return a body that is whole now, else None."""
+        if found.parts == 1:
+            return found.body
+        which = found.run, found.number, found.parts
+        pieces = self._pieces.get(found.name, [])
+        if self._which.get(found.name) != which or len(pieces) != found.part:
+            self.broken += bool(pieces) or found.part != 0
+            pieces = []
+            self._pieces[found.name], self._which[found.name] = pieces, which
+            if found.part:
+                return None
+        pieces.append(found.body)
+        if len(pieces) < found.parts:
+            return None
+        del self._pieces[found.name], self._which[found.name]
+        return b"".join(pieces)

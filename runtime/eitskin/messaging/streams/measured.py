@@ -1,0 +1,285 @@
+"""What streams carry, as Python sees it: frames of the wire, clouds, conditions.
+
+With the bundle and the reference these are all that a map is made of: :class:`WireFrame` has the voltages and says by
+which solver and under which conditions they became a map, :class:`CloudInUse` the surface, :class:`Conditions` what the
+runtime had found out by itself. :class:`eitskin.messaging.streams.state.SkinState` says who measured.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import msgpack  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.messaging.regions import MOST, MOST_PIXELS, Region, Regions
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, WIRE
+from eitskin.messaging.streams.fields import Fields
+from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS
+
+LARGEST_PAYLOAD: Final = 1024
+"""Bytes of a packet's payload (SPEC.md, section 1)."""
+
+Finding = tuple[int, str, int | None]
+"""An electrode that is not well: its number, its state, and the other one of a short or an exchange."""
+
+
+def wire_body(
+    payload: bytes,
+    seq: int | None,
+    device_us: int | None,
+    read_ns: int,
+    withheld: str,
+    frame: int | None,
+    touched: bool,
+    gate_logit: float,
+    solver: str,
+    map_seq: int | None,
+    conditions: int,
+) -> bytes:
+    """Return the body of a message of the wire; arguments as in :class:`WireFrame`."""
+    found: bytes = msgpack.packb(
+        {"seq": seq, "device_us": device_us, "read_ns": read_ns, "payload": payload, "withheld": withheld,
+         "frame": frame, "touched": touched, "gate_logit": gate_logit, "solver": solver, "map_seq": map_seq,
+         "conditions": conditions}
+    )  # fmt: skip
+    return found
+
+
+@dataclass(frozen=True, slots=True)
+class WireFrame:
+    """One intact FRAME as it came over the wire, and what became of it.
+
+    Attributes:
+        payload: Of the packet, as in SPEC.md, section 4; its check was right.
+        seq: Unwrapped ``sequence``; None for one that is malformed.
+        read_ns: ``perf_counter_ns`` of the runtime's machine when the last byte was in hand.
+        n: Number of this message in its stream; a gap is one that this side missed.
+        device_us: Device clock at the end of the scan, unwrapped; None for one that is malformed.
+        withheld: Why it was not fit to publish; empty for one that was.
+        frame: ``number`` of the published frame; None where none was: withheld, or nobody asked.
+        touched: What the gate said; False for one that was withheld.
+        gate_logit: The gate's value.
+        solver: What made the map of the published frame; ``none`` if the map is 0.
+        map_seq: ``seq`` of the frame whose payload the map was made of; None without a published frame.
+        conditions: ``revision`` of the :class:`Conditions` that it was computed under.
+        run: Differs after each start of the runtime.
+        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+    """
+
+    payload: bytes
+    seq: int | None
+    read_ns: int
+    n: int = 0
+    device_us: int | None = None
+    withheld: str = ""
+    frame: int | None = None
+    touched: bool = False
+    gate_logit: float = 0.0
+    solver: str = "none"
+    map_seq: int | None = None
+    conditions: int = 0
+    run: str = ""
+    received_ns: int = 0
+
+    def body(self) -> bytes:
+        """Return it as a stream carries it."""
+        return wire_body(
+            self.payload, self.seq, self.device_us, self.read_ns, self.withheld, self.frame, self.touched,
+            self.gate_logit, self.solver, self.map_seq, self.conditions,
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+        """Return the frame of a body.
+
+        Raises:
+            FrameError: It is malformed.
+        """
+        fields = Fields(WIRE, body)
+        return cls(
+            payload=fields.raw("payload", LARGEST_PAYLOAD),
+            seq=fields.count_or_none("seq"),
+            read_ns=fields.count("read_ns"),
+            n=n,
+            device_us=fields.count_or_none("device_us"),
+            withheld=fields.text("withheld"),
+            frame=fields.count_or_none("frame"),
+            touched=fields.truth("touched"),
+            gate_logit=fields.any_number("gate_logit"),
+            solver=fields.text("solver"),
+            map_seq=fields.count_or_none("map_seq"),
+            conditions=fields.count("conditions"),
+            run=run,
+            received_ns=received_ns,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CloudInUse:
+    """The surface in use.
+
+    Attributes:
+        revision: As ``Frame.cloud``; 0 is the flat sheet that a runtime starts with.
+        cloud: (3, rows, columns) float32 mm, in the pose in which it was given.
+        predicted: (104,) V that a model predicts of this surface, untouched; None without.
+        predicted_flat: (104,) V of the same model's flat sheet; None without.
+        taken_ns: ``perf_counter_ns`` of the runtime's machine when it was given.
+        why: ``start``: nobody gave one yet; ``given``; ``flat``: the flat sheet was asked for.
+        log_predicted: (104,) float32: what solvers were given of the prediction; zeros without.
+        seq: The first frame computed with it; None for one from before the stream began.
+        utc_ns: Wall clock when it was given.
+        n: Number of this message in its stream.
+        run: Differs after each start of the runtime.
+        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+    """
+
+    revision: int
+    cloud: npt.NDArray[np.float32]
+    predicted: npt.NDArray[np.float64] | None
+    predicted_flat: npt.NDArray[np.float64] | None
+    taken_ns: int
+    why: str
+    log_predicted: npt.NDArray[np.float32]
+    seq: int | None
+    utc_ns: int = 0
+    n: int = 0
+    run: str = ""
+    received_ns: int = 0
+
+    def body(self) -> bytes:
+        """Return it as a stream carries it."""
+        found: bytes = msgpack.packb(
+            {"revision": self.revision, "seq": self.seq, "taken_ns": self.taken_ns, "utc_ns": self.utc_ns,
+             "why": self.why, "shape": list(self.cloud.shape[1:]), "cloud": _bytes(self.cloud, "<f4"),
+             "predicted": _bytes(self.predicted, "<f8"), "predicted_flat": _bytes(self.predicted_flat, "<f8"),
+             "log_predicted": _bytes(self.log_predicted, "<f4")}
+        )  # fmt: skip
+        return found
+
+    @classmethod
+    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+        """Return the cloud of a body.
+
+        Raises:
+            FrameError: It is malformed.
+        """
+        fields = Fields(CLOUD, body)
+        shape = fields.items("shape", 2)
+        if len(shape) != 2 or not all(
+            type(size) is int and 1 <= size <= most for size, most in zip(shape, MOST_PIXELS, strict=True)
+        ):
+            raise fields.wrong("shape", f"[rows, columns] up to {list(MOST_PIXELS)}")
+        why = fields.text("why")
+        return cls(
+            revision=fields.count("revision"),
+            cloud=fields.array("cloud", "<f4", (3, *shape)),
+            predicted=fields.array_or_none("predicted", "<f8", (N_ROWS,)),
+            predicted_flat=fields.array_or_none("predicted_flat", "<f8", (N_ROWS,)),
+            taken_ns=fields.count("taken_ns"),
+            why=why,
+            log_predicted=fields.array("log_predicted", "<f4", (N_ROWS,)),
+            seq=fields.count_or_none("seq"),
+            utc_ns=fields.count("utc_ns"),
+            n=n,
+            run=run,
+            received_ns=received_ns,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Conditions:
+    """What decides a map besides voltages, reference, cloud and bundle.
+
+    Attributes:
+        revision: Counts changes; :attr:`WireFrame.conditions` says which one a frame was computed under.
+        seq: The first frame that was computed under them while somebody looked.
+        cloud: Revision of the cloud in use.
+        reference: SHA-256 of the reference in use, as ``SkinState.reference_sha256``.
+        regions: What of the map is computed.
+        gate_threshold: A frame whose gate_logit is above it is touched; None without a gate.
+        drift: (104,) float32 factors that 1 + dV is multiplied with; None if no drift is taken out.
+        electrodes: Those that are not well.
+        missing_rows: Rows that are filled in from the others.
+        skip_unchanged: Whether a map is kept while only noise changes.
+        volts_per_count: V of one count.
+        n: Number of this message in its stream.
+        run: Differs after each start of the runtime.
+        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+    """
+
+    revision: int
+    seq: int
+    cloud: int
+    reference: str
+    regions: Regions
+    gate_threshold: float | None
+    drift: npt.NDArray[np.float32] | None
+    electrodes: tuple[Finding, ...]
+    missing_rows: tuple[int, ...]
+    skip_unchanged: bool
+    volts_per_count: float
+    n: int = 0
+    run: str = ""
+    received_ns: int = 0
+
+    def body(self) -> bytes:
+        """Return them as a stream carries them."""
+        found: bytes = msgpack.packb(
+            {"revision": self.revision, "seq": self.seq, "cloud": self.cloud, "reference": self.reference,
+             "regions": [list(region.bounds) for region in self.regions], "gate_threshold": self.gate_threshold,
+             "drift": _bytes(self.drift, "<f4"), "electrodes": [list(finding) for finding in self.electrodes],
+             "missing_rows": list(self.missing_rows), "skip_unchanged": self.skip_unchanged,
+             "volts_per_count": self.volts_per_count}
+        )  # fmt: skip
+        return found
+
+    @classmethod
+    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+        """Return the conditions of a body.
+
+        Raises:
+            FrameError: They are malformed.
+        """
+        fields = Fields(CONDITIONS, body)
+        try:
+            regions = tuple(Region(*_bounds(item)) for item in fields.items("regions", MOST))
+        except (TypeError, ValueError) as error:
+            raise fields.wrong("regions", "rectangles on the sheet") from error
+        if not regions:
+            raise fields.wrong("regions", f"1 to {MOST} rectangles")
+        return cls(
+            revision=fields.count("revision"),
+            seq=fields.count("seq"),
+            cloud=fields.count("cloud"),
+            reference=fields.text("reference"),
+            regions=regions,
+            gate_threshold=None if fields.is_nil("gate_threshold") else fields.number("gate_threshold"),
+            drift=fields.array_or_none("drift", "<f4", (N_ROWS,)),
+            electrodes=tuple(_finding(fields, item) for item in fields.items("electrodes", N_ELECTRODES)),
+            missing_rows=fields.counts("missing_rows", N_ROWS, N_ROWS),
+            skip_unchanged=fields.truth("skip_unchanged"),
+            volts_per_count=fields.number("volts_per_count"),
+            n=n,
+            run=run,
+            received_ns=received_ns,
+        )
+
+
+def _bytes(values: npt.NDArray[Any] | None, kind: str) -> bytes | None:
+    return None if values is None else values.astype(kind).tobytes()
+
+
+def _bounds(item: object) -> list[int]:
+    if not isinstance(item, list) or len(item) != 4 or not all(type(bound) is int for bound in item):
+        raise ValueError("expected four whole numbers")
+    return item
+
+
+def _finding(fields: Fields, item: object) -> Finding:
+    match item:
+        case [int(electrode), str(state), None | int() as partner] if (
+            0 <= electrode < N_ELECTRODES and len(state) <= 32 and (partner is None or 0 <= partner < N_ELECTRODES)
+        ):
+            return electrode, state, partner
+    raise fields.wrong("electrodes", "[electrode, state, partner] each")

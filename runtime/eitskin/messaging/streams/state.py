@@ -1,0 +1,135 @@
+"""Who measures, by what, and how it goes: told when it changes, and once a second."""
+
+import hashlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+import msgpack  # type: ignore[import-untyped]
+
+from eitskin.messaging.streams.envelope import STATE
+from eitskin.messaging.streams.fields import Fields
+from eitskin_proto.errors import ProtocolError
+from eitskin_proto.wire.answers import Hello
+
+LARGEST_REFERENCE: Final = 1 << 20
+"""Bytes; as of a reference's file."""
+
+MOST_EVENTS: Final = 64
+"""Of one message."""
+
+LARGEST_HELLO: Final = 1024
+
+Event = tuple[int, str]
+"""Of a published frame: its ``seq``, and what happened (SPEC.md, section 7)."""
+
+_TEXTS: Final = ("host", "serial", "configuration", "bundle", "skin", "protocol_id", "grid_id", "version")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SkinState:
+    """Who measures, by what, and how it goes.
+
+    Attributes:
+        hello: HELLO of the device, as in SPEC.md, section 5.
+        host: Boot id of the runtime's machine.
+        serial: Serial number of the device.
+        configuration: Name and digest of the device's configuration.
+        bundle: Id of the bundle.
+        skin: Name and digest of the skin's description.
+        protocol_id: Of the table and its normalisation.
+        grid_id: Of the map and the electrodes.
+        version: Of the runtime.
+        solvers: Those of this runtime, from the most accurate to the fastest.
+        status: As the control request ``status`` answers: counts, electrodes, drift, level, trouble, ...
+        reference_sha256: Of the reference's file; empty without a reference.
+        reference: That file, as ``eitskin reference`` writes it; None where it has not come yet.
+        events: What happened at frames since the message before, the last 64.
+        made_ns: ``perf_counter_ns`` of the runtime's machine when this was made.
+        utc_ns: Wall clock at the same moment.
+        n: Number of this message in its stream; a gap is one that this side missed.
+        run: Differs after each start of the runtime.
+        received_ns: ``perf_counter_ns`` of this machine when it was taken from the socket.
+    """
+
+    hello: bytes
+    host: str
+    serial: str
+    configuration: str
+    bundle: str
+    skin: str
+    protocol_id: str
+    grid_id: str
+    version: str
+    solvers: tuple[str, ...]
+    status: Mapping[str, Any]
+    reference_sha256: str
+    reference: bytes | None
+    events: tuple[Event, ...]
+    made_ns: int
+    utc_ns: int
+    n: int = 0
+    run: str = ""
+    received_ns: int = 0
+
+    def body(self) -> bytes:
+        """Return it as a stream carries it."""
+        found: bytes = msgpack.packb(
+            {**{name: getattr(self, name) for name in _TEXTS}, "hello": self.hello, "solvers": list(self.solvers),
+             "status": dict(self.status), "reference_sha256": self.reference_sha256, "reference": self.reference,
+             "events": [list(event) for event in self.events], "made_ns": self.made_ns, "utc_ns": self.utc_ns}
+        )  # fmt: skip
+        return found
+
+    @classmethod
+    def of(cls, body: bytes, *, n: int = 0, run: str = "", received_ns: int = 0) -> Self:
+        """Return the state of a body.
+
+        Raises:
+            FrameError: It is malformed, or the reference is not the one that it names.
+        """
+        fields = Fields(STATE, body)
+        reference = None if fields.is_nil("reference") else fields.raw("reference", LARGEST_REFERENCE)
+        digest = fields.text("reference_sha256")
+        if reference is not None and hashlib.sha256(reference).hexdigest() != digest:
+            raise fields.wrong("reference_sha256", "that of the reference beside it")
+        hello = fields.raw("hello", LARGEST_HELLO)
+        try:
+            Hello.unpack(hello)
+        except ProtocolError as error:
+            raise fields.wrong("hello", "a HELLO of this protocol") from error
+        return cls(
+            **{name: fields.text(name) for name in _TEXTS},
+            hello=hello,
+            solvers=fields.texts("solvers", 16),
+            status=fields.plain("status"),
+            reference_sha256=digest,
+            reference=reference,
+            events=tuple(_event(fields, item) for item in fields.items("events", MOST_EVENTS)),
+            made_ns=fields.count("made_ns"),
+            utc_ns=fields.count("utc_ns"),
+            n=n,
+            run=run,
+            received_ns=received_ns,
+        )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Return plain values for JSON, without the reference's file; HELLO as hexadecimal digits and by its fields."""
+        hello = Hello.unpack(self.hello)
+        named = {name: getattr(hello, name) for name, _ in Hello.LAYOUT.fields if name not in ("magic", "tag")}
+        return {
+            **{name: getattr(self, name) for name in ("n", "run", "made_ns", "utc_ns", *_TEXTS)},
+            "solvers": list(self.solvers),
+            "reference_sha256": self.reference_sha256,
+            "hello": {**named, "firmware_version": list(hello.firmware_version)},
+            "hello_hex": self.hello.hex(),
+            "status": dict(self.status),
+            "events": [list(event) for event in self.events],
+        }
+
+
+def _event(fields: Fields, item: object) -> Event:
+    match item:
+        case [int(seq), str(text)] if seq >= 0 and len(text) <= 128:
+            return seq, text
+    raise fields.wrong("events", "[seq, text] each")

@@ -1,0 +1,245 @@
+"""What was measured, from the frame loop to a publisher's streams.
+
+Called for each frame while somebody asks, behind the computing and before the packing: what is sent here comes before
+the frame's own message, so that a subscriber who keeps one message only keeps the frame. For the same reason what is
+told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
+
+    conditions, cloud, state     when they change, when somebody comes, and once a second
+    wire                         every frame, last: all that decides its map has been told by then
+"""
+
+import hashlib
+import time
+from collections import deque
+from importlib import metadata
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin.acquisition.device import Device
+from eitskin.frame_loop import FrameLoop
+from eitskin.messaging.frame import host_id
+from eitskin.messaging.streams.desk import StreamDesk
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, STATE, WIRE
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, wire_body
+from eitskin.messaging.streams.state import MOST_EVENTS, Event, SkinState
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.reference.captured import Reference, stored
+from eitskin.status import status_of
+
+REPEAT_NS: Final = 1_000_000_000
+"""After which conditions, cloud and state are told again: who missed one waits no longer."""
+
+FILE_REPEATS: Final = 10
+"""Of so many repetitions of the state one has the reference's file: it is the largest part."""
+
+LEAST_NS: Final = 50_000_000
+"""Between two states: changes that come faster are told together."""
+
+JOIN_NS: Final = 200_000_000
+"""Between two times that everything is told again for newcomers: who comes and goes all the time costs no more."""
+
+MOST_WAITING: Final = 8
+"""Withheld frames that wait for a frame that is published."""
+
+
+class StreamSource:
+    """Tells one desk at a time.
+
+    Args:
+        device: The skin's.
+        pipeline: The skin's.
+        loop: Between the two.
+    """
+
+    def __init__(self, device: Device, pipeline: Pipeline, loop: FrameLoop) -> None:
+        self._device, self._pipeline, self._loop = device, pipeline, loop
+        self._desk = StreamDesk(lambda message: None)
+        self._waiting: list[bytes] = []
+        self._reference: Reference | None = None
+        self._file, self._digest = b"", ""
+        self._conditions: Conditions | None = None
+        self._conditions_key: tuple[Any, ...] = ()
+        self._revision = 0
+        self._geometry: object = None
+        self._state_key: tuple[Any, ...] = ()
+        self._repeat_ns = self._state_ns = self._joined_ns = 0
+        self._states = 0
+        self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
+        try:
+            self._version = metadata.version("eitskin")
+        except metadata.PackageNotFoundError:
+            self._version = ""
+
+    def begin(self, desk: StreamDesk) -> None:
+        """Tell this desk from now on, everything anew."""
+        self._desk = desk
+        self._conditions_key = self._state_key = ()
+        self._geometry, self._repeat_ns = None, 0
+        self._waiting.clear()
+        self._take_reference()
+
+    def frame(self, payload: bytes, number: int | None) -> None:
+        """Tell of the frame in hand.
+
+        Args:
+            payload: As it came.
+            number: Of the frame that is published next; None if none is.
+        """
+        record, desk = self._pipeline.record, self._desk
+        self._send_waiting()
+        now_ns = record.stamps[0]
+        if desk.state:
+            self._events.extend((record.sequence, text) for text in record.events)
+        repeat = self._is_time(now_ns)
+        self._tell_conditions(repeat=repeat)
+        if desk.cloud and (repeat or self._pipeline.buffers.geometry is not self._geometry):
+            self._tell_cloud()
+        if desk.state:
+            self._tell_state(now_ns, repeat=repeat)
+        if desk.wire:
+            published = number is not None
+            desk.send(
+                WIRE,
+                wire_body(
+                    payload, record.sequence, record.device_us, now_ns, "", number, bool(record.touched),
+                    float(record.gate_logit), record.solver if published else "none",
+                    record.map_sequence if published else None, self._revision,
+                ),
+            )  # fmt: skip
+
+    def withheld(self, payload: bytes, read_ns: int) -> None:
+        """Tell of a frame that was withheld just now.
+
+        Args:
+            payload: As it came.
+            read_ns: When its last byte was in hand.
+        """
+        desk, intake = self._desk, self._pipeline.intake
+        if not desk.asked:
+            return
+        if desk.wire:
+            known = intake.last_reason != "malformed"
+            seq = intake.counter.sequence if known else None
+            device_us = intake.counter.device_us if known else None
+            self._waiting.append(
+                wire_body(payload, seq, device_us, read_ns, intake.last_reason, None, False, 0.0, "none", None,
+                          self._revision)
+            )  # fmt: skip
+        if len(self._waiting) >= MOST_WAITING:
+            self._send_waiting()
+        if desk.state and read_ns - self._state_ns >= REPEAT_NS:
+            self._tell_state(read_ns, repeat=True)
+
+    def _send_waiting(self) -> None:
+        if self._waiting:
+            for body in self._waiting:
+                self._desk.send(WIRE, body)
+            self._waiting.clear()
+
+    def _is_time(self, now_ns: int) -> bool:
+        """Return whether everything is to be told again."""
+        joined = self._desk.joined and now_ns - self._joined_ns >= JOIN_NS
+        if joined:
+            self._desk.joined, self._joined_ns, self._states = False, now_ns, 0
+        if not joined and now_ns - self._repeat_ns < REPEAT_NS:
+            return False
+        self._repeat_ns = now_ns
+        return True
+
+    def _take_reference(self) -> None:
+        found = self._loop.reference
+        if found is not self._reference:
+            self._reference, self._states = found, 0
+            self._file = b"" if found is None else stored(found)
+            self._digest = "" if found is None else hashlib.sha256(self._file).hexdigest()
+
+    def _tell_conditions(self, *, repeat: bool) -> None:
+        """Tell what decides the map of the frame in hand besides its voltages, if that has changed."""
+        pipeline = self._pipeline
+        record, health, gate = pipeline.record, pipeline.health, pipeline.gate
+        threshold = None if gate is None else gate.threshold
+        drift = (0, False) if health is None else (health.drift.changes, health.drift.active)
+        findings = () if health is None else health.electrodes.findings
+        volts = pipeline.normaliser.volts_per_count
+        key = record.cloud, self._loop.reference, record.regions, threshold, drift, findings, volts
+        if key != self._conditions_key:
+            self._conditions_key = key
+            self._take_reference()
+            self._revision += 1
+            missing = () if health is None else np.flatnonzero(health.electrodes.missing).tolist()
+            self._conditions = Conditions(
+                revision=self._revision,
+                seq=record.sequence,
+                cloud=record.cloud,
+                reference=self._digest,
+                regions=record.regions,
+                gate_threshold=threshold,
+                drift=None if health is None else health.drift.factors,
+                electrodes=tuple((one.electrode, one.state, one.partner) for one in findings),
+                missing_rows=tuple(missing),
+                skip_unchanged=pipeline.maps.keeps_unchanged,
+                volts_per_count=volts,
+            )
+        elif not repeat:
+            return
+        if self._desk.conditions and self._conditions is not None:
+            self._desk.send(CONDITIONS, self._conditions.body())
+
+    def _tell_cloud(self) -> None:
+        pipeline = self._pipeline
+        self._geometry = found = pipeline.buffers.geometry
+        if found is None:
+            return
+        given, flat = found.given, pipeline.skin.grid.flat_cloud_mm().astype(np.float32)
+        told = CloudInUse(
+            revision=found.revision,
+            cloud=flat if given is None or given.cloud is None else given.cloud,
+            predicted=None if given is None else given.predicted,
+            predicted_flat=None if given is None else given.predicted_flat,
+            taken_ns=0 if given is None else given.taken_ns,
+            why="start" if given is None else "flat" if given.cloud is None else "given",
+            log_predicted=found.log_predicted[0],
+            seq=pipeline.record.cloud_sequence,
+            utc_ns=0 if given is None else given.utc_ns,
+        )
+        self._desk.send(CLOUD, told.body())
+
+    def _tell_state(self, now_ns: int, *, repeat: bool) -> None:
+        device, pipeline, loop = self._device, self._pipeline, self._loop
+        record = pipeline.record
+        key = device.hello, loop.reference, record.electrodes, record.cloud, record.idle, pipeline.budget.level
+        changed = bool(self._events) or key != self._state_key
+        if not (repeat or (changed and now_ns - self._state_ns >= LEAST_NS)):
+            return
+        self._take_reference()
+        whole = self._states % FILE_REPEATS == 0
+        self._states += 1
+        self._state_key, self._state_ns = key, now_ns
+        status = status_of(device, pipeline, loop)
+        told = SkinState(
+            hello=device.hello.pack(),
+            host=host_id(),
+            serial=device.hello.serial_number,
+            configuration=device.configuration,
+            bundle=pipeline.bundle.id,
+            skin=str(status["skin"]),
+            protocol_id=device.hello.protocol_id,
+            grid_id=pipeline.skin.grid_id,
+            version=self._version,
+            solvers=tuple(engine.name for engine in pipeline.engines),
+            status=status,
+            reference_sha256=self._digest,
+            reference=self._file if whole and self._file else None,
+            events=tuple(self._events),
+            made_ns=time.perf_counter_ns(),
+            utc_ns=time.time_ns(),
+        )
+        self._events.clear()
+        self._desk.send(STATE, told.body())
+
+
+def with_streams(loop: FrameLoop, device: Device, pipeline: Pipeline) -> FrameLoop:
+    """Return a frame loop that tells streams what its device measured."""
+    loop.teller = StreamSource(device, pipeline, loop)
+    return loop

@@ -1,0 +1,174 @@
+"""Streams from a publisher to subscribers: only what is asked for, numbered, and nothing taken from anybody else."""
+
+import itertools
+
+import msgpack
+import pytest
+import zmq
+
+import eitskin
+from eitskin.errors import EndpointError, NoFrame
+from eitskin.messaging.streams.envelope import NAMES, TOPICS
+
+from ..publishing import send, wait_for
+from .test_bodies import CLOUD, CONDITIONS, STATE, WIRE
+
+ITEMS = {"wire": WIRE, "cloud": CLOUD, "conditions": CONDITIONS, "state": STATE}
+
+
+@pytest.fixture
+def desk(publisher):
+    publisher.streams.run = "r"
+    return publisher.streams
+
+
+def asked(desk):
+    return {name for name in NAMES if getattr(desk, name)}
+
+
+def wait_until_asked(publisher, names):
+    wait_for(publisher, lambda: asked(publisher.streams) == set(names))
+
+
+@pytest.mark.parametrize(
+    ("wishes", "names"),
+    [
+        ({}, NAMES),
+        ({"wire": False}, ("cloud", "state")),
+        ({"clouds": False, "state": False}, ("wire", "conditions")),
+        ({"wire": False, "clouds": False}, ("state",)),
+        ({"conditions": False, "state": False}, ("wire", "cloud")),
+    ],
+)
+def test_what_is_asked_for_comes_and_nothing_else(publisher, desk, wishes, names):
+    assert not desk.asked
+    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, **wishes) as streams:
+        wait_until_asked(publisher, names)
+        assert desk.asked
+        assert desk.joined
+        assert not publisher.wanted
+        for name in NAMES:
+            desk.send(name, ITEMS[name].body())
+        found = [next(streams) for _ in names]
+        assert {type(item) for item in found} == {type(ITEMS[name]) for name in names}
+        assert {(item.n, item.run) for item in found} == {(1, "r")}
+        assert all(item.received_ns > 0 for item in found)
+        desk.send(names[0], ITEMS[names[0]].body())
+        assert next(streams).n == 2
+        assert streams.received == len(names) + 1
+    wait_for(publisher, lambda: not desk.asked)
+
+
+def test_a_gap_in_thenumbers_is_counted_and_a_new_run_is_none(publisher, desk):
+    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
+        wait_until_asked(publisher, ("wire", "conditions"))
+        for number in (1, 2, 5, 6):
+            desk.numbers["wire"] = number - 1
+            desk.send("wire", WIRE.body())
+        assert [next(streams).n for _ in range(4)] == [1, 2, 5, 6]
+        assert streams.lost["wire"] == 2
+        desk.run, desk.numbers["wire"] = "another", 40
+        desk.send("wire", WIRE.body())
+        assert next(streams).run == "another"
+        assert streams.lost["wire"] == 2
+
+
+def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publisher, desk):
+    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
+        wait_until_asked(publisher, ("wire", "conditions"))
+        big = msgpack.packb(msgpack.unpackb(WIRE.body()) | {"filling": bytes(60_000)})
+        most = 12_000
+        for _ in range(most):
+            desk.send("wire", big)
+        assert publisher.dropped == 0  # the socket takes it, and leaves it out for who is slow
+        numbers = []
+        while not numbers or numbers[-1] < most:
+            try:
+                numbers.append(streams.next_item(1.0).n)
+            except NoFrame:
+                desk.send("wire", big)
+                most += 1
+        assert streams.lost["wire"] == numbers[-1] - len(numbers) > 0
+
+
+def test_frames_go_on_for_who_has_the_empty_prefix(publisher, desk, packer):
+    """Also one that keeps a single message: what was measured is sent before the frame."""
+    with (
+        eitskin.subscribe(publisher.endpoint, timeout_s=60) as newest,
+        eitskin.subscribe(publisher.endpoint, "all", timeout_s=60) as frames,
+        eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams,
+    ):
+        wait_for(publisher, lambda: publisher.topics.get(b"", 0) == 2 and desk.state)
+        for number in range(1, 31):
+            desk.send("wire", WIRE.body())
+            desk.send("cloud", CLOUD.body())
+            send(publisher, packer, number)
+        assert [next(frames).number for _ in range(30)] == list(range(1, 31))
+        assert frames.lost == 0
+        assert newest.next_frame().number <= 30
+        items = list(itertools.islice(streams, 60))
+        assert [item.n for item in items[::2]] == list(range(1, 31))
+
+
+def test_one_message_that_is_kept_is_the_frame(publisher, desk, packer):
+    context = zmq.Context()
+    try:
+        socket = context.socket(zmq.SUB)
+        socket.setsockopt(zmq.CONFLATE, 1)
+        socket.subscribe(b"")
+        socket.connect(publisher.endpoint)
+        with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams:
+            wait_for(publisher, lambda: publisher.wanted and desk.wire)
+            for number in range(1, 11):
+                desk.send("wire", WIRE.body())
+                send(publisher, packer, number)
+            for _ in range(10):
+                next(streams)
+
+            def kept():
+                return msgpack.unpackb(socket.recv())
+
+            while (found := kept()).get("n") != 10:
+                assert found["v"] in (1, 3)
+            assert found["v"] == 1
+    finally:
+        context.destroy(0)
+
+
+def test_messages_that_are_none_are_counted_and_left(publisher, desk):
+    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
+        wait_until_asked(publisher, ("wire", "conditions"))
+        publisher.send(memoryview(TOPICS["wire"] + b"nonsense"))
+        desk.send("wire", b"\x80")
+        desk.send("wire", WIRE.body())
+        assert next(streams).payload == WIRE.payload
+        assert streams.rejected == 2
+
+
+def test_who_comes_later_makes_all_be_told_again(publisher, desk):
+    with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
+        wait_until_asked(publisher, NAMES)
+        desk.joined = False
+        with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60):
+            wait_for(publisher, lambda: desk.joined)
+
+
+def test_who_subscribes_to_frames_asks_for_no_stream(publisher, desk):
+    with eitskin.subscribe(publisher.endpoint, timeout_s=60, touches=True):
+        wait_for(publisher, lambda: publisher.wanted)
+        assert not desk.asked
+        assert not desk.joined
+
+
+def test_nobody_there_is_said_in_time(tmp_path):
+    with eitskin.subscribe_streams(f"ipc://{tmp_path}/nobody", timeout_s=0.05) as streams, pytest.raises(NoFrame):
+        next(streams)
+
+
+def test_senseless_wishes_are_refused():
+    with pytest.raises(ValueError, match="no stream"):
+        eitskin.subscribe_streams("ipc:///tmp/x", wire=False, clouds=False, state=False)
+    with pytest.raises(ValueError, match="timeout_s"):
+        eitskin.subscribe_streams("ipc:///tmp/x", timeout_s=0)
+    with pytest.raises(EndpointError):
+        eitskin.subscribe_streams("nonsense")
