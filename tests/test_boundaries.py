@@ -71,7 +71,8 @@ ROOMS: dict[str, Arrows] = {
         "calibration": {"devices", "fem", "measurement", "scene"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
         "reduced": {"devices", "fem", "scene", "surface", "unit_grid"},
-        "verification": {"fem", "reduced", "scene", "surface"},
+        "shapes": {"fem", "freeform", "scene", "unit_grid"},
+        "verification": {"fem", "freeform", "reduced", "scene", "shapes", "surface", "unit_grid"},
     },
     "eitskin_training": {
         "__init__": set(),

@@ -36,6 +36,7 @@ from eitskin_sim.surface.predict import flat_voltages
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
     from eitskin_tools.evaluation.verified import Checked, Verified
+    from eitskin_tools.evaluation.verified_free import VerifiedFree
 
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
@@ -81,7 +82,7 @@ class Named:
     """Of the network's bundle."""
     prediction: Prediction | None = None
     """What the head's second input is fed; None where there is no such input."""
-    verified: "Verified | None" = None
+    verified: "Verified | VerifiedFree | None" = None
     """Keeps the verdicts, if there are any."""
 
 
@@ -173,28 +174,29 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
 def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions) -> Named:
     from eitskin_sim.verification.residual import Noise
     from eitskin_tools.evaluation.verified import Verified
+    from eitskin_tools.evaluation.verified_free import VerifiedFree
 
-    if labels != "units":
-        raise ValueError(
-            f"--solver verified knows touches on the unit grid, found truth {labels!r}: take phantoms of truth 'units'"
-        )
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
-    verified = Verified(network.run, Noise(conditions.noise, conditions.snr_db), skin)
+    noise = Noise(conditions.noise, conditions.snr_db)
+    if labels != "units":
+        free = VerifiedFree(network.run, noise, touches, skin)
+        return replace(network, run=free.run, verified=free)
+    verified = Verified(network.run, noise, skin)
     return replace(network, run=verified.run, verified=verified)
 
 
 def verdicts_of(
     phantoms: Sequence[Phantom], by_group: dict[Group, Named], seeds: int
-) -> "dict[int, list[Checked]] | None":
+) -> "dict[int, list[Checked[Any]]] | None":
     """Return the verdicts on every phantom, one a seed, by its ``id``; None where the solver gives none."""
     if any(one.verified is None for one in by_group.values()):
         return None
-    found = {}
+    found: dict[int, list[Checked[Any]]] = {}
     for key, one in by_group.items():
         assert one.verified is not None
         group = [phantom for phantom in phantoms if (phantom.truth, phantom.scene.touch_kind) == key]
         for number, phantom in enumerate(group):
-            found[id(phantom)] = one.verified.checked[number * seeds : (number + 1) * seeds]
+            found[id(phantom)] = list(one.verified.checked[number * seeds : (number + 1) * seeds])
     return found
 
 

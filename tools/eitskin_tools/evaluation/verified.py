@@ -9,7 +9,7 @@ whatever the model's.
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any, Final
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -47,11 +47,15 @@ STILL: Final = (0.0, 0.0, 0.0)
 NOTHING: Final = Fitted("", 0.0, 0.0)
 
 
+Found = TypeVar("Found", bound=Verdict[Any])
+"""A verdict on units, or on shapes anywhere."""
+
+
 @dataclass(frozen=True, slots=True)
-class Checked:
+class Checked(Generic[Found]):
     """One map's verdict, and what it took."""
 
-    verdict: Verdict[UnitTouch]
+    verdict: Found
     extra_ms: float
     """The verifier's own time on the frame, by the clock."""
     cpu_ms: float
@@ -87,7 +91,7 @@ class Verified:
     ) -> None:
         self._network, self._noise, self._skin, self._budget_s = network, noise, skin, budget_s
         self._missing, self._filler, self._made = missing, filler, made
-        self.checked: list[Checked] = []
+        self.checked: list[Checked[Verdict[UnitTouch]]] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, UnitVerifier, Material] | None = None
 
@@ -162,7 +166,7 @@ def _starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bo
     return [height >= one for one in THRESHOLDS]
 
 
-def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked]]) -> None:
+def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked[Any]]]) -> None:
     """Add to a report what the verifier said of each phantom, and of all of them.
 
     Args:
@@ -178,7 +182,7 @@ def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, lis
     found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
 
 
-def summary_of(every: list[tuple[Phantom, list[Score], list[Checked]]]) -> dict[str, Any]:
+def summary_of(every: list[tuple[Phantom, list[Score], list[Checked[Any]]]]) -> dict[str, Any]:
     """Return what verdicts come to, over all maps."""
     exact = np.array([one.exact for _, scores, _ in every for one in scores]) == 1.0
     all_ = [one for _, _, checked in every for one in checked]

@@ -45,7 +45,7 @@ def measure(conditions: Sequence[Condition], deformations: int, each: int, budge
     filler = None
     if arrays is not None:
         filler = Filler(RowGaussian(np.asarray(arrays["mean"], float), np.asarray(arrays["covariance"], float)))
-    found: dict[str, list[tuple[bool, bool, Checked]]] = {one.name: [] for one in conditions}
+    found: dict[str, list[tuple[bool, bool, Checked[Any]]]] = {one.name: [] for one in conditions}
     for number, bend in enumerate(trials.deformations_of(deformations, "A")):
         made: dict[bytes, UnitVerifier] = {}
         for condition in conditions:
@@ -90,7 +90,7 @@ def _volts(scene: Any) -> Any:
     return solve_scene(scene).voltages
 
 
-def figures(condition: Condition, maps: list[tuple[bool, bool, Checked]]) -> dict[str, Any]:
+def figures(condition: Condition, maps: list[tuple[bool, bool, Checked[Any]]]) -> dict[str, Any]:
     """Return what the maps of a condition come to: (network right, verifier right, verdict) each."""
     alone, right = (np.array([one[index] for one in maps]) for index in (0, 1))
     flagged = np.array([one.verdict.flagged for _, _, one in maps])
