@@ -131,8 +131,8 @@ ROOMS: dict[str, Arrows] = {
             "virtual_skin",
         },
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot", "service",
-            "stages", "view", "virtual_skin",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",
+            "service", "stages", "view", "virtual_skin",
         },
         "cli": {"command_line", "console", "errors"},
     },
