@@ -34,7 +34,10 @@ FILE_REPEATS: Final = 10
 """Of so many repetitions of the state one has the reference's file: it is the largest part."""
 
 LEAST_NS: Final = 50_000_000
-"""Between two states: changes that come faster are told together. Newcomers, too, wait for it."""
+"""Between two states: changes that come faster are told together."""
+
+JOIN_NS: Final = 200_000_000
+"""Between two times that everything is told again for newcomers: who comes and goes all the time costs no more."""
 
 MOST_WAITING: Final = 8
 """Withheld frames that wait for a frame that is published."""
@@ -136,7 +139,7 @@ class StreamSource:
 
     def _is_time(self, now_ns: int) -> bool:
         """Return whether everything is to be told again."""
-        joined = self._desk.joined and now_ns - self._joined_ns >= LEAST_NS
+        joined = self._desk.joined and now_ns - self._joined_ns >= JOIN_NS
         if joined:
             self._desk.joined, self._joined_ns, self._states = False, now_ns, 0
         if not joined and now_ns - self._repeat_ns < REPEAT_NS:

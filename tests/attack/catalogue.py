@@ -23,6 +23,7 @@ ATTACKS: dict[str, str] = {
     "subscribers.silent": "subscribers.crowds:silent_crowds",
     "subscribers.honest": "subscribers.crowds:honest_crowds",
     "subscribers.comings": "subscribers.comings:comings_and_goings",
+    "subscribers.churn": "subscribers.churn:churns",
     "subscribers.giants": "subscribers.giants:giant_messages",
     "numbers.denormals": "numbers.denormals:denormals",
     "device.damage": "from_device.wire:damage",

@@ -38,6 +38,18 @@ def test_touches_come_without_maps(example, runtime):
         assert "facing (" in program.until("touch 1 at")
 
 
+def test_the_command_prints_touches_with_the_users_own_forces(start, runtime, tmp_path):
+    table = tmp_path / "forces.csv"
+    table.write_text("strength,newtons,newtons_error\n0,0,0\n100,2,0.2\n")
+    words = ("-m", "eitskin_tools.cli", "subscribe", runtime.frames, "--touches", "--mode", "all")
+    with start(*words, "--force-table", table) as program:
+        _, touch, number, born = program.until(" born").split()
+        assert (touch, int(number) > 0, born) == ("touch", True, "born"), "numbers go on from subscriber to subscriber"
+        line = program.until("mm2")
+        assert "facing" in line
+        assert line.endswith("force unknown"), "no solver that runs tells a strength"
+
+
 def test_frames_are_read_without_eitskin_installed(example, runtime, tmp_path):
     (tmp_path / "eitskin.py").write_text("raise ModuleNotFoundError('eitskin is not installed here')\n")
     with example("without_eitskin.py", runtime.frames, PYTHONPATH=str(tmp_path)) as program:
@@ -70,6 +82,43 @@ def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime
         assert (
             abs(file["cloud"] - align_cloud(places.T.reshape(3, 30, 45))).max() < 2.0
         )  # mm, at the border; the points have 0.1 mm of noise
+
+
+@pytest.fixture(scope="module")
+def robot(start, skin, tmp_path_factory):
+    """The example's robot.toml with two virtual skins, each with its reference, and a runtime of both."""
+    folder = tmp_path_factory.mktemp("robot")
+    text = (EXAMPLES / "robot.toml").read_text(encoding="utf-8")
+    with skin() as first, skin() as second:
+        for port, number, name in ((first, 1, "forearm"), (second, 2, "hand")):
+            text = text.replace(f"/dev/serial/by-id/usb-eitskin_SKIN-000{number}-if00", port)
+            words = ["--port", port, "--frames", "20", "--out", folder / f"{name}.json"]
+            with start("-m", "eitskin_tools.cli", "reference", *words) as program:
+                program.until("20 frames")
+        stated = text.replace("version = 1", f'version = 1\nfolder = "{folder}/sockets"')
+        (folder / "robot.toml").write_text(stated, encoding="utf-8")
+        with start("-m", "eitskin_tools.cli", "run", "--config", folder / "robot.toml") as program:
+            assert "forearm, hand" in program.until("ready 2 of 2 skins publish")
+            yield folder / "robot.toml"
+
+
+def test_a_robot_s_file_is_looked_at_before_it_is_run(start, robot):
+    with start("-m", "eitskin_tools.cli", "run", "--config", robot, "--check") as program:
+        program.until("forearm: /")
+        assert "at 120 0 610 mm" in program.until("hand: /")
+
+
+def test_all_skins_say_how_they_are(start, robot):
+    with start("-m", "eitskin_tools.cli", "status", "--all", robot.parent / "sockets") as asked:
+        assert "frames/s" in asked.until("forearm: ")
+        assert "frames/s" in asked.until("hand: ")
+
+
+def test_all_skins_are_felt_in_one_loop(example, robot):
+    with example("all_skins.py", robot) as felt:
+        assert "turned by 0.707 0.707 0.000 0.000" in felt.until("forearm sits at 120 0 340 mm")
+        felt.until("hand: touch ")
+        felt.until("forearm: touch ")
 
 
 def test_a_skin_is_read_within_one_process(example, skin):

@@ -32,16 +32,17 @@ def untouched():
 class MadeUp:
     """Voltages whose relative change is a fixed pattern times an amount, over given intervals."""
 
-    def __init__(self, touches, noise, dead_rows):
-        self.touches, self.noise = touches, noise
-        self.base = untouched()
+    def __init__(self, touches, noise, dead_rows, drift_per_s, base):
+        self.touches, self.noise, self.drift_per_s = touches, noise, drift_per_s
+        self.base = np.array(base) if base else untouched()
         self.base[dead_rows] = 0.0
         self.pattern = np.cos(np.arange(N_ROWS))
         self.rng = np.random.default_rng(7)
 
     def voltages(self, time_s):
         amount = sum(amount for start, end, amount in self.touches if start <= time_s < end)
-        return self.base * (1 + amount * self.pattern + self.noise * self.rng.standard_normal(N_ROWS))
+        drifted = self.base * (1 + self.drift_per_s * time_s)
+        return drifted * (1 + amount * self.pattern + self.noise * self.rng.standard_normal(N_ROWS))
 
 
 class PatientPort(PtyPort):
@@ -59,7 +60,10 @@ class PatientPort(PtyPort):
 
 def main(options):
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
-    source = MadeUp(options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []))
+    source = MadeUp(
+        options.get("touches", []), options.get("noise", 1e-4), options.get("dead_rows", []),
+        options.get("drift_per_s", 0.0), options.get("base"),
+    )  # fmt: skip
     configuration = configuration_for(options.get("rate_hz", 100.0), options.get("configuration", "paper"))
     identity = Identity(
         options.get("serial_number", "VIRTUAL-0001"),

@@ -18,6 +18,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
@@ -29,6 +30,8 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
     "surface": ("live.surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
+    "status": ("live.status", "how the runtime is, or all skins of a robot"),
+    "service": ("live.service", "files for systemd, udev and containers: list, print or write them"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
@@ -41,6 +44,7 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "train": ("offline.train", "train VD2T"),
     "curves": ("offline.curves", "losses of training runs side by side"),
     "calibrate": ("offline.calibrate", "find out what this device is, from its own readings"),
+    "adapt-skin": ("offline.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
     "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
     "export": ("offline.export", "export a trained network to a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),
@@ -143,10 +147,11 @@ def _main(words: list[str]) -> int:
 
 def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
     """Say what is wrong, in the format of the log where there is one, and return the exit status."""
+    before = prefix("error") if goes_to_journal(sys.stderr, os.environ) else ""
     if getattr(arguments, "log_format", "text") == "json":
-        print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
+        print(before + json.dumps({"event": "error", "text": text}), file=sys.stderr)
     else:
-        print(f"eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
+        print(f"{before}eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
     return status
 
 

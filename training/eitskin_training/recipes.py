@@ -189,7 +189,7 @@ def recipe(name: str) -> Recipe:
 
 def fitted(base: Recipe, skin: Skin) -> Recipe:
     """Return a recipe for a skin with fewer mirror images than the paper's four: wider, for as many weights a frame."""
-    architecture, images = base.architecture, len(mirrors(skin))
+    architecture, images = base.architecture, len(mirrors(skin, near=True))
     if not architecture.symmetric or images == 4:
         return base
     return replace(base, architecture=widened(architecture, OF_AN_IMAGE ** (0.5 if images == 2 else 1.0), images > 1))

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import Skin
-from eitskin_proto.skin.symmetry import images
+from eitskin_proto.skin.symmetry import near_images
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
@@ -57,14 +57,17 @@ class Start:
         what, hint = "network to start from", "start from one of this"
         if (found := self.architecture) != architecture:
             raise MismatchError(what, found=found, expected=architecture, hint=f"{hint} recipe")
-        if (map_found := _map_of(self.skin)) != (map_expected := _map_of(skin)):
+        if (map_found := _map_of(self.skin, architecture)) != (map_expected := _map_of(skin, architecture)):
             raise MismatchError(f"{what}: map", found=map_found, expected=map_expected, hint=f"{hint} map")
 
 
-def _map_of(skin: Skin) -> str:
+def _map_of(skin: Skin, architecture: Architecture) -> str:
     (rows, columns), (unit_rows, unit_columns) = skin.grid.shape, skin.grid.units
-    mirrored = "".join(f" {'x' * one.x}{'y' * one.y}" for one in images(skin)[1:]) or " none"
-    return f"{rows} x {columns} pixels, {unit_rows} x {unit_columns} units, mirror images:{mirrored}"
+    found = f"{rows} x {columns} pixels, {unit_rows} x {unit_columns} units"
+    if not architecture.symmetric:
+        return found
+    mirrored = "".join(f" {'x' * one.x}{'y' * one.y}" for one in near_images(skin)[1:]) or " none"
+    return f"{found}, mirror images:{mirrored}"
 
 
 def keep_statistics(model: VD2T) -> None:

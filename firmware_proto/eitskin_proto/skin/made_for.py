@@ -4,8 +4,8 @@ What they must agree about is the sheet: its size, its map and where its electro
 stands for. All else that a description says is how well that sheet is known, or what it will meet: it may differ. So a
 network that learned from random devices of a sheet serves whoever has that sheet, ideal or not.
 
-A skin that was calibrated is the one it was calibrated from, known better, though its electrodes may have moved: it
-takes what was made for that.
+A skin that was calibrated is the one it was calibrated from, known better: it keeps that one's ``grid_id``, though its
+electrodes were found elsewhere, and takes what was made for that.
 """
 
 from eitskin_proto.errors import MismatchError
@@ -29,7 +29,7 @@ def check_made_for(what: str, skin: Skin, *, grid_id: object, skin_digest: objec
     if skin_digest is None and grid_id == PAPER.grid_id:
         skin_digest = PAPER.digest
     if skin_digest == skin.calibrated_from != "":
-        return  # calibration may have moved the electrodes, and so changed grid_id
+        return  # calibrated before skins kept the grid_id that was stated
     if grid_id != skin.grid_id:
         expected = f"{skin.grid_id} ({skin.name})"
         raise MismatchError(f"{what}: grid_id", found=stated(grid_id), expected=expected, hint=hint)

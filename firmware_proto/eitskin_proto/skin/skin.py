@@ -41,6 +41,7 @@ class Skin:
         touches: What touches it.
         may_be_off: What else is uncertain.
         calibrated_from: Digest of the description that calibration started from, or "".
+        stated_grid_id: ``grid_id`` of that description, which stays this one's though electrodes were found elsewhere.
 
     Raises:
         ValueError: Parts contradict each other; the text names them.
@@ -56,6 +57,7 @@ class Skin:
     touches: Touches = field(default_factory=Touches)
     may_be_off: Doubts = field(default_factory=Doubts)
     calibrated_from: str = ""
+    stated_grid_id: str = ""
 
     def __post_init__(self) -> None:
         length, width = self.outline.size_mm
@@ -100,7 +102,9 @@ class Skin:
 
     @cached_property
     def grid_id(self) -> str:
-        """16 hex digits that stand for the map, the units and the electrodes on the flat sheet."""
+        """16 hex digits that stand for the map, the units and the electrodes on the flat sheet, as they were stated."""
+        if self.stated_grid_id:
+            return self.stated_grid_id
         content = {
             "sheet_mm": self.outline.size_mm,
             "shape": self.map.shape,
@@ -115,6 +119,8 @@ class Skin:
         """16 hex digits that stand for the whole description, but not for its name."""
         content = asdict(self)
         del content["name"]
+        if not self.stated_grid_id:  # files from before it was written have the same digest
+            del content["stated_grid_id"]
         return id_of_values(content)
 
     @property

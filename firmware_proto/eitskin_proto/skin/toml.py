@@ -32,7 +32,8 @@ TABLES: Final[dict[str, type]] = {
 }  # fmt: skip
 """Tables of the file, and the part of a skin that each is."""
 
-HEAD: Final = ("format", "version", "name", "calibrated_from")
+TEXTS: Final = ("name", "calibrated_from", "stated_grid_id")
+HEAD: Final = ("format", "version", *TEXTS)
 
 NAMED: Final = ("paper", "hydrogel", "lab")
 """Descriptions that come with the package."""
@@ -75,9 +76,9 @@ def parse(text: str) -> Skin:
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         found = f"{quoted(content.get('format'))} version {quoted(content.get('version'))}"
         raise ValueError(f"format is {found}, expected {FORMAT!r} version {VERSION}: is it a skin's description?")
-    texts = {name: _text(content.get(name, ""), name) for name in ("name", "calibrated_from")}
+    texts: dict[str, Any] = {name: _text(content.get(name, ""), name) for name in TEXTS}
     parts: dict[str, Any] = {name: _part(kind, content.get(name, {}), name) for name, kind in TABLES.items()}
-    return Skin(name=texts["name"] or "unnamed", calibrated_from=texts["calibrated_from"], **parts)
+    return Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
 
 
 def unknown(content: dict[str, Any], known: list[str], where: str) -> None:
@@ -92,8 +93,8 @@ def unknown(content: dict[str, Any], known: list[str], where: str) -> None:
 def to_toml(skin: Skin) -> str:
     """Return the TOML text of a skin; :func:`parse` gives the same skin back."""
     lines = [f'format = "{FORMAT}"', f"version = {VERSION}", f'name = "{_escaped(skin.name)}"']
-    if skin.calibrated_from:
-        lines.append(f'calibrated_from = "{_escaped(skin.calibrated_from)}"')
+    origin = {"calibrated_from": skin.calibrated_from, "stated_grid_id": skin.stated_grid_id}
+    lines += [f'{name} = "{_escaped(text)}"' for name, text in origin.items() if text]
     for name in TABLES:
         part = getattr(skin, name)
         lines += ["", f"[{name}]", *(f"{one.name} = {_shown(getattr(part, one.name))}" for one in fields(part))]

@@ -32,6 +32,7 @@ from eitskin.messaging.admission.descriptors import end
 from eitskin.messaging.admission.door import Door
 from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
+from eitskin.messaging.admission.turnstile import Turnstile
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
 from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
 from eitskin.messaging.frame_message import Asked
@@ -52,6 +53,10 @@ it reading within one call for a quarter of a second. With 1, CURVE's handshake 
 MOST_AT_ONCE: Final = 1024
 """Subscription messages that are taken in one look; a crowd of 128 that comes at once has 400. A connection that is
 ended in a flood leaves some hundred, so this is what a flood leaves in one look, several times."""
+
+CALM: Final = 64
+"""Subscription messages of a look that lets newcomers in: those before them have been taken in. Twenty honest ones that
+come at once have as many."""
 
 _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an enumeration's & takes microseconds
 
@@ -79,6 +84,7 @@ class Publisher:
         self.dropped = 0
         """Frames that the socket did not take."""
         self._doorkeeper = Doorkeeper(self._context, keys) if keys is not None else None
+        self._turnstile = Turnstile(self._context) if keys is None and endpoint.startswith("tcp:") else None
         self.wanted = False
         """Whether anybody subscribes, as of the last ``look``."""
         self.asked = Asked()
@@ -107,6 +113,8 @@ class Publisher:
         self._socket.setsockopt(zmq.HANDSHAKE_IVL, 2000)
         self._socket.setsockopt(zmq.LINGER, 0)
         self._socket.setsockopt(zmq.XPUB_VERBOSER, 1)  # every subscriber by itself, not the first and the last of many
+        if self._turnstile is not None:
+            self._turnstile.apply(self._socket)
         self._door = Door(self._socket, endpoint, keys=self._keys, control=False, most=MOST_SUBSCRIBERS)
         self._topics = Topics(self._door.connection_at)
         self._patrol = Patrol(self._look_meanwhile)
@@ -137,7 +145,10 @@ class Publisher:
             self._talkative += 1
         if topics.changed:
             self._judge()
-        self._door.look(topics.of)
+        calm = left >= MOST_AT_ONCE - CALM
+        if calm and self._turnstile is not None:
+            self._turnstile.calm()
+        self._door.look(topics.of, newcomers=calm)
 
     def _judge(self) -> None:
         """Make of the topics what the loop must know."""
@@ -203,8 +214,9 @@ class Publisher:
     def _end(self) -> None:
         self._socket.close(0)
         self._context.term()
-        if self._doorkeeper is not None:
-            self._doorkeeper.join()
+        for guard in (self._doorkeeper, self._turnstile):
+            if guard is not None:
+                guard.join()
 
     def close(self) -> None:
         """Release the address; closing twice is fine."""

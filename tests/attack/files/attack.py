@@ -8,6 +8,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -18,6 +19,9 @@ from .kinds import KINDS, LIGHT
 ROOT: Final = Path(__file__).parents[3]
 
 START_S: Final = 600.0
+MOST_AT_ONCE: Final = 4
+"""Kinds that are tried at a time; one may take a gigabyte."""
+
 WALL_S: Final = 300.0
 """By the clock, for one try: one that waits for something that never comes takes no CPU."""
 
@@ -87,30 +91,41 @@ class Worker:
 
 
 def damaged(kinds: tuple[str, ...], name: str, effort: Effort, short: int) -> Outcome:
-    """Try damaged files of each kind: so many in the short form."""
+    """Try damaged files of each kind, so many in the short form; several kinds at a time where there are cores."""
     outcome = Outcome(name)
     ways: Counter[str] = Counter()
     seconds: dict[str, float] = {}
     slowest = 0.0
-    with tempfile.TemporaryDirectory(prefix="a") as folder:
-        for kind in kinds:
-            place = Path(folder) / kind
-            place.mkdir()
-            worker = Worker(kind, place)
-            began = time.monotonic()
-            try:
-                first = effort.seed * 1_000_000
-                for seed in range(first, first + effort.count(short, KINDS[kind].long)):
-                    found = worker.attempt(seed)
-                    held = found["how"] in ("read", "refused")
-                    ways[f"{kind}: {found['how'] if held else str(found['how']).partition(':')[0]}"] += 1
-                    slowest = max(slowest, float(str(found["seconds"])))
-                    outcome.note(held, f"{kind}, seed {seed}, {found['what']}: {found['how']}")
-            finally:
-                worker.end()
-            seconds[kind] = round(time.monotonic() - began, 1)
+    with tempfile.TemporaryDirectory(prefix="a") as folder, ThreadPoolExecutor(_at_once()) as pool:
+        tries = [pool.submit(_tried, kind, Path(folder), effort, short) for kind in kinds]
+        for kind, done in zip(kinds, tries, strict=True):
+            seconds[kind], found_of = done.result()
+            for seed, found in found_of.items():
+                held = found["how"] in ("read", "refused")
+                ways[f"{kind}: {found['how'] if held else str(found['how']).partition(':')[0]}"] += 1
+                slowest = max(slowest, float(str(found["seconds"])))
+                outcome.note(held, f"{kind}, seed {seed}, {found['what']}: {found['how']}")
     outcome.figures = {"seconds_by_kind": seconds, "by_kind": dict(sorted(ways.items())), "slowest_cpu_s": slowest}
     return outcome
+
+
+def _at_once() -> int:
+    """Return how many kinds are tried at a time; each try is held to its own CPU time, whatever goes on beside."""
+    return max(1, min(MOST_AT_ONCE, len(os.sched_getaffinity(0))))
+
+
+def _tried(kind: str, folder: Path, effort: Effort, short: int) -> tuple[float, dict[int, dict[str, object]]]:
+    """Return how long a kind took, and what came of each seed."""
+    place = folder / kind
+    place.mkdir()
+    worker = Worker(kind, place)
+    began, first = time.monotonic(), effort.seed * 1_000_000
+    try:
+        seeds = range(first, first + effort.count(short, KINDS[kind].long))
+        found = {seed: worker.attempt(seed) for seed in seeds}
+    finally:
+        worker.end()
+    return round(time.monotonic() - began, 1), found
 
 
 def files(effort: Effort) -> Outcome:

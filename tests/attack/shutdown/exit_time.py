@@ -3,15 +3,21 @@
 The kernel counts for each thread how long it waited for a core (``/proc/PID/task/TID/schedstat``), and adds a wait when
 it is over. It is looked at every few milliseconds: a wait of that length has ended just now. The union of all waits is
 taken off: on a quiet machine that is nothing, and waits of several threads at once count once. The watcher's own waits,
-which only make it notice the end late, are among them.
+which only make it notice the end late, are among them. Its waits for Python's lock are not, which another thread may
+keep while it gets no core: where several threads end processes, each has a :class:`Watch`.
 """
 
+import json
 import os
 import select
+import subprocess
+import sys
 import time
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
+
+ROOT = Path(__file__).parents[3]
 
 LOOK_MS = 5
 
@@ -81,3 +87,35 @@ def end(process: int, number: int, most_s: float = SURELY_S) -> ExitTime | None:
                 return None
     finally:
         os.close(descriptor)
+
+
+class Watch:
+    """A process of one thread that calls :func:`end`; release it with ``close``."""
+
+    def __init__(self) -> None:
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", __name__], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
+        )
+
+    def end(self, process: int, number: int) -> ExitTime | None:
+        """Send a signal and return how long the process took to end, as the function does."""
+        assert self._process.stdin is not None
+        assert self._process.stdout is not None
+        print(json.dumps([process, number]), file=self._process.stdin, flush=True)
+        found = json.loads(self._process.stdout.readline())
+        return None if found is None else ExitTime(*found)
+
+    def close(self) -> None:
+        """End the watcher."""
+        self._process.communicate()
+
+
+def main() -> None:
+    """Answer each line ``[process, signal]`` with ``[raw_s, waited_s]``, or null if it did not end."""
+    for line in sys.stdin:
+        took = end(*json.loads(line))
+        print(json.dumps(None if took is None else [took.raw_s, took.waited_s]), flush=True)
+
+
+if __name__ == "__main__":
+    main()

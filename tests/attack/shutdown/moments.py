@@ -25,7 +25,7 @@ import zmq
 
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, SKIN, TINY
-from .exit_time import MOST_S, SURELY_S, ExitTime, end
+from .exit_time import MOST_S, SURELY_S, ExitTime, Watch
 
 OLDEST_S: Final = 150.0
 """After which a lane's skin is replaced: it ends by itself after 300."""
@@ -47,6 +47,7 @@ class Lane:
     def __init__(self) -> None:
         self._folder = Path(tempfile.mkdtemp(prefix="a"))
         self._context: Any = zmq.Context()
+        self._watch = Watch()
         self._start_s = 1.0
         """How long it took until frames came, the last time."""
         self._skin, self._port, self._skin_since_s = *_skin(), time.monotonic()
@@ -54,6 +55,7 @@ class Lane:
     def close(self) -> None:
         """End the skin."""
         self._end_skin()
+        self._watch.close()
         self._context.destroy(0)
         shutil.rmtree(self._folder)
 
@@ -86,7 +88,7 @@ class Lane:
             else:
                 self._start_s = time.monotonic() - began_s
                 getattr(self, f"_{life}")(stack, f"ipc://{control if life == 'control' else frames}", draw)
-            took = end(process.pid, number)
+            took = self._watch.end(process.pid, number)
         left = [path.name for path in self._folder.iterdir() if path != out]
         for name in left:
             (self._folder / name).unlink()

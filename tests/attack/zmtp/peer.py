@@ -65,7 +65,7 @@ def attempt(endpoint: str) -> socket.socket | None:
 
 
 class Peer:
-    """One connection, greeted.
+    """One connection, greeted and let in.
 
     Args:
         endpoint: ``ipc:///path`` or ``tcp://address:port``.
@@ -82,14 +82,19 @@ class Peer:
         self._buffer = bytearray()
         try:
             self.stream.sendall(GREETING + ready(kind))
-            while len(self._buffer) < len(GREETING):
-                self._more()
-            if self._buffer[10] < 3 or self._buffer[12:16] != b"NULL":
-                raise OSError(f"no ZMTP 3 with NULL, but {bytes(self._buffer[:32])!r}")
+            self._greet()
         except BaseException:
             self.stream.close()
             raise
-        del self._buffer[: len(GREETING)]
+
+    def _greet(self) -> None:
+        """Wait until the other side is ready: who sends messages before is ended where it asks who may enter."""
+        greeted = len(GREETING)
+        while len(self._buffer) < greeted + 2 or len(self._buffer) < greeted + 2 + self._buffer[greeted + 1]:
+            self._more()
+        if self._buffer[10] < 3 or self._buffer[12:16] != b"NULL" or self._buffer[greeted + 2 :][:6] != b"\x05READY":
+            raise OSError(f"no ZMTP 3 with NULL, but {bytes(self._buffer[:80])!r}")
+        del self._buffer[: greeted + 2 + self._buffer[greeted + 1]]
 
     def _more(self) -> None:
         data = self.stream.recv(1 << 18)

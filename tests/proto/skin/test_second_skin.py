@@ -77,7 +77,10 @@ def test_a_cloud_file_says_whose_it_is(tmp_path):
     )
     with pytest.raises(MismatchError, match=rf"grid_id: found {SECOND.grid_id}, expected {moved.grid_id} \(second\)"):
         load_surface(path, moved)
-    for same in (other, replace(moved, calibrated_from=SECOND.digest)):
+    calibrated = replace(moved, calibrated_from=SECOND.digest, stated_grid_id=SECOND.grid_id)
+    assert calibrated.grid_id == SECOND.grid_id != moved.grid_id
+    assert calibrated.digest != moved.digest
+    for same in (other, calibrated, replace(moved, calibrated_from=SECOND.digest)):
         assert np.array_equal(load_surface(path, same).cloud_mm, cloud)
 
 

@@ -59,10 +59,11 @@ def test_the_digest_stands_for_all_but_the_name():
         replace(PAPER, layer=Layer(gauge_factor=Quantity(0.0, "normal", 0.5))),
         replace(PAPER, touches=Touches(lower=True)),
         replace(PAPER, calibrated_from=PAPER.digest),
+        replace(PAPER, calibrated_from=PAPER.digest, stated_grid_id="0123456789abcdef"),
         LARGE,
     ]
-    assert len({PAPER.digest, *(skin.digest for skin in others)}) == 5
-    assert [skin.grid_id == PAPER.grid_id for skin in others] == [True, True, True, False]
+    assert len({PAPER.digest, *(skin.digest for skin in others)}) == 6
+    assert [skin.grid_id == PAPER.grid_id for skin in others] == [True, True, True, False, False]
     assert len({PAPER, replace(PAPER), replace(PAPER, outline=Outline())}) == 1  # as the key of a cache
 
 

@@ -8,7 +8,7 @@ import pytest
 from eitskin_proto.skin.parts import Outline, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.skin.symmetry import images
+from eitskin_proto.skin.symmetry import NEAR_MM, images, near_images
 
 
 def _with(arc):
@@ -52,6 +52,16 @@ def test_sizes_and_impedances_count():
     impedances[3] = 2e-4
     skin = replace(PAPER, electrodes=Ring(contact_impedance_ohm_m2=Quantity(tuple(impedances))))
     assert len(images(skin)) == 1
+
+
+def test_a_ring_that_is_off_by_millimetres_is_nearly_symmetric_and_has_the_images_of_the_even_one():
+    off_mm = np.random.default_rng(5).uniform(-0.4, 0.4, 16) * NEAR_MM
+    skin = _with(PAPER.arc_length_mm + off_mm)
+    assert len(images(skin)) == 1
+    assert near_images(skin) == images(PAPER) == near_images(PAPER)
+    far = PAPER.arc_length_mm.copy()
+    far[5] += 1.1 * NEAR_MM
+    assert len(near_images(_with(far))) == 1
 
 
 @pytest.mark.parametrize(("first", "count"), [(0.0, 4), (0.5, 4), (0.2, 2)])

@@ -29,6 +29,15 @@ def test_two_separate_units_are_found_exactly(phantoms, name):
     assert scores[0].cc > 0.95
 
 
+@pytest.mark.parametrize(("contrast", "kind"), [(0.4, "lowering"), (2.5, "raising")])
+def test_classical_solvers_look_for_what_the_touches_do(contrast, kind):
+    touch = {"disc_mm": [70, 45, 10], "contrast": contrast}
+    phantoms = parse_phantoms([{"name": "one", "truth": "area", "scene": {"touches": [touch]}}])
+    assert phantoms[0].scene.touch_kind == kind
+    ((_, scores),) = harness.evaluate(phantoms, harness.SOLVERS["tikhonov"])
+    assert scores[0].cc > 0.6
+
+
 def test_the_reference_matters_as_in_the_paper(phantoms):
     cc = {
         kind: harness.evaluate(phantoms[:1], harness.SOLVERS["l1"], reference=kind)[0][1][0].cc

@@ -69,6 +69,7 @@ def test_what_is_off_is_found_and_written(recorded, device, capsys):
     assert report["unknown"] == []
     found = load(out)
     assert (found.calibrated_from, found.digest) == (STATED.digest, report["skin_digest"])
+    assert found.grid_id == STATED.grid_id, "it is the same sheet, known better"
     assert np.allclose(found.arc_length_mm, places["values"], rtol=1e-5)
     error = np.sqrt(np.mean(np.square(places["standard_errors"])))
     assert found.electrodes.arc_length_mm.spread == pytest.approx(error, rel=1e-4)

@@ -12,16 +12,17 @@ from eitskin_sim.evaluation.trials import Softness, single, untouched
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation import solvers
-from eitskin_tools.evaluation.solvers import Request, bundle_for, evaluate_named, named, touches_of
+from eitskin_tools.evaluation.solvers import Request, bundle_for, evaluate_named, named
 
 TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
 
 
 def test_what_touches_a_phantom():
-    assert touches_of(single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0]) == "lowering"
-    assert touches_of(single(10.0, 1, 1)[0]) == "raising"
-    assert touches_of(untouched(1)[0]) == "raising"
-    assert {touches_of(one) for one in load_phantoms(files.find("paper_mm", files.PHANTOMS))} == {"raising"}
+    assert single(16.0, 1, 1, "A", Softness(0.4, 4.0))[0].scene.touch_kind == "lowering"
+    assert single(10.0, 1, 1)[0].scene.touch_kind == "raising"
+    assert untouched(1)[0].scene.touch_kind == "raising"
+    shipped = load_phantoms(files.find("paper_mm", files.PHANTOMS))
+    assert {one.scene.touch_kind for one in shipped} == {"raising"}
 
 
 def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
@@ -40,7 +41,7 @@ def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
 def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
     asked = []
 
-    def noted(request, labels, skin=PAPER, touches="raising"):
+    def noted(request, labels, skin=PAPER, touches="raising", conditions=None):
         asked.append((labels, touches))
         return named(Request("tikhonov"), labels, skin, touches)
 

@@ -32,6 +32,11 @@ def test_the_command_prints_one_object(tmp_path, capsys):
     assert found["rows"][0]["press04"]["gate_missed"] == 0.0
 
 
+def test_a_skin_of_another_size_is_refused(tmp_path, capsys):
+    assert cli.main(words(tmp_path, "--skin", str(files.find("docs/examples/skin.toml", files.SKIN)))) == 2
+    assert "--devices are of the paper's size and map" in capsys.readouterr().err
+
+
 def test_classical_solvers_find_presses(tmp_path, capsys):
     assert cli.main(words(tmp_path, "--trials", "press04", "--solver", "tikhonov", "--json")) == 0
     found = json.loads(capsys.readouterr().out)

@@ -11,7 +11,7 @@ from eitskin_tools.recording import sink as sinks
 from eitskin_tools.recording.layout import CLOUD, FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.series import Series, path_of
-from eitskin_tools.recording.writer import SYNC_S, RecordingWriter
+from eitskin_tools.recording.writer import FLUSH_S, RecordingWriter
 
 HEAD = {"wall_minus_host_ns": "7"}
 
@@ -33,7 +33,7 @@ def written(path: Path, chunks: int = 4, each: int = 20) -> list[bytes]:
     contents = [rng.randbytes(200) for _ in range(chunks * each)]
     for number, content in enumerate(contents):
         if number % each == each - 1:
-            clock.now += SYNC_S
+            clock.now += FLUSH_S
         writer.add(WIRE, content, number, number)
     writer.close()
     return contents
@@ -120,14 +120,14 @@ def test_bytes_changed_anywhere_never_give_a_message_that_was_not_written(tmp_pa
         assert {entry.data for entry in found.entries()} <= contents
 
 
-def test_a_chunk_is_on_its_way_to_the_disk_after_half_a_second(tmp_path: Path) -> None:
+def test_a_chunk_is_on_its_way_to_the_disk_after_a_quarter_of_a_second(tmp_path: Path) -> None:
     clock = Clock()
     writer = RecordingWriter(tmp_path / "a.mcap", HEAD, now_s=clock)
     for number in range(100):
         writer.add(WIRE, b"x", number, number)
         clock.now += 0.02
         missing = number + 1 - sum(1 for _ in Recording(tmp_path / "a.mcap").entries()) if number % 10 == 9 else 0
-        assert missing <= SYNC_S / 0.02
+        assert missing <= FLUSH_S / 0.02
     writer.close()
 
 
@@ -180,7 +180,7 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
     disk = SmallDisk(150_000, reserve)
     clock, path = Clock(), tmp_path / "a.mcap"
     writer = RecordingWriter(path, HEAD, reserve_bytes=reserve, now_s=clock)
-    disk.sink, disk.used = writer._sink, writer.bytes
+    disk.sink, disk.used = writer._sink, writer.size
     monkeypatch.setattr(sinks.os, "write", disk.write)
     contents = []
     while not writer.full:

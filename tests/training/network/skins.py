@@ -18,7 +18,7 @@ def skin(name: str, size_mm: tuple[float, float], arcs_mm: Iterable[float], of: 
 
 
 _HALF = [15.0 + 38.0 * k for k in range(8)]
-_UNEVEN = [10.0 + 38.75 * k + (k % 3) for k in range(16)]
+_UNEVEN = [5.0 + 38.75 * k + 5.0 * (k % 3) for k in range(16)]
 
 SKINS = {
     "four, odd rows and columns": skin("four", (96.0, 72.0), [6.0 + 21.0 * k for k in range(16)], Map((9, 15), (3, 5))),

@@ -82,6 +82,19 @@ class CardWork:
 
 
 @dataclass(frozen=True, slots=True)
+class Adaptation:
+    """How much a bundle learns of another sheet: 50,000 samples, and four times as many seen."""
+
+    deformations: int = 100
+    per_deformation: int = 500
+    epochs: int = 4
+    learning_rate: float = 5e-4
+    seed: int = 0
+    gate: GateWork = GateWork()
+    card: CardWork = CardWork(deformations=4, each=2, draws=1)
+
+
+@dataclass(frozen=True, slots=True)
 class BuildRecipe:
     """Everything that makes a bundle."""
 
@@ -141,6 +154,27 @@ def usual(skin: Skin) -> BuildRecipe:
     touches = {"raising": "raise", "lowering": "press", "both": "both"}[skin.touch_kind]
     data = Data(touches=touches, devices="random")
     return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20),))
+
+
+def adapted(bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, work: Adaptation) -> BuildRecipe:
+    """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
+
+    Args:
+        bundle: The file that it begins with.
+        skin: What it learns; devices are drawn from its uncertainties.
+        facts: The bundle's manifest.
+        touch_kind: Which touches it knows, and goes on knowing.
+        work: How much it learns.
+    """
+    network = facts.get("recipe", {}).get("name")
+    if not isinstance(network, str):
+        raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
+    touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
+    kind = "free" if facts.get("labels") == "area" else "units"
+    data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
+    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name)
+    name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
+    return BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
 
 
 def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:

@@ -97,7 +97,7 @@ def train_legs(recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = l
         where = [folder / "data" / name for name in leg.data or recipe.data]
         data = load_all([str(one) for one in where])
         sources = tuple(str(one.resolve()) for one in where)
-        chosen = _fitted(recipe, leg, data.skin)
+        chosen = fitted_to(recipe, leg, data.skin)
         train.train(data, chosen, run, seed=leg.seed, resume=True, start=start, sources=sources, progress=epoch)
     bends, steps = _gate(recipe)
     gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
@@ -153,14 +153,12 @@ def start_of(recipe: BuildRecipe, leg: Leg) -> Any:
     Raises:
         SkinError: There is no such bundle, or it cannot be taken apart.
     """
-    from eitskin.model.bundle import default_path
     from eitskin_export.unfold import start_of_bundle
 
     if leg.start_from is None:
         return None
     own = recipe.beside / leg.start_from
-    shipped = default_path().with_name(f"{leg.start_from}.eitskin")
-    return start_of_bundle(own if own.is_file() else shipped if shipped.exists() else files.find(own, files.BUNDLE))
+    return start_of_bundle(own if own.is_file() else files.find(leg.start_from, files.BUNDLE))
 
 
 def _network(recipe: BuildRecipe, leg: Leg) -> Any:
@@ -170,7 +168,8 @@ def _network(recipe: BuildRecipe, leg: Leg) -> Any:
     return replace(network_named(recipe.network), epochs=leg.epochs, **given)
 
 
-def _fitted(recipe: BuildRecipe, leg: Leg, skin: Any) -> Any:
+def fitted_to(recipe: BuildRecipe, leg: Leg, skin: Any) -> Any:
+    """Return the recipe of a leg's network for a skin."""
     from eitskin_training.recipes import fitted
 
     return fitted(_network(recipe, leg), skin)

@@ -25,6 +25,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "replay": ("mcap",),
     "reinfer": ("mcap",),
     "convert": ("mcap",),
+    "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "train": ("scipy", "torch"),
     "curves": ("torch",),
@@ -32,6 +33,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
     "bench memory": ("scipy",),
+    "bench skins": ("scipy",),
     "bench skip": ("scipy", "torch"),
     "bench tradeoff": ("scipy",),
     "bench physics": ("scipy", "skfem"),
@@ -42,6 +44,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "bench ablation": ("scipy", "torch"),
     "bench stability": ("scipy",),
     "bench electrodes": ("scipy",),
+    "bench twins": ("scipy", "torch", "onnx", "onnxscript"),
     "bench peer": ("scipy",),
 }
 """Modules by command; those that are not here need none."""

@@ -1,16 +1,21 @@
 """What ``eitskin run`` says on stderr: lines for people, or one JSON object a line, or nearly nothing.
 
 Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
-may miss the other.
+may miss the other. In systemd's journal each line begins with how grave it is, which the journal takes off again.
 """
 
 import json
+import os
 import threading
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Final, Literal, TextIO
 
+from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.console.status_line import StatusLine
+
+LOUD: Final = ("warning", "error", "ready")
+"""Events that are said even when quiet."""
 
 FORMATS: Final = ("text", "json")
 """What ``--log-format`` takes."""
@@ -32,6 +37,7 @@ class RunLog:
         self._quiet = quiet
         self._line = StatusLine(stream)
         self._lock = threading.Lock()
+        self._journal = goes_to_journal(stream, os.environ)
         self.live = self._line.live and self._form == "text" and not quiet
         """Whether a status is rewritten in place."""
 
@@ -61,6 +67,17 @@ class RunLog:
         """Report why the process ends by itself, and what each of its threads was doing."""
         self._put("error", f"{self._name}: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
 
+    def event(self, kind: str, text: str, fields: Mapping[str, object]) -> None:
+        """Report an event of another log: warnings, errors and ``ready`` also when quiet.
+
+        Args:
+            kind: ``info``, ``warning``, ``error``, ``ready`` or ``status``.
+            text: For people, in a line.
+            fields: The same for programs.
+        """
+        if not self._quiet or kind in LOUD:
+            self._put(kind, text, fields)
+
     def end(self) -> None:
         """Leave the status where it is."""
         with self._lock:
@@ -71,4 +88,4 @@ class RunLog:
             now = datetime.now(UTC).isoformat(timespec="milliseconds")
             text = json.dumps({"time_utc": now, "event": event, **fields})
         with self._lock:
-            self._line.above(text)
+            self._line.above(prefix(event) + text if self._journal else text)

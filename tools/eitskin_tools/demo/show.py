@@ -66,6 +66,8 @@ class Options:
     """Send clouds while the sheet bends."""
     affinity: int | None = None
     """The runtime, all its threads, on this CPU only."""
+    streams: int = 0
+    """Subscribers to what was measured, beside the one to frames."""
     view: bool = False
     """Serve the page of ``eitskin view`` meanwhile, and say where."""
     touches: TouchKind = "raising"
@@ -191,6 +193,8 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
         [publish, str(folder / "record.npz"), f"--seconds={options.seconds}", f"--capacity={capacity}"], folder,
     )  # fmt: skip
     children.append(subscriber)
+    listener = "eitskin_tools.demo.listener"
+    children += [Child("listener", listener, [publish], folder) for _ in range(options.streams)]
     if options.clouds:
         children.append(_scanner(options, control, folder, scene))
     runtime.line(runtime.err, "ready ", READY_S, children)

@@ -1,8 +1,9 @@
 """A bundle's card: what its network scores under N2 of 50 dB, by contrast and by mismatch, ideal and on other devices.
 
 On the paper's sheet every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network is
-told of the nominal one. Of another sheet there are no drawn devices; its card has touches of several contrasts on the
-ideal one, and the held-out samples of its data, whose devices are as random as the data's.
+told of the nominal one. Of another sheet, and of a calibrated one, there are no drawn devices; its card has touches of
+several contrasts on the sheet as it is described, and the held-out samples of its data, whose devices are as random as
+the data's.
 """
 
 from pathlib import Path
@@ -37,7 +38,7 @@ def parts(path: Path) -> list[str]:
     """Return the names of the parts that a bundle's card has."""
     bundle = load_bundle(path, lazily=True)
     found = [f"contrast-{contrast:g}" for contrast in _contrasts(bundle)]
-    if bundle.skin.grid_id == PAPER.grid_id:
+    if _drawn(bundle):
         found += [f"mismatch-{number}" for number in range(len(_mismatches()))]
     return found
 
@@ -57,7 +58,7 @@ def part(name: str, path: Path, deformations: int, each: int, draws: int) -> lis
     if kind == "mismatch":
         return _rows([_mismatches()[int(which)]], _trials(bundle, deformations, each), bundle, draws)
     contrast = float(which)
-    if bundle.skin.grid_id != PAPER.grid_id:
+    if not _drawn(bundle):
         return _of_another_sheet(bundle, contrast, deformations, each)
     if bundle.labels == "units":
         rows: list[Row] = [(f"contrast {contrast:g}", Mismatch(contrast=contrast))]
@@ -98,8 +99,13 @@ def _figures(row: dict[str, Any]) -> str:
     return ", ".join(cells) or "-"
 
 
+def _drawn(bundle: Bundle) -> bool:
+    """Whether devices unlike its skin can be drawn: a calibrated one is a device itself."""
+    return bundle.skin.grid_id == PAPER.grid_id and not bundle.skin.calibrated_from
+
+
 def _contrasts(bundle: Bundle) -> tuple[float, ...]:
-    if bundle.labels == "units" and bundle.skin.grid_id != PAPER.grid_id:
+    if bundle.labels == "units" and not _drawn(bundle):
         return RAISING[:1]  # trials of units on other sheets have the paper's contrast
     lowering = LOWERING if bundle.touch_kind != "raising" else ()
     return lowering + (RAISING if bundle.touch_kind != "lowering" else ())

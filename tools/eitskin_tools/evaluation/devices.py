@@ -7,7 +7,7 @@ import numpy as np
 
 from eitskin_sim.evaluation.devices.mismatch import Row
 from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows
-from eitskin_sim.evaluation.harness import SOLVERS
+from eitskin_sim.evaluation.harness import SOLVERS, Conditions
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.drift_removed import DriftRemoved
@@ -70,7 +70,9 @@ def evaluate_devices(
     for kind in kinds:
         bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
         bundles[kind.name] = bundle.id
-        solvers[kind.name] = named(Request(request.name, reference, bundle.path, request.prediction), kind.labels)
+        one = Request(request.name, reference, bundle.path, request.prediction)
+        told = Conditions(plan.noise, plan.snr_db)
+        solvers[kind.name] = named(one, kind.labels, plan.skin, conditions=told)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
             followers[kind.name] = DriftRemoved(bundle, drift)

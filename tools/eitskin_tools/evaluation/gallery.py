@@ -13,7 +13,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evalua
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.parts import Phantom
-from eitskin_tools.evaluation.solvers import Request, named, touches_of
+from eitskin_tools.evaluation.solvers import Request, named
 
 Array = npt.NDArray[np.float64]
 
@@ -50,7 +50,7 @@ def collect(phantoms: Sequence[Phantom], conditions: Conditions, bundle: str | P
         runs = []
         for name in SOLVERS:
             request = Request(name, bundle=bundle)
-            run = named(request, phantom.truth, conditions.skin, touches_of(phantom)).run
+            run = named(request, phantom.truth, conditions.skin, phantom.scene.touch_kind).run
             runs.append(Run(_keep(run.solver, maps), run.reference))
         evaluate_all([phantom], runs, conditions)
         rows.append(Row(phantom, truth_map(phantom, conditions.skin.grid), tuple(maps[: len(SOLVERS)])))

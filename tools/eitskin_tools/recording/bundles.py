@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
-from eitskin.model.bundle import SHIPPED, Bundle, default_path, load_bundle
+from eitskin.model.bundle import Bundle, default_path, load_bundle
 from eitskin.reference.captured import Reference, parsed
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.script import Script
 
@@ -26,12 +27,13 @@ def bundle_of(script: Script, named: str | Path | None = None) -> Bundle:
     if named is not None:
         return for_skin(load_bundle(named), script)
     wanted = script.told("bundle")
-    paths = dict.fromkeys(default_path(labels, touches) for labels, touches in SHIPPED)
+    kinds: tuple[TouchKind, ...] = ("raising", "lowering")
+    paths = [default_path(labels, touches) for labels in ("area", "units") for touches in kinds]
     for path in paths:
         if path.exists() and (found := load_bundle(path, lazily=True)).id == wanted:
             return found
     raise RecordingError(
-        f"{script.path} was made with bundle {wanted[:16]}, which is none of the shipped ones; name it with --bundle FILE"
+        f"{script.path} was made with bundle {wanted[:16]}, none of the shipped ones; name it with --bundle FILE"
     )
 
 

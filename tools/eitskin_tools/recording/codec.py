@@ -58,7 +58,10 @@ def unpack_map(data: bytes) -> tuple[int, npt.NDArray[np.float32]]:
 
 def pack_json(fields: Mapping[str, Any]) -> bytes:
     """Return an object as JSON; numbers that are none become null."""
-    return json.dumps(_finite(fields), separators=(",", ":")).encode("utf-8")
+    try:
+        return json.dumps(fields, separators=(",", ":"), allow_nan=False).encode("utf-8")
+    except (ValueError, TypeError):  # rare, and going through every value costs more than packing them
+        return json.dumps(_finite(fields), separators=(",", ":")).encode("utf-8")
 
 
 def unpack_json(data: bytes) -> dict[str, Any]:

@@ -84,7 +84,7 @@ def grid(values: npt.NDArray[np.float32], pixel_mm: tuple[float, float], wall_ns
         pixel_mm: Width and height of a pixel.
         wall_ns: When it was measured.
     """
-    rows, columns = values.shape
+    columns = values.shape[1]
     fields = [{"name": "touched", "offset": 0, "type": FLOAT32}]
     cell = {"x": pixel_mm[0] * 1e-3, "y": pixel_mm[1] * 1e-3}
     return _packed(wall_ns, fields, values, column_count=columns, cell_size=cell, row_stride=4 * columns, cell_stride=4)

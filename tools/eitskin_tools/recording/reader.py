@@ -7,7 +7,7 @@ before anything is unpacked, and nothing is executed.
 
 import struct
 import zlib
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterator, Mapping
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -130,14 +130,11 @@ class Recording:
                     if isinstance(inner, Channel):
                         names[inner.id] = inner.topic
                     else:
-                        topic = names.get(inner.channel_id)
-                        if topic is not None and (topics is None or topic in topics):
-                            yield Entry(topic, inner.log_time, inner.sequence, inner.data)
+                        yield from _entry(inner, names, topics)
             elif isinstance(record, Channel):
                 names[record.id] = record.topic
-            elif isinstance(record, Message) and (topic := names.get(record.channel_id)) is not None:
-                if topics is None or topic in topics:
-                    yield Entry(topic, record.log_time, record.sequence, record.data)
+            elif isinstance(record, Message):
+                yield from _entry(record, names, topics)
 
     def _records(self) -> Iterator[McapRecord]:
         """Yield what the file is made of, chunks as they are; keeps head and attachments."""
@@ -183,6 +180,13 @@ class Recording:
             self.damaged += 1
             return
         yield from found
+
+
+def _entry(message: Message, names: Mapping[int, str], topics: Collection[str] | None) -> Iterator[Entry]:
+    """Yield a message, if it is of a channel that is known and asked for."""
+    topic = names.get(message.channel_id)
+    if topic is not None and (topics is None or topic in topics):
+        yield Entry(topic, message.log_time, message.sequence, message.data)
 
 
 def _bytes_of(chunk: Chunk) -> bytes:

@@ -47,9 +47,9 @@ class Series:
         self._writer = self._begin()
 
     @property
-    def bytes(self) -> int:
+    def size(self) -> int:
         """Of all files."""
-        return self._before + self._writer.bytes
+        return self._before + self._writer.size
 
     @property
     def full(self) -> bool:
@@ -95,7 +95,7 @@ class Series:
 
     def _is_time(self) -> bool:
         writer = self._writer
-        if self._most_bytes is not None and writer.bytes >= self._most_bytes:
+        if self._most_bytes is not None and writer.size >= self._most_bytes:
             return True
         return self._most_s is not None and writer.age_s >= self._most_s
 
@@ -105,7 +105,7 @@ class Series:
         before.close()
         if before.full:
             return
-        self._before += before.bytes
+        self._before += before.size
         self._writer = self._begin()
         if self._attached is not None:
             self._writer.attach(*self._attached, log_ns)
@@ -113,7 +113,7 @@ class Series:
             self._writer.add(channel, data, log_ns, sequence)
 
     def sync(self) -> None:
-        """Return when everything is on disk."""
+        """Have everything forced onto the disk."""
         self._writer.sync()
 
     def close(self) -> None:

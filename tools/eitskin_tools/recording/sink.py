@@ -7,6 +7,7 @@ and what was being written is finished in the room that it leaves.
 import errno
 import os
 import tempfile
+import threading
 from contextlib import suppress
 from pathlib import Path
 from typing import IO, Final
@@ -61,6 +62,10 @@ class Sink:
             os.fsync(folder)  # the name is on disk before anything is in it
         finally:
             os.close(folder)
+        self._asked, self._closing = threading.Event(), False
+        self._failed: OSError | None = None
+        self._thread = threading.Thread(target=self._sync, name="recording-sync", daemon=True)
+        self._thread.start()
 
     def _keep(self, size: int) -> None:
         self._reserve = tempfile.TemporaryFile(dir=self.path.parent, buffering=0)  # noqa: SIM115 -- kept open
@@ -93,9 +98,27 @@ class Sink:
     def flush(self) -> None:
         """Do nothing: nothing is held back."""
 
-    def sync(self) -> None:
-        """Return when everything written is on disk."""
-        os.fdatasync(self._handle)
+    def sync_soon(self) -> None:
+        """Have everything written forced onto the disk, by a thread of its own: a busy disk takes a second for that.
+
+        Raises:
+            OSError: It could not be, the last time.
+        """
+        failed, self._failed = self._failed, None
+        if failed is not None:
+            raise failed
+        self._asked.set()
+
+    def _sync(self) -> None:
+        while True:
+            self._asked.wait()
+            self._asked.clear()
+            if self._closing:
+                return
+            try:
+                os.fdatasync(self._handle)
+            except OSError as error:
+                self._failed = error
 
     def _give_up_reserve(self) -> None:
         reserve, self._reserve = self._reserve, None
@@ -105,6 +128,10 @@ class Sink:
     def close(self) -> None:
         """Close the file; closing twice is fine."""
         self._give_up_reserve()
+        if self._handle >= 0:
+            self._closing = True
+            self._asked.set()
+            self._thread.join()
         handle, self._handle = self._handle, -1
         if handle >= 0:
             with suppress(OSError):

@@ -1,4 +1,4 @@
-"""Writes one recording: chunks that are whole on disk at least every ``SYNC_S``, and a summary at the end.
+"""Writes one recording: a chunk at least every ``FLUSH_S``, forced onto the disk at once, and a summary at the end.
 
 Whoever reads a file that was cut off, by a kill or by the power, has everything up to the last chunk
 (:mod:`eitskin_tools.recording.reader`).
@@ -15,11 +15,11 @@ from eitskin_tools.recording.channels import CHANNELS
 from eitskin_tools.recording.layout import FORMAT, HEAD, VERSION, Channel
 from eitskin_tools.recording.sink import RESERVE_BYTES, Sink
 
-SYNC_S: Final = 0.5
-"""At most so much is lost with the power: half of it waits in memory, as much may be on its way to the disk."""
+FLUSH_S: Final = 0.25
+"""So much waits in memory, and is lost with the process; with the power goes what is on its way to the disk besides."""
 
 CHUNK_BYTES: Final = 1 << 20
-"""A chunk may be smaller, for ``SYNC_S``; more is written at once."""
+"""A chunk may be smaller, for ``FLUSH_S``; more is written at once."""
 
 
 class RecordingWriter:
@@ -29,7 +29,7 @@ class RecordingWriter:
         path: Of the file, which must not be there.
         head: Of the metadata: ids, host, clock offset.
         reserve_bytes: See :mod:`eitskin_tools.recording.sink`.
-        now_s: The clock of ``SYNC_S``.
+        now_s: The clock of ``FLUSH_S``.
 
     Raises:
         RecordingError: It is there, or there is not even room for the reserve.
@@ -53,8 +53,8 @@ class RecordingWriter:
         """Written so far."""
         self.metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
         self._ids = {channel.topic: self._register(channel) for channel in CHANNELS}
-        self._synced_s = now_s()
-        self._begun_s = self._synced_s
+        self._flushed_s = now_s()
+        self._begun_s = self._flushed_s
 
     @property
     def path(self) -> Path:
@@ -62,7 +62,7 @@ class RecordingWriter:
         return self._sink.path
 
     @property
-    def bytes(self) -> int:
+    def size(self) -> int:
         """On the way to the disk so far."""
         return self._sink.bytes
 
@@ -82,7 +82,7 @@ class RecordingWriter:
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
         """Write a file within the file."""
-        self._writer.flush()  # what came before it stays before it
+        self._writer.flush()  # type: ignore[no-untyped-call]  # what came before it stays before it
         self._writer.add_attachment(log_ns, log_ns, name, media_type, content)
 
     def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
@@ -99,7 +99,7 @@ class RecordingWriter:
         """
         self._writer.add_message(self._ids[channel.topic], log_ns, data, log_ns, sequence & 0xFFFFFFFF)
         self.messages += 1
-        if self._now_s() - self._synced_s >= SYNC_S:
+        if self._now_s() - self._flushed_s >= FLUSH_S:
             self.sync()
 
     def _register(self, channel: Channel) -> int:
@@ -109,10 +109,14 @@ class RecordingWriter:
         return self._writer.register_channel(channel.topic, channel.encoding, schema)
 
     def sync(self) -> None:
-        """End the chunk, and return when it is on disk."""
-        self._writer.flush()
-        self._sink.sync()
-        self._synced_s = self._now_s()
+        """End the chunk, and have it forced onto the disk.
+
+        Raises:
+            OSError: It cannot be written, for another reason than a full disk.
+        """
+        self._writer.flush()  # type: ignore[no-untyped-call]
+        self._sink.sync_soon()
+        self._flushed_s = self._now_s()
 
     def close(self) -> None:
         """Write the summary and end the file; closing twice is fine.
@@ -123,6 +127,6 @@ class RecordingWriter:
         if self._open:
             self._open = False
             try:
-                self._writer.finish()
+                self._writer.finish()  # type: ignore[no-untyped-call]
             finally:
                 self._sink.close()

@@ -50,7 +50,8 @@ def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
         )
         parts.setdefault(part, {})[stated] = quantity
     changed = {part: replace(getattr(skin, part), **values) for part, values in parts.items()}
-    return replace(skin, **changed, name=f"{skin.name}, calibrated", calibrated_from=skin.digest)
+    name = f"{skin.name}, calibrated"
+    return replace(skin, **changed, name=name, calibrated_from=skin.digest, stated_grid_id=skin.grid_id)
 
 
 def xy_of(model: Model) -> Any:

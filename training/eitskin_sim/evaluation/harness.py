@@ -131,7 +131,7 @@ class Case:
     labels: Literal["units", "area"]
     """What a map's pixels mean; solvers without a grid of their own take units for "units", else pixels."""
     lowering: bool = False
-    """Whether touches of this skin lower its conductance: classical solvers then look for that."""
+    """Whether all touches here lower conductance: classical solvers then look for that."""
 
 
 Solver = Callable[[Case], Array]
@@ -254,7 +254,8 @@ def evaluate_all(
             noisy = add_noise(clean, flat, conditions.noise, conditions.snr_db, rng)
             sheet = Sheet(_cloud(bare.bend, conditions.cloud, seed, skin), voltages_of(bare), skin)
             for run, kept in zip(runs, scores, strict=True):
-                case = Case(noisy, _reference(run.reference, sheet, flat), flat, sheet, phantom.truth)
+                held = _reference(run.reference, sheet, flat)
+                case = Case(noisy, held, flat, sheet, phantom.truth, phantom.scene.touch_kind == "lowering")
                 kept.append(score(run.solver(case), truth, labels=phantom.truth, grid=grid))
         for result, kept in zip(results, scores, strict=True):
             result.append((phantom, kept))

@@ -13,6 +13,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.shapes import Shape
 
 Array = npt.NDArray[np.float64]
@@ -142,6 +143,12 @@ class Scene:
     def untouched(self) -> "Scene":
         """Return the same scene without its touches."""
         return replace(self, touches=())
+
+    @property
+    def touch_kind(self) -> TouchKind:
+        """Which way the touches change conductance; without any, as the paper's do."""
+        lower = {touch.factor(self.sheet.conductivity_S_per_m) < 1.0 for touch in self.touches}
+        return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
 
     def reference(self) -> "Scene":
         """Return the same device when its reference was taken: flat, untouched, and without what came late."""

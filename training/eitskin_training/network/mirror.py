@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
 from eitskin_proto.skin.skin import Skin
-from eitskin_proto.skin.symmetry import images
+from eitskin_proto.skin.symmetry import images, near_images
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,13 +44,18 @@ class Mirror:
         return image
 
 
-@lru_cache(maxsize=8)
-def mirrors(skin: Skin) -> tuple[Mirror, ...]:
-    """Return a skin's images, itself first: four, two or one. Each is its own inverse."""
+@lru_cache(maxsize=16)
+def mirrors(skin: Skin, *, near: bool = False) -> tuple[Mirror, ...]:
+    """Return a skin's images, itself first: four, two or one. Each is its own inverse.
+
+    Args:
+        skin: Of the network or the data.
+        near: Those within millimetres too, which a symmetric network keeps; data are mirrored by exact ones alone.
+    """
     shape, units = skin.grid.shape, skin.grid.units
     return tuple(
         Mirror(one.x, one.y, _rows(one.electrodes), _cells(shape, one.x, one.y), _cells(units, one.x, one.y))
-        for one in images(skin)
+        for one in (near_images(skin) if near else images(skin))
     )
 
 

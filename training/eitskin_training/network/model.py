@@ -93,7 +93,7 @@ class VD2T(nn.Module):
         super().__init__()
         self.architecture = architecture
         self.skin = skin
-        self.mirrors = mirrors(skin) if architecture.symmetric else mirrors(skin)[:1]
+        self.mirrors = mirrors(skin, near=True)[: None if architecture.symmetric else 1]
         self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
         self.voltage, voltage_width = _voltage_channel(architecture, len(self.mirrors))
         self.cloud, cloud_width = _cloud_channel(architecture, skin.grid.shape)

@@ -250,8 +250,8 @@ def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
     rng = np.random.default_rng(0)
     rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
     found = []
-    shown = mirrors(data.skin)
-    for mirror in shown if recipe.flips or recipe.architecture.symmetric else shown[:1]:
+    symmetric = recipe.architecture.symmetric
+    for mirror in mirrors(data.skin, near=symmetric)[: None if recipe.flips or symmetric else 1]:
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]], mirror)
         found.append(features(batch.dv, recipe.architecture, batch.log_predicted))

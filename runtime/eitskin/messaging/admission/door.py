@@ -129,16 +129,17 @@ class Door:
             return PAUSE_S
         return LOOK_S if self._gate is None else COUNT_S
 
-    def look(self, keep: Container[Connection] = ()) -> None:
+    def look(self, keep: Container[Connection] = (), *, newcomers: bool = True) -> None:
         """Let in who waits; never waits itself, and takes microseconds while nobody comes.
 
         Args:
             keep: Connections that are served, as :meth:`connection_at` names them.
+            newcomers: False lets nobody in who waits at an ipc address: those before them are still to be seen to.
         """
         if self._gate is None:
             if self._crowded():
                 self.count(keep)
-        elif self._poll.poll(0) and time.monotonic() >= self._next_s:
+        elif newcomers and self._poll.poll(0) and time.monotonic() >= self._next_s:
             places = self._cull(keep, self._gate.size)
             if places >= self._gate.size and self._gate.let_in(places):
                 self._poll = self._polled()

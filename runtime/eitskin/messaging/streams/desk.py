@@ -15,11 +15,12 @@ class StreamDesk:
         send: Takes one message, to whoever subscribed to it.
     """
 
-    __slots__ = ("_numbers", "_send", "asked", "cloud", "conditions", "joined", "run", "state", "wire")
+    __slots__ = ("_send", "asked", "cloud", "conditions", "joined", "numbers", "run", "state", "wire")
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         self._send = send
-        self._numbers = dict.fromkeys(NAMES, 0)
+        self.numbers = dict.fromkeys(NAMES, 0)
+        """Bodies of each stream so far."""
         self.run = ""
         """Differs after each start of the runtime; who hands in bodies sets it."""
         self.asked = self.wire = self.cloud = self.conditions = self.state = False
@@ -39,6 +40,6 @@ class StreamDesk:
 
     def send(self, name: str, body: bytes) -> None:
         """Send one body of a stream: a MessagePack map."""
-        self._numbers[name] = number = self._numbers[name] + 1
+        self.numbers[name] = number = self.numbers[name] + 1
         for message in packed(name, number, self.run, body):
             self._send(message)

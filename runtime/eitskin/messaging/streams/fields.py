@@ -83,6 +83,13 @@ class Fields:
             raise self.wrong(key, "a finite float")
         return value
 
+    def any_number(self, key: str) -> float:
+        """Return a float, finite or not."""
+        value = self._values.get(key)
+        if not isinstance(value, float):
+            raise self.wrong(key, "a float")
+        return value
+
     def truth(self, key: str) -> bool:
         """Return true or false."""
         value = self._values.get(key)

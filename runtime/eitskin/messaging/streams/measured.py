@@ -106,7 +106,7 @@ class WireFrame:
             withheld=fields.text("withheld"),
             frame=fields.count_or_none("frame"),
             touched=fields.truth("touched"),
-            gate_logit=fields.number("gate_logit"),
+            gate_logit=fields.any_number("gate_logit"),
             solver=fields.text("solver"),
             map_seq=fields.count_or_none("map_seq"),
             conditions=fields.count("conditions"),

@@ -59,15 +59,15 @@ def test_what_is_asked_for_comes_and_nothing_else(publisher, desk, wishes, names
     wait_for(publisher, lambda: not desk.asked)
 
 
-def test_a_gap_in_the_numbers_is_counted_and_a_new_run_is_none(publisher, desk):
+def test_a_gap_in_thenumbers_is_counted_and_a_new_run_is_none(publisher, desk):
     with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60, clouds=False, state=False) as streams:
         wait_until_asked(publisher, ("wire", "conditions"))
         for number in (1, 2, 5, 6):
-            desk._numbers["wire"] = number - 1
+            desk.numbers["wire"] = number - 1
             desk.send("wire", WIRE.body())
         assert [next(streams).n for _ in range(4)] == [1, 2, 5, 6]
         assert streams.lost["wire"] == 2
-        desk.run, desk._numbers["wire"] = "another", 40
+        desk.run, desk.numbers["wire"] = "another", 40
         desk.send("wire", WIRE.body())
         assert next(streams).run == "another"
         assert streams.lost["wire"] == 2

@@ -1,8 +1,13 @@
 """Trials on mismatched devices: solvers are held to the nominal truth, and rows differ by the mismatch alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.parts import Ring
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.devices import runs
 from eitskin_sim.evaluation.devices.mismatch import IDEAL, Mismatch
 from eitskin_sim.evaluation.harness import Run, truth_map
@@ -121,8 +126,20 @@ def test_draws_are_of_the_devices_and_an_ideal_one_needs_no_second():
     assert len(found[2]["devices"]) == 2
     again, _ = seen([("random", None)], [HARD], plan)
     assert np.array_equal(again[0].voltages, cases[3].voltages)
+    second, _ = seen([("random", None)], [HARD], runs.Plan(first=1, noise="none"))
+    assert np.array_equal(second[0].voltages, cases[4].voltages)
     other, _ = seen([("random", None)], [HARD], runs.Plan(draws=1, seed=1, noise="none"))
     assert not np.array_equal(other[0].voltages, cases[3].voltages)
+
+
+def test_a_solver_that_is_told_of_another_skin_sees_the_same_voltages_and_its_own_prediction():
+    moved = Ring(arc_length_mm=Quantity(tuple(PAPER.arc_length_mm + np.linspace(-2.0, 2.0, 16))))
+    twin = replace(PAPER, electrodes=moved)
+    (plain,), _ = seen([("none", IDEAL)], [HARD])
+    (told,), _ = seen([("none", IDEAL)], [HARD], replace(QUIET, skin=twin))
+    assert np.array_equal(told.voltages, plain.voltages)
+    assert told.sheet.skin == twin
+    assert np.abs(told.sheet.predicted() / plain.sheet.predicted() - 1.0).max() > 0.02
 
 
 def test_rows_see_the_same_noise():

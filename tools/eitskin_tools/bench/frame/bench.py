@@ -26,6 +26,9 @@ PERIOD_S: Final = 0.005
 WARM_CALLS: Final = 30
 """Calls of one variant back to back, before the next has its turn."""
 
+MOST_STREAMS: Final = 16
+"""Subscribers to what was measured."""
+
 LINE_FRAMES: Final = 1000
 """Most frames of the bare line, before a stream and behind it."""
 
@@ -38,11 +41,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
     parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")
+    parser.add_argument("--streams", type=int, default=0, metavar="N", help="with N subscribers to what was measured")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
+    if not 0 <= arguments.streams <= MOST_STREAMS:
+        raise UsageError(f"--streams is {arguments.streams}, expected 0 to {MOST_STREAMS}")
     if arguments.frames < 100 or arguments.calls < 10:
         raise UsageError("--frames must be at least 100 and --calls at least 10: percentiles need values")
     available = os.sched_getaffinity(0)
@@ -51,9 +57,12 @@ def run(arguments: argparse.Namespace) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     rates = arguments.rate or RATES_HZ
     streams = {
-        f"{rate:g}": stream(rate, arguments.frames, arguments.bundle, core=arguments.core, solver=arguments.solver)
+        f"{rate:g}": stream(
+            rate, arguments.frames, arguments.bundle, core=arguments.core, solver=arguments.solver,
+            streams=arguments.streams,
+        )
         for rate in rates
-    }
+    }  # fmt: skip
     first = next(iter(streams.values()))
     found = {**first, "streams": streams, **inference(arguments.bundle, arguments.calls), "machine": machine()}
     if arguments.json:
@@ -64,7 +73,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def stream(
-    rate_hz: float, frames: int, bundle: Path | None, *, core: int | None = None, solver: str | None = None
+    rate_hz: float,
+    frames: int,
+    bundle: Path | None,
+    *,
+    core: int | None = None,
+    solver: str | None = None,
+    streams: int = 0,
 ) -> dict[str, Any]:
     """Return the timing of a stream of so many frames at one rate, and of the bare line around it.
 
@@ -74,6 +89,7 @@ def stream(
         bundle: To run; None for the shipped one.
         core: CPU that the runtime, or the bare line's relay, runs on; None for any.
         solver: The most accurate one to use; None for the bundle's own choice.
+        streams: Subscribers to what was measured, beside the one to frames.
     """
     import numpy as np
 
@@ -85,7 +101,7 @@ def stream(
     print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s", file=sys.stderr)
     bare = [floor_ns(rate_hz, min(frames, LINE_FRAMES), core)]
     seconds = frames / rate_hz
-    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, affinity=core))
+    result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, affinity=core, streams=streams))
     bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES), core))
     runtime = {name: result.runtime.get(name) for name in ("cpu_us_per_frame", "skipped", "solvers", "withheld")}
     found = timing(result.record, result.wire_ns)

@@ -8,7 +8,10 @@ import json
 import sys
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from eitskin_tools.build.recipe import BuildRecipe
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -19,13 +22,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "recipe", metavar="SKIN.toml", help=f"a skin's description, or a recipe: a file, or one of {shipped}"
     )
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the bundle, by custom FILE.eitskin")
     parser.add_argument(
         "--hours",
         type=float,
         metavar="H",
         help="scale data and epochs to so long on this machine (default: not)",
     )
+    add_making(parser)
+
+
+def add_making(parser: argparse.ArgumentParser) -> None:
+    """Declare how a bundle is made, whatever it is of."""
+    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the bundle, by custom FILE.eitskin")
     parser.add_argument(
         "--work", type=Path, metavar="DIR", help="folder of the half-made bundle (default: FILE.eitskin.build)"
     )
@@ -36,24 +44,37 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Build, and report."""
+    from eitskin_tools.build import recipe
+    from eitskin_tools.errors import UsageError
+
+    if arguments.hours is not None and not 0 < arguments.hours < 1e4:
+        raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
+    return make(recipe.load(arguments.recipe), arguments, arguments.hours)
+
+
+def make(asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float | None = None) -> int:
+    """Make the bundle of a recipe, or go on with it, and report.
+
+    Args:
+        asked: What is asked for.
+        arguments: Those of :func:`add_making`.
+        hours_asked: To scale it to; None leaves it as it is.
+    """
     import torch
 
     from eitskin_tools.build import folder as half_made
-    from eitskin_tools.build import hours, recipe, steps
+    from eitskin_tools.build import hours, steps
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
     from eitskin_tools.stages import Stages
 
-    if arguments.hours is not None and not 0 < arguments.hours < 1e4:
-        raise UsageError(f"--hours is {arguments.hours:g}, expected more than 0")
     if arguments.threads < 0 or (arguments.workers is not None and arguments.workers < 1):
         raise UsageError("--workers is at least 1, --threads at least 0")
-    asked = recipe.load(arguments.recipe)
     files.writable(arguments.out)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     steps.check(asked)
-    begun = half_made.begun(work, asked, arguments.hours)
+    begun = half_made.begun(work, asked, hours_asked)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     workers = steps.processes(arguments.workers)
@@ -63,9 +84,9 @@ def run(arguments: argparse.Namespace) -> int:
             wanted = half_made.scaled_as_before(asked, begun)
         else:
             wanted = asked
-            if arguments.hours is not None:
-                wanted = hours.scaled(asked, arguments.hours, hours.measure(asked, workers, tell))
-            half_made.begin(work, asked, wanted, arguments.hours)
+            if hours_asked is not None:
+                wanted = hours.scaled(asked, hours_asked, hours.measure(asked, workers, tell))
+            half_made.begin(work, asked, wanted, hours_asked)
         steps.make_data(wanted, work, workers, tell)
         trained = steps.train_legs(wanted, work, tell, _say)
         bundle, exported = steps.export_run(wanted, work, trained, tell)

@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
-    what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
+    what.add_argument(
+        "--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md), or FILE.mcap"
+    )
     what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
     what.add_argument(
         "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
@@ -31,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         default="vd2t",
-        help="vd2t, vd2t-int8, tikhonov, l1 or sbl; the last three take the grid of the phantoms' labels, or the one "
-        "that -pixels or -units names (default: vd2t)",
+        help="vd2t, vd2t-int8, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three take the grid "
+        "of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
     )
     parser.add_argument(
         "--all",
@@ -127,10 +129,10 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     _softness(arguments)
-    if skin != PAPER and (arguments.measured or arguments.devices or arguments.tank):
-        raise UsageError(
-            f"--skin {arguments.skin}: --measured, --devices and --tank are of the paper's sheet; leave it out"
-        )
+    if skin != PAPER and (arguments.measured or arguments.tank):
+        raise UsageError(f"--skin {arguments.skin}: --measured and --tank are of the paper's sheet; leave it out")
+    if arguments.devices is not None and (skin.outline, skin.map) != (PAPER.outline, PAPER.map):
+        raise UsageError(f"--skin {arguments.skin}: --devices are of the paper's size and map; name a skin of these")
     if arguments.drift != "left" and arguments.devices is None:
         raise UsageError(f"--drift {arguments.drift} needs --devices: nothing else drifts")
     if arguments.measured is not None:
@@ -164,7 +166,8 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
     drawn = {"lab": mismatch.lab_rows, "random": mismatch.random_rows}.get(arguments.devices)
     rows = drawn() if drawn else mismatch.load_rows(files.find(arguments.devices, files.MISMATCHES))
     kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
-    plan = runs.Plan(arguments.draws, arguments.seed, arguments.noise, arguments.snr_db)
+    skin = skins.chosen(arguments)
+    plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin)
     found = evaluate_devices(rows, kinds, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0

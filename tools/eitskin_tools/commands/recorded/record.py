@@ -146,7 +146,7 @@ def _text(recorder: Any) -> str:
     more = f" and {len(series.files) - 1} files before" if len(series.files) > 1 else ""
     return (
         f"{recorder.recorded_s:.1f} s, {recorder.frames} frames, {recorder.missed} missed, "
-        f"{series.bytes / 1e6:.2f} MB in {series.path}{more}"
+        f"{series.size / 1e6:.2f} MB in {series.path}{more}"
     )
 
 
@@ -157,7 +157,7 @@ def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
         "missed": recorder.missed,
         "published": recorder.published,
         "seconds": round(recorder.recorded_s, 3),
-        "bytes": 0 if series is None else series.bytes,
+        "bytes": 0 if series is None else series.size,
         "files": [] if series is None else [str(path) for path in series.files],
         "dropped": intake.dropped,
         "full": recorder.full,

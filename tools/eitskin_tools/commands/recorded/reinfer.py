@@ -41,7 +41,6 @@ def run(arguments: argparse.Namespace) -> int:
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin_tools.console.status_line import StatusLine
-    from eitskin_tools.recording.bundles import bundle_of
     from eitskin_tools.recording.reinfer.choice import others
     from eitskin_tools.recording.reinfer.session import Span, reinfer
     from eitskin_tools.recording.script import Script
@@ -120,11 +119,12 @@ def _lines(found: dict[str, Any]) -> list[str]:
     elif "against_recorded" not in found:
         lines.append("the recording has no digests of its maps to compare with")
     if (against := found.get("against_recorded")) is not None:
+        median, low = _number(against["cc_median"], ".3f"), _number(against["cc_p5"], ".3f")
+        near, far = _number(against["centre_mm_median"], ".2f"), _number(against["centre_mm_p95"], ".2f")
         lines.append(
-            f"against what was running, {against['frames']} frames: touched alike {_share(against['touched_agreement'])}"
-            f"; both touched {against['both_touched']}: CC {_number(against['cc_median'], '.3f')} median, "
-            f"{_number(against['cc_p5'], '.3f')} lowest twentieth; centres apart {_number(against['centre_mm_median'], '.2f')}"
-            f" mm median, {_number(against['centre_mm_p95'], '.2f')} highest twentieth"
+            f"against what was running, {against['frames']} frames: {_share(against['touched_agreement'])} touched "
+            f"alike; {against['both_touched']} touched in both: CC {median} median, {low} lowest "
+            f"twentieth; centres {near} mm apart, median, {far} highest twentieth"
         )
     return lines
 

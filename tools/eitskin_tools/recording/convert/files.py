@@ -34,7 +34,7 @@ def write_npz(path: Path, found: Table, script: Script) -> None:
     if found.maps is not None:
         arrays["map"] = found.maps
     with replacing(path) as stream:
-        np.savez_compressed(stream, **arrays)
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def write_parquet(path: Path, found: Table, script: Script) -> None:
@@ -51,7 +51,7 @@ def write_parquet(path: Path, found: Table, script: Script) -> None:
     if found.maps is not None:
         columns["map"] = _lists(pa, found.maps.reshape(len(found.maps), -1))
     told = {name: script.told(name) for name in ("serial", "configuration", "bundle", "skin", "protocol_id", "grid_id")}
-    arrays = {
+    arrays: dict[str, npt.NDArray[Any]] = {
         "reference_V": found.reference_V,
         "cloud_mm": found.clouds_mm,
         "predicted_V": found.predicted_V,

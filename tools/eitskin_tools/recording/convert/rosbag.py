@@ -8,6 +8,7 @@
 ===================  =======================  =======================================================
 """
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, Final
 
@@ -58,17 +59,17 @@ def write_rosbag(folder: Path, script: Script, from_s: float | None = None, to_s
         kinds = {"voltages": "sensor_msgs/msg/Image", "map": "sensor_msgs/msg/Image",
                  "surface": "sensor_msgs/msg/PointCloud2", "state": "std_msgs/msg/String"}  # fmt: skip
         to = {name: bag.add_connection(f"/eitskin/{name}", kind, typestore=store) for name, kind in kinds.items()}
-        makers = {WIRE.topic: messages.voltages, MAP.topic: messages.map, CLOUD.topic: messages.surface}
+        makers: dict[str, Callable[[bytes, int], Any]] = {
+            WIRE.topic: messages.voltages, MAP.topic: messages.map, CLOUD.topic: messages.surface,
+            STATE.topic: messages.text,
+        }  # fmt: skip
         names = {WIRE.topic: "voltages", MAP.topic: "map", CLOUD.topic: "surface", STATE.topic: "state"}
         for entry in script.recording.entries(names):
             lasting = entry.topic in (CLOUD.topic, STATE.topic)
             if (entry.log_ns < begin_ns and not lasting) or entry.log_ns > end_ns:
                 continue
             at_ns = max(entry.log_ns, begin_ns)
-            if entry.topic == STATE.topic:
-                found = messages.text(entry.data)
-            else:
-                found = makers[entry.topic](entry.data, at_ns)
+            found = makers[entry.topic](entry.data, at_ns)
             if found is not None:
                 name = names[entry.topic]
                 bag.write(to[name], at_ns, store.serialize_cdr(found, kinds[name]))
@@ -127,6 +128,6 @@ class _Messages:
             is_dense=True,
         )  # fmt: skip
 
-    def text(self, data: bytes) -> Any:
+    def text(self, data: bytes, _: int) -> Any:
         """Return a text."""
         return self._type("std_msgs/msg/String")(data=data.decode("utf-8", "replace"))

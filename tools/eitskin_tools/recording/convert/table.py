@@ -119,6 +119,29 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
     )
 
 
+def measured_arrays(script: Script) -> dict[str, npt.NDArray[Any]]:
+    """Return what ``eitskin evaluate --measured`` takes of a recording: frames that were fit to publish.
+
+    Raises:
+        RecordingError: There is none.
+        SkinError: Its reference cannot be used.
+    """
+    found = table_of(script)
+    fit = found.columns["withheld"] == ""
+    if not fit.any():
+        raise RecordingError(f"{script.path} holds no frame that was fit to publish{script.ending}")
+    arrays: dict[str, npt.NDArray[Any]] = {
+        "voltages_V": found.voltages_V[fit],
+        "reference_V": found.reference_V,
+        "kind": np.where(found.columns["touched"][fit], "touched", "untouched"),
+    }
+    if script.told("grid_id"):
+        arrays["grid_id"] = np.array(script.told("grid_id"))
+    if len(found.clouds_mm):
+        arrays |= {"cloud_mm": found.clouds_mm, "cloud_index": found.columns["cloud_index"][fit]}
+    return arrays
+
+
 def _volts(given: list[npt.NDArray[np.float64] | None]) -> npt.NDArray[np.float64]:
     return np.array([np.full(N_ROWS, np.nan) if one is None else one for one in given]).reshape(-1, N_ROWS)
 

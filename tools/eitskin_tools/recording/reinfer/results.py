@@ -10,7 +10,7 @@ from eitskin_tools.recording.reinfer.session import Maps, Reinferred
 
 
 def write(path: Path, found: Reinferred) -> None:
-    """Write the maps: ``seq``, ``touched``, ``solver``, ``wall_ns``, ``map``, and ``recorded_map`` beside another solver.
+    """Write ``seq``, ``touched``, ``solver``, ``wall_ns``, ``map``, and ``recorded_map`` beside another solver.
 
     Raises:
         RecordingError: No maps were kept.
@@ -27,7 +27,7 @@ def write(path: Path, found: Reinferred) -> None:
     if found.others is not None:
         arrays["recorded_map"] = np.array(found.others.maps, dtype=np.float32)
     with replacing(path) as stream:
-        np.savez_compressed(stream, **arrays)
+        np.savez_compressed(stream, allow_pickle=False, **arrays)
 
 
 def draw(path: Path, found: Reinferred, most: int) -> None:

@@ -120,7 +120,7 @@ def reinfer(
     solver: Solving | None = None,
     *,
     name: str | None = None,
-    span: Span = Span(),  # noqa: B008 -- frozen
+    span: Span = Span(),
     every: int = 1,
     keep: int = 0,
     progress: Progress | None = None,
@@ -158,11 +158,8 @@ def reinfer(
         withheld += bool(step.frame.withheld)
         if progress is not None and count % 200 == 0:
             progress(count, script.frames)
-        if found is not None:
-            if equality is not None and step.frame.seq is not None and step.frame.map_seq == step.frame.seq:
-                equality.computed(step.frame.seq, found)
-        if equality is not None and step.frame.frame is not None and step.frame.frame in published:
-            equality.published_as(step.frame, published[step.frame.frame], found)
+        if equality is not None:
+            _hold(equality, step, found, published)
         if agreement is not None and found is not None and other is not None:
             agreement.add(found, other)
         shown = found if solver is None else other
@@ -172,3 +169,12 @@ def reinfer(
                 others.add(step, found)
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
     return Reinferred(count, elapsed_s, cpu_s, (last_ns - first_ns) * 1e-9, withheld, equality, agreement, maps, others)
+
+
+def _hold(equality: Equality, step: Step, found: Computed | None, published: dict[int, str]) -> None:
+    """Hold one frame against what was published of it."""
+    frame = step.frame
+    if found is not None and frame.seq is not None and frame.map_seq == frame.seq:
+        equality.computed(frame.seq, found)
+    if frame.frame is not None and frame.frame in published:
+        equality.published_as(frame, published[frame.frame], found)

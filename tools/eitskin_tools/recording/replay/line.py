@@ -10,6 +10,7 @@ import struct
 import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from time import perf_counter_ns
 from typing import Final
 
@@ -151,8 +152,6 @@ class RecordedLine:
     def _answer(self, payload: bytes) -> bytes:
         kind, tag = payload[0], payload[1] if len(payload) > 1 else 0
         if kind == MessageType.HELLO_REQUEST:
-            from dataclasses import replace
-
             return replace(self._hello, tag=tag).pack()
         if kind == MessageType.TIME_REQUEST:
             return Time(self._device_us(), tag).pack()
@@ -165,14 +164,16 @@ class RecordedLine:
         return Ack(kind, Code.OK, 0, tag).pack()
 
     def _device_us(self) -> int:
-        """Return the device's clock: a period before the first frame, which is sent at once."""
+        """Return the device's clock: that of the frame to come, less what is left until it is sent."""
         if self._next is None and not self._over:
             self._next = next(self._steps, None)
             if self._next is not None:
                 self.before(self._next)
         if self._next is None or len(self._next.frame.payload) < _AT + _SEQUENCE.size:
             return 0
-        return (_SEQUENCE.unpack_from(self._next.frame.payload, _AT)[1] + self._ahead[1]) & 0xFFFFFFFF
+        step, now_ns = self._next, perf_counter_ns()
+        left_us = int(max(self._due_ns(step, now_ns) - now_ns, 0) * self._speed) // 1000 if self._start_ns else 0
+        return int(_SEQUENCE.unpack_from(step.frame.payload, _AT)[1] + self._ahead[1] - left_us) & 0xFFFFFFFF
 
     def cancel(self) -> None:
         """Make the ``read`` that waits now, or else the next one, return at once."""

@@ -50,7 +50,7 @@ class Player:
     def __init__(
         self,
         script: Script,
-        manner: Manner = Manner(),  # noqa: B008 -- frozen
+        manner: Manner = Manner(),
         *,
         bundle: str | Path | None = None,
         solver: str | None = None,

@@ -18,7 +18,9 @@ from typing import Any, Final, Literal, Protocol
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
@@ -82,9 +84,13 @@ class Plan:
 
     draws: int = 1
     """Devices a row."""
+    first: int = 0
+    """Number of the first of them."""
     seed: int = 0
     noise: Kind = "N2"
     snr_db: float = 50.0
+    skin: Skin = PAPER
+    """What the solver is told; the devices are of the paper's sheet in any case."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,7 +141,7 @@ def run_rows(
     for index, (name, mismatch) in enumerate(rows):
         outcomes: dict[str, list[Outcome]] = {one.name: [] for one in kinds}
         drawn = []
-        for number in range(1 if mismatch == Mismatch() else plan.draws):
+        for number in range(plan.first, plan.first + (1 if mismatch == Mismatch() else plan.draws)):
             off = mismatch if mismatch is not None else _random(plan, number)
             device = draw_device(off, plan.seed, number)
             drawn.append(deviations(off))
@@ -146,7 +152,7 @@ def run_rows(
                         device, kind, runs[kind.name], judges[kind.name], plan, number, follower
                     )
             if progress is not None:
-                progress(index * plan.draws + number + 1, len(rows) * plan.draws)
+                progress(index * plan.draws + number - plan.first + 1, len(rows) * plan.draws)
         found.append(
             {
                 "name": name,
@@ -166,13 +172,13 @@ def _random(plan: Plan, number: int) -> Mismatch:
 def _run(
     device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int, follower: Follower | None
 ) -> list[Outcome]:
-    taken = voltages_of(device.reference())
+    taken, flat = voltages_of(device.reference()), flat_voltages(plan.skin)
     seeds = [DRAW_SEED, plan.seed, number]
     if device.mismatch.reference_snr_db is not None:
         taken = add_noise(taken, taken, "N2", device.mismatch.reference_snr_db, np.random.default_rng([*seeds, 0]))
     if device.mismatch.reference_scan:
         scan = device.cloud(device.reference().bend, np.random.default_rng([*seeds, 2]))
-        taken = taken if scan is None else taken * flat_voltages() / predict(scan)
+        taken = taken if scan is None else taken * flat / predict(scan, plan.skin)
     read = np.random.default_rng([*seeds, 2])
 
     def reads(volts: Array, frames: int) -> Array:
@@ -185,21 +191,21 @@ def _run(
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
         noisy = add_noise(voltages_of(scene), taken, plan.noise, plan.snr_db, rng)
-        sheet = _sheet(device, phantom, rng)
+        sheet = _sheet(device, phantom, rng, plan.skin)
         if follower is not None:
-            predicted = np.log(sheet.predicted() / flat_voltages()) if device.mismatch.scan else None
+            predicted = np.log(sheet.predicted() / flat) if device.mismatch.scan else None
             follower.meet(voltages_of(replace(scene, touches=())), predicted, reads)
             noisy = follower.correct(noisy)
-        held = sheet.predicted() * taken / flat_voltages() if run.reference == "predicted" else taken
+        held = sheet.predicted() * taken / flat if run.reference == "predicted" else taken
         image = run.solver(Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering))
         truth = truth_map(phantom)
         found.append(Outcome(correlation(image, truth), distances_mm(image, truth), judge(noisy, taken)))
     return found
 
 
-def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator) -> Sheet:
+def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator, skin: Skin) -> Sheet:
     cloud = device.cloud(phantom.scene.bend, rng)
-    return Sheet(flat_cloud() if cloud is None else cloud, np.full(len(flat_voltages()), np.nan))
+    return Sheet(flat_cloud(skin.grid) if cloud is None else cloud, np.full(N_ROWS, np.nan), skin)
 
 
 @lru_cache(maxsize=1024)

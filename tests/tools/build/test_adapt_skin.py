@@ -1,0 +1,85 @@
+"""``eitskin adapt-skin``: a bundle goes on learning on a calibrated sheet, whose ring is no longer even."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin.model.bundle import load_bundle
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.symmetry import images
+from eitskin_proto.skin.toml import named, to_toml
+from eitskin_tools.build import recipe as recipes
+from eitskin_tools.build import steps
+from eitskin_tools.build.recipe import Adaptation, CardWork, GateWork
+from eitskin_tools.cli import main
+from eitskin_tools.command_line import files
+
+STATED = named("hydrogel")
+RING = STATED.electrodes
+OFF_MM = np.random.default_rng(3).uniform(-1.0, 1.0, 16)
+TWIN = replace(
+    STATED,
+    name="forearm",
+    calibrated_from=STATED.digest,
+    stated_grid_id=STATED.grid_id,
+    electrodes=replace(RING, arc_length_mm=Quantity(tuple(STATED.arc_length_mm + OFF_MM), "normal", 0.2)),
+)
+
+
+def adapted(name: str, **work: int) -> recipes.BuildRecipe:
+    bundle = load_bundle(files.find(name, files.BUNDLE), lazily=True)
+    return recipes.adapted(bundle.path, TWIN, bundle.manifest, bundle.touch_kind, replace(Adaptation(), **work))
+
+
+@pytest.mark.parametrize(("name", "kind", "touches"), [("press", "free", "press"), ("units", "units", "hard")])
+def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(name, kind, touches):
+    (data,) = adapted(name).data.values()
+    assert (data.set, data.touches, data.devices, data.skin) == (kind, touches, "random", None)
+    assert adapted(name).skin == TWIN
+    assert adapted(name).name == f"{name} on forearm"
+    assert adapted(name, seed=1).digest != adapted(name).digest
+
+
+@pytest.mark.heavy
+def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
+    assert len(images(TWIN)) == 1
+    found = adapted("press")
+    (leg,) = found.training
+    steps.start_of(found, leg).require(steps.fitted_to(found, leg, TWIN).architecture, TWIN)
+
+
+def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
+    with pytest.raises(ValueError, match="does not say how it was trained"):
+        recipes.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raising", Adaptation())
+
+
+@pytest.mark.slow
+def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeypatch, capsys):
+    small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
+    monkeypatch.setattr(recipes, "Adaptation", lambda: small)
+    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
+    words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
+    assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)
+    bundle = load_bundle(tmp_path / "f.eitskin")
+    assert said["bundle"] == bundle.id
+    assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lowering", "area", TWIN)
+    assert bundle.manifest["build"]["training"][0]["start_from"] == "press.eitskin"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["pres", "--skin", "lab"], "did you mean 'press'"),
+        (["press", "--skin", "nobody.toml"], "no file 'nobody.toml'"),
+        (["press", "--skin", "lab", "--epochs", "0"], "--epochs is 0, expected at least 1"),
+    ],
+)
+def test_bad_usage_is_one_line(tmp_path, capsys, words, said):
+    assert main(["adapt-skin", *words, "--out", str(tmp_path / "f.eitskin")]) in (1, 2)
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1

@@ -1,0 +1,1 @@
+"""What a bundle gains on a device that was calibrated."""

@@ -1,0 +1,138 @@
+"""``eitskin bench twins``: what calibrating a device, and letting a bundle learn its twin, is worth on that device.
+
+Devices are drawn from the lab mix, as ``eitskin evaluate --devices lab`` draws them. Of each, a full scan of the flat,
+untouched sheet is recorded with its noise; ``eitskin calibrate`` makes a twin of it, ``eitskin adapt-skin`` lets the
+bundle learn that, and both bundles are tried on the true device, each told of the skin that it is for. The work is kept
+in ``--work`` and gone on with, device by device.
+"""
+
+import argparse
+import json
+import time
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_tools.errors import UsageError
+
+FRAMES: Final = 100
+"""That the recorded reference is the mean of."""
+
+SEED: Final = 1901
+"""Of the recording's noise."""
+
+STATED: Final = "lab"
+"""The skin whose uncertainties are the priors."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--work", type=Path, required=True, metavar="DIR", help="folder for twins and adapted bundles")
+    parser.add_argument("--bundle", default="press", metavar="FILE", help="a file, or a shipped one (default press)")
+    parser.add_argument("--devices", type=int, default=3, metavar="N", help="devices of the lab mix (default 3)")
+    parser.add_argument("--deformations", type=int, default=8, metavar="N", help="unseen ones (default 8)")
+    parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each of them (default 3)")
+    parser.add_argument("--samples", type=int, default=50000, metavar="N", help="of a twin (default 50000)")
+    parser.add_argument("--epochs", type=int, default=4, metavar="N", help="of its training (default 4)")
+    parser.add_argument("--snr-db", type=float, default=50.0, metavar="S", help="of one frame (default 50)")
+    parser.add_argument("--workers", type=int, default=1, metavar="N", help="processes that make data (default 1)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure and report."""
+    if min(arguments.devices, arguments.deformations, arguments.each, arguments.epochs, arguments.workers) < 1:
+        raise UsageError("--devices, --deformations, --each, --epochs and --workers must be at least 1")
+    if arguments.samples < 500:
+        raise UsageError(f"--samples is {arguments.samples}, expected at least 500")
+    rows = [row for number in range(arguments.devices) for row in _device(number, arguments)]
+    if arguments.json:
+        print(json.dumps({"rows": rows}))
+        return 0
+    for row in rows:
+        print("  ".join(f"{name} {value}" for name, value in row.items()))
+    return 0
+
+
+def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
+    """Return the rows of one device: the bundle as it is, told of the twin, and adapted to it."""
+    from eitskin.model.bundle import load_bundle
+    from eitskin_proto.skin.skin import PAPER
+    from eitskin_tools.command_line import files
+
+    bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE))
+    folder = arguments.work / f"device-{number}"
+    folder.mkdir(parents=True, exist_ok=True)
+    twin, found = _calibrated(number, folder, arguments.snr_db)
+    began = time.perf_counter()
+    adapted = load_bundle(_adapted(bundle, twin, folder, arguments))
+    seconds = time.perf_counter() - began
+    rows = [{"device": number, "bundle": "as shipped", **_tried(number, bundle, PAPER, arguments)}]
+    rows.append({"device": number, "bundle": "adapted", **_tried(number, adapted, twin, arguments)})
+    rows[-1] |= {"misfit": round(found["misfit"], 3), "adapting_s": round(seconds, 1)}
+    return rows
+
+
+def _calibrated(number: int, folder: Path, snr_db: float) -> tuple[Any, dict[str, Any]]:
+    """Return the twin of a device, and what calibration said of it."""
+    import numpy as np
+
+    from eitskin_proto.files.writing import write_bytes
+    from eitskin_proto.sensor.table import FULL_TABLE
+    from eitskin_proto.skin.toml import load, named, to_toml
+    from eitskin_sim.calibration.recording import Recording
+    from eitskin_sim.calibration.report import calibrate
+    from eitskin_sim.devices.readings import FINE_MM, responses_of
+    from eitskin_sim.evaluation.devices.device import draw_device
+    from eitskin_sim.evaluation.devices.mismatch import LAB
+    from eitskin_sim.fem.solve import factorise_scene
+    from eitskin_sim.measurement.front_end import FrontEnd
+
+    described, said = folder / "twin.toml", folder / "calibrated.json"
+    if not said.exists():
+        taken = replace(draw_device(LAB, 0, number).reference(), element_size_mm=FINE_MM)
+        volts = FrontEnd().read(responses_of(factorise_scene(taken).differences()), FULL_TABLE)
+        sd = 10.0 ** (-snr_db / 20.0) / FRAMES**0.5
+        noisy = volts * (1.0 + sd * np.random.default_rng([SEED, number]).standard_normal(len(volts)))
+        twin, report = calibrate(named(STATED), Recording(noisy, FRAMES), snr_db)
+        write_bytes(described, to_toml(twin).encode())
+        write_bytes(said, json.dumps(report).encode())
+    return load(described), json.loads(said.read_text())
+
+
+def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace) -> Path:
+    """Return the bundle that learned the twin, as ``eitskin adapt-skin`` makes it, without its card."""
+    from eitskin_tools.build import folder as half_made
+    from eitskin_tools.build import steps
+    from eitskin_tools.build.recipe import Adaptation, adapted
+    from eitskin_tools.stages import Stages
+
+    usual = Adaptation()
+    deformations = -(-arguments.samples // usual.per_deformation)
+    work = replace(usual, deformations=deformations, epochs=arguments.epochs)
+    recipe = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work)
+    place = folder / f"{bundle.path.stem}.build"
+    if half_made.begun(place, recipe, None) is None:
+        half_made.begin(place, recipe, recipe, None)
+    with Stages() as tell:
+        steps.make_data(recipe, place, arguments.workers, tell)
+        return steps.export_run(recipe, place, steps.train_legs(recipe, place, tell), tell)[0]
+
+
+def _tried(number: int, bundle: Any, skin: Any, arguments: argparse.Namespace) -> dict[str, Any]:
+    """Return what a bundle, told of a skin, scores on the true device."""
+    from eitskin_sim.evaluation.devices.mismatch import LAB
+    from eitskin_sim.evaluation.devices.runs import Plan
+    from eitskin_tools.evaluation.devices import evaluate_devices, trials_of
+    from eitskin_tools.evaluation.solvers import Request
+
+    kinds = ("press04", "press06") if bundle.touch_kind == "lowering" else ("mm", "single")
+    trials = trials_of(kinds, arguments.deformations, arguments.each)
+    plan = Plan(seed=0, first=number, snr_db=arguments.snr_db, skin=skin)
+    (row,) = evaluate_devices([("lab mix", LAB)], trials, Request("vd2t", bundle=str(bundle.path)), plan)["rows"]
+    found: dict[str, Any] = {}
+    for kind in kinds:
+        one = row[kind]
+        found |= {f"{kind}_cc": round(one["cc"], 4), f"{kind}_rms_mm": one["localisation_rms_mm"]}
+        found[f"{kind}_missed"] = one["missed"]
+    return found
