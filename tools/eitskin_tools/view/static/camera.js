@@ -52,8 +52,10 @@ export class Camera {
     const eye = this.centre.map((value, k) => value + back[k] * distance);
     const dot = (axis) => -(axis[0] * eye[0] + axis[1] * eye[1] + axis[2] * eye[2]);
     const f = 1 / Math.tan(FIELD_RAD / 2), near = distance * 0.05, far = distance + this.radius * 12;
-    const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0, right[2], up[2], back[2], 0, dot(right), dot(up), dot(back), 1];
-    const lens = [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far), -1, 0, 0, (2 * far * near) / (near - far), 0];
+    const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0,
+      right[2], up[2], back[2], 0, dot(right), dot(up), dot(back), 1];
+    const lens = [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far),
+      -1, 0, 0, (2 * far * near) / (near - far), 0];
     const out = new Float32Array(16);
     for (let c = 0; c < 4; c++) {
       for (let r = 0; r < 4; r++) for (let k = 0; k < 4; k++) out[4 * c + r] += lens[4 * k + r] * view[4 * c + k];

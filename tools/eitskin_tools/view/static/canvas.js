@@ -19,7 +19,9 @@ export function paper(canvas) {
   return { pen, ...size };
 }
 
-const NAMES = ["card", "line", "text", "muted", "accent", "good", "warn", "bad", "stage", "s1", "s2", "s3", "s4", "s5", "s6"];
+const NAMES = [
+  "card", "line", "text", "muted", "accent", "good", "warn", "bad", "stage", "s1", "s2", "s3", "s4", "s5", "s6",
+];
 
 /** The style sheet's colours as they are now. */
 export function inks() {

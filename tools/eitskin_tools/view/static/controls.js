@@ -20,7 +20,8 @@ export function currentTheme() {
 }
 
 export function wearTheme() {
-  if (theme === "system") delete document.documentElement.dataset.theme; else document.documentElement.dataset.theme = theme;
+  const { dataset } = document.documentElement;
+  if (theme === "system") delete dataset.theme; else dataset.theme = theme;
   $("theme").textContent = `Theme: ${theme}`;
 }
 
@@ -45,7 +46,9 @@ export function listen(page, history, camera, flat, strips, token) {
   });
   const views = { closer: () => camera.closer(1.2), farther: () => camera.closer(1 / 1.2) };
   const look = (name) => (views[name] ? views[name]() : camera.view(name));
-  for (const button of document.querySelectorAll("[data-view]")) button.addEventListener("click", () => look(button.dataset.view));
+  for (const button of document.querySelectorAll("[data-view]")) {
+    button.addEventListener("click", () => look(button.dataset.view));
+  }
 
   const keys = { " ": "pause", ",": "back", ".": "forward", l: "live", r: "record", t: "theme", "?": "help" };
   const looks = { 1: "tilted", 2: "above", 3: "front", "+": "closer", "=": "closer", "-": "farther" };

@@ -1,5 +1,5 @@
-// What happened, from one frame shown to the next. Frames between them were not seen: what they counted and began is told
-// by what is different now, so that nothing that lasts is missed.
+// What happened, from one frame shown to the next. Frames between them were not seen: what they counted and began is
+// told by what is different now, so that nothing that lasts is missed.
 
 import { eventWords } from "./words.js";
 

@@ -113,7 +113,8 @@ export class FlatMap {
   /** Place on the sheet and value under CSS pixels, or null beside it. */
   under(px, py, skin, frame) {
     if (!this.box || !frame) return null;
-    const { x0, y0, scale } = this.box, x = (px - x0) / scale, y = (y0 - py) / scale, [rows, columns] = frame.head.shape;
+    const { x0, y0, scale } = this.box, x = (px - x0) / scale, y = (y0 - py) / scale,
+      [rows, columns] = frame.head.shape;
     const c = Math.floor((x / skin.size_mm[0]) * columns), r = Math.floor((y / skin.size_mm[1]) * rows);
     return r < 0 || c < 0 || r >= rows || c >= columns ? null : { x, y, value: frame.map[r * columns + c] / 255 };
   }

@@ -13,6 +13,7 @@ import { Surface, flatCloud } from "./surface.js";
 import { currentTheme, listen, wearTheme } from "./controls.js";
 import { Diary } from "./diary.js";
 
+const GONE = "The viewer has ended, or cannot be reached. Start 'eitskin view' again; this page goes on by itself.";
 const SLOW_MS = 200; // strips and lists, five times a second
 const $ = (id) => document.getElementById(id);
 
@@ -21,7 +22,10 @@ const scene = new Scene($("scene"));
 const diary = new Diary(history.log);
 const flat = new FlatMap($("flat"));
 const camera = new Camera($("scene"), () => { page.changed = true; });
-const page = { skin: null, flatSurface: null, surface: null, changed: true, status: null, gone: null, slowAt: 0, at: performance.now(), drawings: 0 };
+const page = {
+  skin: null, flatSurface: null, surface: null, status: null, state: null, gone: null, changed: true,
+  slowAt: 0, at: performance.now(), drawings: 0,
+};
 if (!scene.gl) $("no-webgl").hidden = false;
 panel.makeStageLegend();
 
@@ -29,7 +33,7 @@ function take(head, body) {
   page.gone = null;
   page.changed = true;
   if (head.kind === "skin") takeSkin(head);
-  else if (head.kind === "surface") page.surface = Object.assign(surfaceOf(head.revision, head.shape, new Float32Array(body.buffer)), { run: head.run });
+  else if (head.kind === "surface") takeSurface(head, body);
   else if (head.kind === "frame") takeFrame(head, body);
   else if (head.kind === "state") takeState(head);
   else if (head.kind === "status") takeStatus(head);
@@ -71,11 +75,17 @@ function takeStatus(head) {
   if (head.recorder && head.recorder !== before?.recorder) diary.say(t, head.recorder);
 }
 
+function takeSurface(head, body) {
+  page.surface = surfaceOf(head.revision, head.shape, new Float32Array(body.buffer));
+  page.surface.run = head.run;
+}
+
 /** What happened since the message before, at all frames, those between two pictures too. */
 function takeState(head) {
   const before = page.state;
   page.state = head;
-  if (before?.run === head.run && before.n < head.n) for (const code of head.events) diary.event(history.newest?.t ?? head.t_ms, code);
+  if (before?.run !== head.run || before.n >= head.n) return;
+  for (const code of head.events) diary.event(history.newest?.t ?? head.t_ms, code);
 }
 
 /** The surface that a frame is drawn on: that in use, the one before until it has come, or none. */
@@ -96,10 +106,11 @@ function drawState(shown) {
   const silent = page.status?.state === "silent";
   const [state, text] = page.gone !== null ? ["gone", "Viewer not reachable"]
     : history.mode !== "live" ? ["paused", history.mode === "playing" ? "Playing" : "Paused"]
-    : silent ? ["silent", "No frames"] : shown ? ["live", page.skin?.file ? "Recording" : "Live"] : ["waiting", "Waiting"];
+    : silent ? ["silent", "No frames"]
+      : shown ? ["live", page.skin?.file ? "Recording" : "Live"] : ["waiting", "Waiting"];
   $("state").dataset.state = state;
   if ($("state-text").textContent !== text) $("state-text").textContent = text;
-  const said = page.gone !== null ? page.gone || "The viewer has ended, or cannot be reached. Start 'eitskin view' again; this page goes on by itself."
+  const said = page.gone !== null ? page.gone || GONE
     : page.status?.text ? `${page.status.text}${silent ? ". This page goes on by itself when frames come." : ""}` : "";
   panel.drawRecord(page.status);
   $("notice").hidden = !said;
@@ -127,13 +138,15 @@ function draw(now) {
     drawState(shown);
     if (fit($("scene"))) {
       const [rows, columns] = page.skin.shape, map = shown?.map ?? new Uint8Array(rows * columns);
-      const matrix = scene.draw(camera, surface, map, shown?.head.shape ?? page.skin.shape, page.skin.outline === "disc", currentTheme() === "dark");
+      const shape = shown?.head.shape ?? page.skin.shape, dark = currentTheme() === "dark";
+      const matrix = scene.draw(camera, surface, map, shape, page.skin.outline === "disc", dark);
       page.project = drawOverlay($("overlay"), page.skin, shown, surface, camera, matrix);
     }
     flat.draw(page.skin, shown);
     panel.drawTouchTable(shown);
     panel.drawElectrodes(shown, page.skin.electrodes.length);
-    $("surface-note").textContent = surface.revision ? `cloud ${surface.revision}` : shown?.head.cloud ? `cloud ${shown.head.cloud} is in use; drawn flat` : "flat: no cloud in use";
+    $("surface-note").textContent = surface.revision ? `cloud ${surface.revision}`
+      : shown?.head.cloud ? `cloud ${shown.head.cloud} is in use; drawn flat` : "flat: no cloud in use";
     if (shown) panel.drawTime(history);
     if (now - page.slowAt >= SLOW_MS || history.mode !== "live") {
       page.slowAt = now;

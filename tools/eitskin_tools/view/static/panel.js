@@ -19,7 +19,8 @@ function rows(node, wanted, tag, cell) {
 
 export function drawFacts(frame, rate) {
   const { head } = frame;
-  const facts = [["rate", rate ? `${rate.toFixed(0)} frames/s` : "–"], ["solver", head.solver], ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
+  const facts = [["rate", rate ? `${rate.toFixed(0)} frames/s` : "–"], ["solver", head.solver],
+    ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
     ["lost", String(head.counts.lost)], ["device", head.serial]];
   const node = $("facts");
   while (node.children.length < facts.length) {
@@ -34,7 +35,10 @@ export function drawFacts(frame, rate) {
 
 export function drawTouchTable(frame) {
   const touches = frame?.head.touches ?? [], more = frame?.head.more ?? 0;
-  rows($("touches"), touches.map((t) => [String(t.id), `${t.centre[0].toFixed(1)}, ${t.centre[1].toFixed(1)}`, t.area.toFixed(0), t.peak.toFixed(2)]), "tr", "td");
+  const words = ({ id, centre: [x, y], area, peak }) => [
+    String(id), `${x.toFixed(1)}, ${y.toFixed(1)}`, area.toFixed(0), peak.toFixed(2),
+  ];
+  rows($("touches"), touches.map(words), "tr", "td");
   $("no-touches").hidden = touches.length > 0;
   say($("touches-note"), more ? `and ${more} more` : "");
   say($("bar-words"), valueWords(frame?.head.solver));
@@ -43,7 +47,8 @@ export function drawTouchTable(frame) {
 export function drawElectrodes(frame, count) {
   const ill = Object.entries(illOf(frame));
   const list = $("electrodes");
-  rows(list, ill.length ? ill.map(([k, { state, standIn }]) => [`${k} is ${state}`, standIn ?? ""]) : [[`All ${count} are well.`]], "li", "span");
+  const words = ill.map(([k, { state, standIn }]) => [`${k} is ${state}`, standIn ?? ""]);
+  rows(list, ill.length ? words : [[`All ${count} are well.`]], "li", "span");
   for (const row of list.children) row.firstElementChild.className = ill.length ? "ill" : "";
 }
 
@@ -57,14 +62,16 @@ export function drawSkipped(history, shown) {
   }
   const found = [...counts].sort((a, b) => b[1] - a[1]);
   const list = $("skipped");
-  rows(list, found.length ? found.map(([code, n]) => [skippedWords(code), `${Math.round((100 * n) / total)} %`]) : [["Nothing."]], "li", "span");
+  const words = found.map(([code, n]) => [skippedWords(code), `${Math.round((100 * n) / total)} %`]);
+  rows(list, found.length ? words : [["Nothing."]], "li", "span");
   found.forEach(([code], k) => { list.children[k].title = code; });
 }
 
 export function drawLog(history, shown) {
   const now = history.newest.t;
   const seen = history.log.filter((entry) => entry.t <= shown.t).slice(-40).reverse();
-  rows($("log"), seen.length ? seen.map((entry) => [entry.text, ago(now - entry.t)]) : [["Nothing yet."]], "li", "span");
+  const words = seen.map((entry) => [entry.text, ago(now - entry.t)]);
+  rows($("log"), seen.length ? words : [["Nothing yet."]], "li", "span");
 }
 
 export function drawNow(frame) {
@@ -73,7 +80,8 @@ export function drawNow(frame) {
   const n = head.touches.length;
   say($("touch-now"), `${n} ${n === 1 ? "touch" : "touches"}, ${areaOf(frame).toFixed(0)} mm²`);
   say($("latency-now"), `${total.toFixed(2)} ms`);
-  say($("losses-now"), losses.length ? losses.map(([count, words]) => `${count} ${words}`).join(", ") : "none since the start");
+  const counted = losses.map(([count, words]) => `${count} ${words}`).join(", ");
+  say($("losses-now"), counted || "none since the start");
   const [drift, sd] = head.drift;
   say($("drift-now"), drift === null ? "unknown" : `${signed(drift)}${sd === null ? "" : ` ± ${sd.toFixed(1)}`} %`);
 }
@@ -97,7 +105,8 @@ export function makeStageLegend() {
 
 export function drawTime(history) {
   const { oldest, newest, shown } = history, scrub = $("scrub");
-  const range = Math.round(newest.t - oldest.t), at = Math.round(shown.t - oldest.t), text = history.mode === "live" ? "now" : ago(newest.t - shown.t);
+  const range = Math.round(newest.t - oldest.t), at = Math.round(shown.t - oldest.t);
+  const text = history.mode === "live" ? "now" : ago(newest.t - shown.t);
   scrub.max = String(range);
   if (Number(scrub.value) !== at) scrub.value = String(at);
   if (scrub.getAttribute("aria-valuetext") !== text) scrub.setAttribute("aria-valuetext", text);

@@ -49,7 +49,11 @@ export class Scene {
     this.canvas = canvas;
     if (!gl) return;
     canvas.addEventListener("webglcontextlost", (event) => event.preventDefault());
-    canvas.addEventListener("webglcontextrestored", () => { this.build(); this.setColours(this.palette); this.drawn = null; });
+    canvas.addEventListener("webglcontextrestored", () => {
+      this.build();
+      this.setColours(this.palette);
+      this.drawn = null;
+    });
     this.build();
   }
 
@@ -166,7 +170,8 @@ function program(gl, { vertex, fragment }) {
     const shader = gl.createShader(kind);
     gl.shaderSource(shader, source);
     gl.compileShader(shader);
-    if (!gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost()) throw new Error(gl.getShaderInfoLog(shader));
+    const failed = !gl.getShaderParameter(shader, gl.COMPILE_STATUS) && !gl.isContextLost();
+    if (failed) throw new Error(gl.getShaderInfoLog(shader));
     gl.attachShader(made, shader);
   }
   gl.linkProgram(made);

@@ -13,7 +13,8 @@ export function windowOf(history, width) {
   const end = history.newest?.t ?? 0, begin = end - WINDOW_MS;
   const first = history.frames.length ? history.index(begin) : 0;
   const every = Math.max(1, Math.floor((history.frames.length - first) / Math.max(width, 100)));
-  const frames = history.frames.filter((frame, k) => k >= first && (k % every === 0 || k === history.frames.length - 1));
+  const last = history.frames.length - 1;
+  const frames = history.frames.filter((_, k) => k >= first && (k % every === 0 || k === last));
   return { begin, end, frames };
 }
 
@@ -73,7 +74,7 @@ class Strip {
     pen.globalAlpha = alpha;
     for (const run of this.runs(above)) {
       pen.beginPath();
-      run.forEach((frame, k) => (k ? pen.lineTo(this.x(frame.t), this.y(above(frame))) : pen.moveTo(this.x(frame.t), this.y(above(frame)))));
+      for (const frame of run) pen.lineTo(this.x(frame.t), this.y(above(frame)));
       for (const frame of [...run].reverse()) pen.lineTo(this.x(frame.t), this.y(below(frame)));
       pen.fill();
     }
@@ -87,7 +88,7 @@ class Strip {
     pen.lineJoin = "round";
     for (const run of this.runs(value)) {
       pen.beginPath();
-      run.forEach((frame, k) => (k ? pen.lineTo(this.x(frame.t), this.y(value(frame))) : pen.moveTo(this.x(frame.t), this.y(value(frame)))));
+      for (const frame of run) pen.lineTo(this.x(frame.t), this.y(value(frame)));
       pen.stroke();
     }
   }
@@ -169,7 +170,8 @@ export function drawLosses(canvas, history) {
   strip.scale(Math.max(0, ...[...seconds.values()].map(sum)));
   const inksOf = { lost: ink.s4, corrupt: ink.s5, withheld: ink.s1, overrun: ink.s6 };
   for (const [second, entry] of seconds) {
-    const left = Math.max(strip.x(1000 * second), PAD.left), wide = Math.max(strip.x(1000 * (second + 1)) - left - 1, 1);
+    const left = Math.max(strip.x(1000 * second), PAD.left);
+    const wide = Math.max(strip.x(1000 * (second + 1)) - left - 1, 1);
     let from = 0;
     for (const [name] of LOSSES) {
       if (!entry[name]) continue;
@@ -186,7 +188,8 @@ export function drawDrift(canvas, history) {
   if (!strip.ok) return;
   const value = (frame) => frame.head.drift[0], sd = (frame) => frame.head.drift[1] ?? 0;
   const known = strip.frames.filter((frame) => value(frame) !== null);
-  strip.scale(Math.max(0, ...known.map((f) => value(f) + sd(f))), Math.min(-0.01, ...known.map((f) => value(f) - sd(f))));
+  const tops = known.map((f) => value(f) + sd(f)), feet = known.map((f) => value(f) - sd(f));
+  strip.scale(Math.max(0, ...tops), Math.min(-0.01, ...feet));
   strip.band((f) => value(f) - sd(f), (f) => (value(f) === null ? null : value(f) + sd(f)), strip.ink.s3, 0.25);
   strip.line(value, strip.ink.s3);
   strip.cursor();

@@ -57,7 +57,8 @@ export class Surface {
     const vertices = [], triangles = [];
     const put = (i, side, normal) => {
       const below = side === 1 || side === 3, u = (i % across) / columns, v = Math.floor(i / across) / rows;
-      for (let k = 0; k < 3; k++) vertices.push(this.corners[3 * i + k] - (below ? this.thicknessMm * this.normals[3 * i + k] : 0));
+      const deep = below ? this.thicknessMm : 0;
+      for (let k = 0; k < 3; k++) vertices.push(this.corners[3 * i + k] - deep * this.normals[3 * i + k]);
       vertices.push(...normal, u, v, side === 3 ? 2 : side);
       return vertices.length / 9 - 1;
     };
@@ -111,7 +112,8 @@ function corners(cloud, rows, columns) {
   for (let r = 0; r <= rows; r++) {
     for (let c = 0; c <= columns; c++) {
       for (let axis = 0; axis < 3; axis++) {
-        out[i++] = (centre(axis, r - 1, c - 1) + centre(axis, r - 1, c) + centre(axis, r, c - 1) + centre(axis, r, c)) / 4;
+        const four = centre(axis, r - 1, c - 1) + centre(axis, r - 1, c) + centre(axis, r, c - 1) + centre(axis, r, c);
+        out[i++] = four / 4;
       }
     }
   }
