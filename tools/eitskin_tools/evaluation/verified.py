@@ -63,7 +63,7 @@ class Checked(Generic[Found]):
     setup_ms: float
     """Making the models of its shape, by the processor."""
     network: npt.NDArray[np.bool_]
-    """(units,) what the network alone says."""
+    """(units,) or (pixels,) what the network alone says is touched."""
 
 
 class Verified:
