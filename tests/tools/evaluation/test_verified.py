@@ -15,6 +15,7 @@ from eitskin_tools.bench.verify.conditions import Condition, conditions
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
 from eitskin_tools.evaluation.verified import Checked, Verified, add_verdicts
+from eitskin_tools.evaluation.verified_free import VerifiedFree
 
 
 def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked:
@@ -45,9 +46,9 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
     assert (every["extra_ms_median"], every["setup_ms_median"]) == (4.0, 600.0)
 
 
-def test_touches_anywhere_are_not_checked_and_it_says_so() -> None:
-    with pytest.raises(ValueError, match="knows touches on the unit grid, found truth 'area'"):
-        named(Request("verified"), "area")
+def test_touches_anywhere_are_checked_by_shapes() -> None:
+    assert isinstance(named(Request("verified"), "area").verified, VerifiedFree)
+    assert isinstance(named(Request("verified"), "units").verified, Verified)
 
 
 @pytest.mark.parametrize(

@@ -62,8 +62,8 @@ class Checked(Generic[Found]):
     """The same by the processor: what it takes where nothing else runs."""
     setup_ms: float
     """Making the models of its shape, by the processor."""
-    network: npt.NDArray[np.bool_] | None = None
-    """(units,) what the network alone says; None off the grid."""
+    network: npt.NDArray[np.bool_]
+    """(units,) or (pixels,) what the network alone says is touched."""
 
 
 class Verified:

@@ -17,6 +17,7 @@ from eitskin.touches.moments import Finder
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Run
+from eitskin_sim.evaluation.metrics import TOUCHED
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
@@ -55,17 +56,17 @@ class VerifiedFree:
         found = self._finder.find(image)
         shares = shares_of(found.pixels, found.touch, found.weights, found.count, grid)
         key = case.sheet.cloud_mm.tobytes() + case.flat_reference.tobytes()
-        before = 0.0
         if self._shape is None or self._shape[0] != key:
-            verifier = FreeVerifier(case.flat_reference, self._noise, self._touches, self._skin)
+            verifier, before = FreeVerifier(case.flat_reference, self._noise, self._touches, self._skin), 0.0
             verifier.deform(case.sheet.cloud_mm)
             self._shape = key, verifier
         else:
             verifier = self._shape[1]
-            before = verifier.setup_s
-        setup_cpu = verifier.setup_cpu_s
-        start = time.process_time()
+            before = verifier.setup_cpu_s
+        made, start = verifier.setup_cpu_s, time.process_time()
         verdict = verifier.verify(case.voltages, shares, None, self._budget_s)
-        cpu = time.process_time() - start - (verifier.setup_cpu_s - setup_cpu)
-        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu, 1e3 * (verifier.setup_s - before)))
+        cpu_s = time.process_time() - start - (verifier.setup_cpu_s - made)
+        setup_ms = 1e3 * (verifier.setup_cpu_s - before)
+        touched = (image >= TOUCHED).ravel()
+        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
         return image if verdict.flagged else map_of(verdict.pieces, grid)
