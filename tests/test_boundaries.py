@@ -108,11 +108,8 @@ ROOMS: dict[str, Arrows] = {
         "__init__": set(), "choices": set(),
         "command_line": set(),
         "console": {"processes"},
-        "errors": set(),
-        "stages": set(),
-        "flash": set(),
-        "mismatches": set(), "phantoms": set(),
-        "pictures": set(),
+        "errors": set(), "stages": set(), "flash": set(),
+        "mismatches": set(), "phantoms": set(), "pictures": set(),
         "processes": set(),
         "recording": {"command_line"},
         "scans": {"command_line"},
@@ -128,7 +125,7 @@ ROOMS: dict[str, Arrows] = {
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
             "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "stages",
-            "virtual_skin",
+            "view", "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",

@@ -15,6 +15,7 @@ import os
 import sys
 import tempfile
 import time
+import webbrowser
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -208,8 +209,6 @@ def show_page(address: str) -> None:
     """Say where the page is, and open it where somebody sits in front of a browser."""
     print(f"look at it: {address}", file=sys.stderr, flush=True)
     if sys.stderr.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
-        import webbrowser
-
         webbrowser.open(address)
 
 
