@@ -31,6 +31,8 @@ if TYPE_CHECKING:
         PortLost,
         PortMissing,
         ProtocolError,
+        RobotError,
+        SilentSkin,
         SkinError,
         StaleFrame,
         TransportError,
@@ -46,6 +48,10 @@ if TYPE_CHECKING:
     from eitskin.messaging.subscription import Subscription, subscribe
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
+    from eitskin.robot.all_frames import RobotSubscription, SkinFrame, subscribe_all
+    from eitskin.robot.config import Robot, RobotSkin, load_robot
+    from eitskin.robot.described import robot_skins
+    from eitskin.robot.pose import Pose
     from eitskin.serving import serve
     from eitskin.skin import Skin
     from eitskin.touches.force import ForceTable
@@ -77,11 +83,18 @@ __all__ = [
     "PortDenied",
     "PortLost",
     "PortMissing",
+    "Pose",
     "ProtocolError",
     "Publisher",
     "Reference",
+    "Robot",
+    "RobotError",
+    "RobotSkin",
+    "RobotSubscription",
+    "SilentSkin",
     "Skin",
     "SkinError",
+    "SkinFrame",
     "SkinState",
     "StaleFrame",
     "StreamSubscription",
@@ -95,12 +108,15 @@ __all__ = [
     "__version__",
     "load_bundle",
     "load_client_keys",
+    "load_robot",
     "make_keys",
     "pixel_centres_mm",
     "request",
+    "robot_skins",
     "send_cloud",
     "serve",
     "subscribe",
+    "subscribe_all",
     "subscribe_streams",
 ]
 
@@ -112,9 +128,14 @@ _HOMES: Final = {
     "ControlServer": "eitskin.messaging.control",
     "ForceTable": "eitskin.touches.force",
     "Frame": "eitskin.messaging.frame",
+    "Pose": "eitskin.robot.pose",
     "Publisher": "eitskin.messaging.publish",
     "Reference": "eitskin.reference.captured",
+    "Robot": "eitskin.robot.config",
+    "RobotSkin": "eitskin.robot.config",
+    "RobotSubscription": "eitskin.robot.all_frames",
     "Skin": "eitskin.skin",
+    "SkinFrame": "eitskin.robot.all_frames",
     "SkinState": "eitskin.messaging.streams.state",
     "StreamSubscription": "eitskin.messaging.streams.subscription",
     "Subscription": "eitskin.messaging.subscription",
@@ -125,12 +146,15 @@ _HOMES: Final = {
     "WireFrame": "eitskin.messaging.streams.measured",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
+    "load_robot": "eitskin.robot.config",
     "make_keys": "eitskin.messaging.curve_keys",
     "pixel_centres_mm": "eitskin_proto.skin.cloud",
     "request": "eitskin.messaging.control_client",
+    "robot_skins": "eitskin.robot.described",
     "send_cloud": "eitskin.messaging.control_client",
     "serve": "eitskin.serving",
     "subscribe": "eitskin.messaging.subscription",
+    "subscribe_all": "eitskin.robot.all_frames",
     "subscribe_streams": "eitskin.messaging.streams.subscription",
 }
 """Where each public name lives; the errors live in ``eitskin.errors``."""

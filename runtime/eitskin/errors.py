@@ -20,7 +20,9 @@
     ├── EndpointError          an address that may not or cannot be bound or reached
     ├── ControlError           the runtime refused a request
     ├── BudgetError            a latency budget that cannot be met
+    ├── RobotError             a list of skins that cannot be used    (also ValueError)
     ├── NoFrame                no frame within the time asked for    (also TimeoutError)
+    │   └── SilentSkin         of one of several skins, which it names
     └── StaleFrame             the newest frame is too old           (also TimeoutError)
 
 Bad arguments are plain ``ValueError``, with the value and the bound. What is used although it is doubtful is a
@@ -48,6 +50,8 @@ __all__ = [
     "PortMissing",
     "PortReturned",
     "ProtocolError",
+    "RobotError",
+    "SilentSkin",
     "SkinError",
     "StaleFrame",
     "TransportError",
@@ -119,8 +123,25 @@ class BudgetError(SkinError):
     """A latency budget that no solver of the bundle can meet."""
 
 
+class RobotError(SkinError, ValueError):
+    """A robot's list of skins cannot be used."""
+
+
 class NoFrame(SkinError, TimeoutError):
     """No frame came within the time that the subscriber asked for."""
+
+
+class SilentSkin(NoFrame):
+    """One of several skins sends nothing.
+
+    Args:
+        skin: Its name.
+        text: What was waited for, and why nothing may have come.
+    """
+
+    def __init__(self, skin: str, text: str) -> None:
+        super().__init__(text)
+        self.skin = skin
 
 
 class StaleFrame(SkinError, TimeoutError):

@@ -84,6 +84,43 @@ def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime
         )  # mm, at the border; the points have 0.1 mm of noise
 
 
+@pytest.fixture(scope="module")
+def robot(start, skin, tmp_path_factory):
+    """The example's robot.toml with two virtual skins, each with its reference, and a runtime of both."""
+    folder = tmp_path_factory.mktemp("robot")
+    text = (EXAMPLES / "robot.toml").read_text(encoding="utf-8")
+    with skin() as first, skin() as second:
+        for port, number, name in ((first, 1, "forearm"), (second, 2, "hand")):
+            text = text.replace(f"/dev/serial/by-id/usb-eitskin_SKIN-000{number}-if00", port)
+            words = ["--port", port, "--frames", "20", "--out", folder / f"{name}.json"]
+            with start("-m", "eitskin_tools.cli", "reference", *words) as program:
+                program.until("20 frames")
+        stated = text.replace("version = 1", f'version = 1\nfolder = "{folder}/sockets"')
+        (folder / "robot.toml").write_text(stated, encoding="utf-8")
+        with start("-m", "eitskin_tools.cli", "run", "--config", folder / "robot.toml") as program:
+            assert "forearm, hand" in program.until("ready 2 of 2 skins publish")
+            yield folder / "robot.toml"
+
+
+def test_a_robot_s_file_is_looked_at_before_it_is_run(start, robot):
+    with start("-m", "eitskin_tools.cli", "run", "--config", robot, "--check") as program:
+        program.until("forearm: /")
+        assert "at 120 0 610 mm" in program.until("hand: /")
+
+
+def test_all_skins_say_how_they_are(start, robot):
+    with start("-m", "eitskin_tools.cli", "status", "--all", robot.parent / "sockets") as asked:
+        assert "frames/s" in asked.until("forearm: ")
+        assert "frames/s" in asked.until("hand: ")
+
+
+def test_all_skins_are_felt_in_one_loop(example, robot):
+    with example("all_skins.py", robot) as felt:
+        assert "turned by 0.707 0.707 0.000 0.000" in felt.until("forearm sits at 120 0 340 mm")
+        felt.until("hand: touch ")
+        felt.until("forearm: touch ")
+
+
 def test_a_skin_is_read_within_one_process(example, skin):
     with skin() as port, example("in_process.py", port) as program:
         assert "weak rows 0" in program.until("reference of 50 frames")

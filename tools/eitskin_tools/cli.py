@@ -18,16 +18,20 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
     "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
     "run": ("live.run", "read a skin, publish tactile frames"),
     "subscribe": ("live.subscribe", "print the frames that a runtime publishes"),
+    "view": ("live.view", "look at a running skin in the browser"),
     "virtual-skin": ("live.virtual_skin", "a virtual skin behind a pseudo-terminal"),
     "reference": ("live.reference", "capture or show the one pre-deformation reference"),
     "flash": ("live.flash", "show, compare, write, verify or roll back the device's configuration"),
     "surface": ("live.surface", "order measured points of the bent sheet into a cloud, a point a pixel"),
+    "status": ("live.status", "how the runtime is, or all skins of a robot"),
+    "service": ("live.service", "files for systemd, udev and containers: list, print or write them"),
     "doctor": ("live.doctor", "list ports, devices, permissions and what to do about each problem"),
 }
 """Subcommands around a running skin: {name: (module below ``eitskin_tools.commands``, what it does)}."""
@@ -48,7 +52,15 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
 }
 """Subcommands of simulation, training and evaluation, as in ``LIVE``."""
 
-COMMANDS: Final = {**LIVE, **OFFLINE}
+RECORDED: Final[dict[str, tuple[str, str]]] = {
+    "record": ("recorded.record", "write what a runtime measures into a file that survives power cuts"),
+    "replay": ("recorded.replay", "publish a recording as if its skin were there"),
+    "reinfer": ("recorded.reinfer", "compute a recording's maps once more, by the same or by another bundle or solver"),
+    "convert": ("recorded.convert", "a recording as NPZ, Parquet or rosbag2"),
+}
+"""Subcommands that write or read recordings, as in ``LIVE``."""
+
+COMMANDS: Final = {**LIVE, **RECORDED, **OFFLINE}
 """All subcommands in the order of the help."""
 
 FIRST_STEPS: Final = """first steps, without hardware:
@@ -60,9 +72,10 @@ FIRST_STEPS: Final = """first steps, without hardware:
 
 
 def _help_text() -> str:
-    """Return the commands in two groups, and the first steps."""
+    """Return the commands in three groups, and the first steps."""
     groups = []
-    for title, commands in (("around a running skin", LIVE), ("simulation, training, evaluation", OFFLINE)):
+    titled = (("around a running skin", LIVE), ("recordings", RECORDED), ("simulation, training, evaluation", OFFLINE))
+    for title, commands in titled:
         lines = [f"    {name:<14}{summary}" for name, (_, summary) in commands.items()]
         groups.append("\n".join([f"{title}:", *lines]))
     return "\n\n".join([*groups, FIRST_STEPS + "\n'eitskin COMMAND --help' says what a command takes."])
@@ -134,10 +147,11 @@ def _main(words: list[str]) -> int:
 
 def _fail(arguments: argparse.Namespace, text: str, status: int) -> int:
     """Say what is wrong, in the format of the log where there is one, and return the exit status."""
+    before = prefix("error") if goes_to_journal(sys.stderr, os.environ) else ""
     if getattr(arguments, "log_format", "text") == "json":
-        print(json.dumps({"event": "error", "text": text}), file=sys.stderr)
+        print(before + json.dumps({"event": "error", "text": text}), file=sys.stderr)
     else:
-        print(f"eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
+        print(f"{before}eitskin {arguments.command}: {plain(text)}", file=sys.stderr)
     return status
 
 

@@ -99,10 +99,11 @@ void frame(const Fields &fields) {
     std::size_t largest = 0;
     for (std::size_t i = 0; i < map.size(); i += 4)
         if (f32(map, i) > f32(map, largest)) largest = i;
-    const double column = static_cast<double>((largest / 4) % shape[1]), row = static_cast<double>((largest / 4) / shape[1]);
+    const double column = static_cast<double>((largest / 4) % shape[1]);
+    const double row = static_cast<double>((largest / 4) / shape[1]);
     const Fields host = fields_of(at(fields, "host_ns")), counts = fields_of(at(fields, "counts"));
-    std::printf("frame %llu run %s seq %llu map_seq %llu device_us %llu touched %d gate_logit %.17g cloud %llu solver %s "
-                "read %llu publish %llu lost %llu hash %llx peak_x %.9g peak_y %.9g events %zu\n",
+    std::printf("frame %llu run %s seq %llu map_seq %llu device_us %llu touched %d gate_logit %.17g cloud %llu "
+                "solver %s read %llu publish %llu lost %llu hash %llx peak_x %.9g peak_y %.9g events %zu\n",
                 static_cast<unsigned long long>(count(fields, "n")), text(fields, "run").c_str(),
                 static_cast<unsigned long long>(count(fields, "seq")),
                 static_cast<unsigned long long>(count(fields, "map_seq")),
@@ -145,12 +146,13 @@ void wire(std::uint64_t number, const Fields &fields) {
         for (std::size_t row = 0; row < rows; ++row) {
             const std::uint64_t raw = little(payload, 20 + row * width, width);
             const std::uint64_t sign = std::uint64_t{1} << (8 * width - 1);
-            sum += std::fabs(static_cast<double>(static_cast<std::int64_t>((raw ^ sign)) - static_cast<std::int64_t>(sign)));
+            const auto sample = static_cast<std::int64_t>(raw ^ sign) - static_cast<std::int64_t>(sign);
+            sum += std::fabs(static_cast<double>(sample));
         }
     }
     const std::string withheld = text(fields, "withheld");
-    std::printf("wire %llu seq %lld read %llu frame %lld map_seq %lld solver %s touched %d gate_logit %.17g withheld %s "
-                "conditions %llu hash %llx volts %.15g\n",
+    std::printf("wire %llu seq %lld read %llu frame %lld map_seq %lld solver %s touched %d gate_logit %.17g "
+                "withheld %s conditions %llu hash %llx volts %.15g\n",
                 static_cast<unsigned long long>(number), count_or(fields, "seq"),
                 static_cast<unsigned long long>(count(fields, "read_ns")), count_or(fields, "frame"),
                 count_or(fields, "map_seq"), text(fields, "solver").c_str(), at(fields, "touched").as<bool>(),
@@ -175,8 +177,8 @@ void cloud(std::uint64_t number, const Fields &fields) {
             all_finite_f64(volts);
             predicted[i] = hash(volts);
         }
-    std::printf("cloud %llu revision %llu seq %lld why %s taken %llu utc %llu hash %llx predicted %llx predicted_flat %llx "
-                "log_predicted %llx corner %.9g %.9g %.9g\n",
+    std::printf("cloud %llu revision %llu seq %lld why %s taken %llu utc %llu hash %llx predicted %llx "
+                "predicted_flat %llx log_predicted %llx corner %.9g %.9g %.9g\n",
                 static_cast<unsigned long long>(number), static_cast<unsigned long long>(count(fields, "revision")),
                 count_or(fields, "seq"), text(fields, "why").c_str(),
                 static_cast<unsigned long long>(count(fields, "taken_ns")),
@@ -194,7 +196,8 @@ void conditions(std::uint64_t number, const Fields &fields) {
     }
     const auto regions = at(fields, "regions").as<std::vector<std::vector<std::uint64_t>>>();
     must(!regions.empty() && regions.size() <= 16, "regions");
-    for (const auto &region : regions) must(region.size() == 4 && region[0] < region[1] && region[2] < region[3], "region");
+    for (const auto &region : regions)
+        must(region.size() == 4 && region[0] < region[1] && region[2] < region[3], "region");
     must(text(fields, "reference").size() == 64, "reference");
     std::printf("conditions %llu revision %llu seq %llu cloud %llu reference %s threshold %.17g drift %llx regions %zu "
                 "electrodes %zu missing %zu skip %d volts_per_count %.17g\n",
@@ -236,7 +239,8 @@ void stream(const msgpack::object &message) {
     const Fields fields = fields_of(message);
     must(count(fields, "v") == 3, "version of a stream");
     static std::map<std::string, std::string> joined;
-    const std::uint64_t number = count(fields, name.c_str()), part = count(fields, "part"), parts = count(fields, "parts");
+    const std::uint64_t number = count(fields, name.c_str());
+    const std::uint64_t part = count(fields, "part"), parts = count(fields, "parts");
     must(parts >= 1 && parts <= 32 && part < parts, "parts");
     if (part == 0) joined[name].clear();
     joined[name] += bytes(fields, "body");

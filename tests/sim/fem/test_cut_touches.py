@@ -6,12 +6,13 @@ import pytest
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_elements import factorise
 from eitskin_sim.fem.borders.cut_touches import find_cuts
-from eitskin_sim.fem.forward import Factor
+from eitskin_sim.fem.forward import Factor, System
 from eitskin_sim.freeform.mesh import shared_mesh, shared_system
 from eitskin_sim.freeform.patterns import touch_pool
 from eitskin_sim.freeform.sheet import _tensors, inverted_sheet, sheet_blocks
+from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.family import draw
-from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.scene.touch_table import TouchTable, gather
 
 SIZE_MM = 4.0
@@ -20,6 +21,10 @@ SIZE_MM = 4.0
 @pytest.fixture(scope="module")
 def pool() -> TouchTable:
     return touch_pool(400, np.random.default_rng(3))
+
+
+def tensors_of(bend: Bend, system: System) -> np.ndarray:
+    return _tensors(lambda xy: metric(bend, Sheet(), xy), system)
 
 
 def relative(blocks: np.ndarray, untouched: np.ndarray) -> np.ndarray:
@@ -37,7 +42,7 @@ def test_a_cut_element_conducts_no_less_than_the_sheet_and_no_more_than_the_touc
     system = shared_system(bend, SIZE_MM)  # type: ignore[arg-type]
     cuts = find_cuts(pool, np.arange(len(pool)), system.mesh)
     element = cuts.element[: cuts.n_cut]
-    blocks = cut_blocks(cuts.integrals, element, _tensors(bend, system), system.stiffness)  # type: ignore[arg-type]
+    blocks = cut_blocks(cuts.integrals, element, tensors_of(bend, system), system.stiffness)  # type: ignore[arg-type]
     found = relative(blocks, system.stiffness[element])
     assert len(found) > 5_000
     assert found.min() > 1.0 - 1e-8
@@ -52,7 +57,7 @@ def test_a_touch_as_conductive_as_the_sheet_changes_no_block(pool: TouchTable) -
     pieces[:, 6] = 1.0
     cuts = find_cuts(TouchTable(pieces, pool.first), np.arange(50), system.mesh)
     element = cuts.element[: cuts.n_cut]
-    blocks = cut_blocks(cuts.integrals, element, _tensors(bend, system), system.stiffness)
+    blocks = cut_blocks(cuts.integrals, element, tensors_of(bend, system), system.stiffness)
     assert np.abs(blocks - system.stiffness[element]).max() < 1e-12 * np.abs(system.stiffness).max()
 
 

@@ -41,7 +41,7 @@ def test_the_bundle_is_the_one_for_labels_and_touches(monkeypatch, tmp_path):
 def test_presses_and_touches_of_one_list_have_a_bundle_each(monkeypatch):
     asked = []
 
-    def noted(request, labels, skin=PAPER, touches="raising"):
+    def noted(request, labels, skin=PAPER, touches="raising", conditions=None):
         asked.append((labels, touches))
         return named(Request("tikhonov"), labels, skin, touches)
 

@@ -9,7 +9,7 @@ from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
     "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "distributed": "cluster", "skfem": "dev",
+    "distributed": "cluster", "skfem": "dev", "mcap": "record", "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
 """Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings."""
 
@@ -21,6 +21,10 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "dataset": ("scipy",),
     "evaluate": ("scipy",),
     "calibrate": ("scipy",),
+    "record": ("mcap",),
+    "replay": ("mcap",),
+    "reinfer": ("mcap",),
+    "convert": ("mcap",),
     "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "train": ("scipy", "torch"),
@@ -29,11 +33,13 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
     "bench memory": ("scipy",),
+    "bench skins": ("scipy",),
     "bench skip": ("scipy", "torch"),
     "bench tradeoff": ("scipy",),
     "bench physics": ("scipy", "skfem"),
     "bench surface": ("scipy",),
     "bench touches": ("scipy",),
+    "bench view": ("scipy",),
     "bench dataset": ("scipy",),
     "bench ablation": ("scipy", "torch"),
     "bench stability": ("scipy",),

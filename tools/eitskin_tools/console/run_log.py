@@ -1,16 +1,21 @@
 """What ``eitskin run`` says on stderr: lines for people, or one JSON object a line, or nearly nothing.
 
 Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
-may miss the other.
+may miss the other. In systemd's journal each line begins with how grave it is, which the journal takes off again.
 """
 
 import json
+import os
 import threading
 from collections.abc import Mapping
 from datetime import UTC, datetime
 from typing import Final, Literal, TextIO
 
+from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.console.status_line import StatusLine
+
+LOUD: Final = ("warning", "error", "ready")
+"""Events that are said even when quiet."""
 
 FORMATS: Final = ("text", "json")
 """What ``--log-format`` takes."""
@@ -23,24 +28,27 @@ class RunLog:
         stream: Where they go.
         form: One of ``FORMATS``.
         quiet: Leave out all but ``ready``.
+        command: Which one says it.
     """
 
-    def __init__(self, stream: TextIO, form: str = "text", *, quiet: bool = False) -> None:
+    def __init__(self, stream: TextIO, form: str = "text", *, quiet: bool = False, command: str = "run") -> None:
+        self._name = f"eitskin {command}"
         self._form: Literal["text", "json"] = "json" if form == "json" else "text"
         self._quiet = quiet
         self._line = StatusLine(stream)
         self._lock = threading.Lock()
+        self._journal = goes_to_journal(stream, os.environ)
         self.live = self._line.live and self._form == "text" and not quiet
         """Whether a status is rewritten in place."""
 
     def say(self, text: str) -> None:
         """Report something that was found or done."""
         if not self._quiet:
-            self._put("info", f"eitskin run: {text}", {"text": text})
+            self._put("info", f"{self._name}: {text}", {"text": text})
 
     def warn(self, text: str) -> None:
         """Report something that is wrong and does not stop us; nobody may miss it."""
-        self._put("warning", f"eitskin run: {text}", {"text": text})
+        self._put("warning", f"{self._name}: {text}", {"text": text})
 
     def ready(self, publish: str, control: str) -> None:
         """Report that frames are published from now on."""
@@ -53,11 +61,22 @@ class RunLog:
             with self._lock:
                 self._line.show(text)
         elif not self._quiet:
-            self._put("status", f"eitskin run: {text}", fields)
+            self._put("status", f"{self._name}: {text}", fields)
 
     def failed(self, text: str, stacks: str) -> None:
         """Report why the process ends by itself, and what each of its threads was doing."""
-        self._put("error", f"eitskin run: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
+        self._put("error", f"{self._name}: {text}\n{stacks.rstrip()}", {"text": text, "stacks": stacks.splitlines()})
+
+    def event(self, kind: str, text: str, fields: Mapping[str, object]) -> None:
+        """Report an event of another log: warnings, errors and ``ready`` also when quiet.
+
+        Args:
+            kind: ``info``, ``warning``, ``error``, ``ready`` or ``status``.
+            text: For people, in a line.
+            fields: The same for programs.
+        """
+        if not self._quiet or kind in LOUD:
+            self._put(kind, text, fields)
 
     def end(self) -> None:
         """Leave the status where it is."""
@@ -69,4 +88,4 @@ class RunLog:
             now = datetime.now(UTC).isoformat(timespec="milliseconds")
             text = json.dumps({"time_utc": now, "event": event, **fields})
         with self._lock:
-            self._line.above(text)
+            self._line.above(prefix(event) + text if self._journal else text)

@@ -11,6 +11,7 @@ Nothing is left behind: the processes end in order, the sockets and files lie in
 """
 
 import json
+import os
 import sys
 import tempfile
 import time
@@ -67,6 +68,8 @@ class Options:
     """The runtime, all its threads, on this CPU only."""
     streams: int = 0
     """Subscribers to what was measured, beside the one to frames."""
+    view: bool = False
+    """Serve the page of ``eitskin view`` meanwhile, and say where."""
     touches: TouchKind = "raising"
     """"raising" or "lowering": what touches the sheet; the bundle must know it."""
 
@@ -195,6 +198,19 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     if options.clouds:
         children.append(_scanner(options, control, folder, scene))
     runtime.line(runtime.err, "ready ", READY_S, children)
+    if options.view:
+        viewer = Child("view", "eitskin_tools.cli", ["view", f"--endpoint={publish}", "--port=0", "--no-open"], folder)
+        children.append(viewer)
+        show_page(viewer.line(viewer.out, "viewing ", READY_S, children).split()[3])
+
+
+def show_page(address: str) -> None:
+    """Say where the page is, and open it where somebody sits in front of a browser."""
+    print(f"look at it: {address}", file=sys.stderr, flush=True)
+    if sys.stderr.isatty() and (os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY")):
+        import webbrowser
+
+        webbrowser.open(address)
 
 
 def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> Child:

@@ -7,7 +7,7 @@ import numpy as np
 
 from eitskin_sim.evaluation.devices.mismatch import Row
 from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows
-from eitskin_sim.evaluation.harness import SOLVERS
+from eitskin_sim.evaluation.harness import SOLVERS, Conditions
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.drift_removed import DriftRemoved
@@ -71,7 +71,8 @@ def evaluate_devices(
         bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
         bundles[kind.name] = bundle.id
         one = Request(request.name, reference, bundle.path, request.prediction)
-        solvers[kind.name] = named(one, kind.labels, plan.skin)
+        told = Conditions(plan.noise, plan.snr_db)
+        solvers[kind.name] = named(one, kind.labels, plan.skin, conditions=told)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
             followers[kind.name] = DriftRemoved(bundle, drift)

@@ -12,6 +12,8 @@
                   touch_kind text              "lowering" or "raising": which way touches change conductance (optional)
                   protocol_id, grid_id, skin_digest text   held against this release and its sheet (optional)
 
+A recording, ``FILE.mcap``, is read too: its first reference, its frames that were published, its clouds.
+
 Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
 """
 
@@ -92,7 +94,7 @@ def load_measured(path: str | Path) -> Measured:
         FileError: It is no intact file of plain arrays.
         OSError: It cannot be read.
     """
-    arrays = read_npz(path, LARGEST_FILE)
+    arrays = _of_recording(path) if Path(path).suffix == ".mcap" else read_npz(path, LARGEST_FILE)
     try:
         _check_ids(arrays, path)
         return _measured(arrays)
@@ -100,6 +102,17 @@ def load_measured(path: str | Path) -> Measured:
         raise
     except ValueError as error:
         raise MeasuredFileError(f"{path}: {error}") from error
+
+
+def _of_recording(path: str | Path) -> dict[str, npt.NDArray[Any]]:
+    """Return the samples of a recording, ``eitskin record``'s: no truth, but what the gate said then."""
+    from eitskin_tools.command_line.needs import require
+
+    require("a recording", ("mcap",))
+    from eitskin_tools.recording.convert.table import measured_arrays
+    from eitskin_tools.recording.script import Script
+
+    return measured_arrays(Script(path))
 
 
 def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:

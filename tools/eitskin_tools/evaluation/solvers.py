@@ -7,7 +7,7 @@ touches match the phantoms, unless one is named.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Literal, get_args
 
@@ -35,6 +35,8 @@ from eitskin_sim.surface.predict import flat_voltages
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
+    from eitskin_tools.evaluation.verified import Checked, Verified
+    from eitskin_tools.evaluation.verified_free import VerifiedFree
 
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
@@ -45,7 +47,10 @@ PREDICTIONS: Final[tuple[str, ...]] = get_args(Prediction)
 NETWORKS: Final = ("vd2t", "vd2t-int8")
 """Solvers that a bundle provides."""
 
-NAMES: Final = (*SOLVERS, *NETWORKS)
+VERIFIED: Final = "verified"
+"""The network's map, checked by physics."""
+
+NAMES: Final = (*SOLVERS, *NETWORKS, VERIFIED)
 """Every name that ``eitskin evaluate --solver`` takes."""
 
 Progress = Callable[[int, int], None]
@@ -77,9 +82,17 @@ class Named:
     """Of the network's bundle."""
     prediction: Prediction | None = None
     """What the head's second input is fed; None where there is no such input."""
+    verified: "Verified | VerifiedFree | None" = None
+    """Keeps the verdicts, if there are any."""
 
 
-def named(request: Request, labels: str, skin: Skin = PAPER, touches: TouchKind = "raising") -> Named:
+def named(
+    request: Request,
+    labels: str,
+    skin: Skin = PAPER,
+    touches: TouchKind = "raising",
+    conditions: Conditions | None = None,
+) -> Named:
     """Return the solver that a request means on phantoms with these labels.
 
     Args:
@@ -87,6 +100,7 @@ def named(request: Request, labels: str, skin: Skin = PAPER, touches: TouchKind 
         labels: ``"units"`` or ``"area"``, what the phantoms' truth means.
         skin: Whose maps and clouds there are.
         touches: What touches the phantoms, see :func:`bundle_for`.
+        conditions: Whose noise a verifier is told; None is N2 at 50 dB.
 
     Raises:
         ValueError: The name is unknown, the network takes no such reference, or the bundle holds no such network.
@@ -96,6 +110,8 @@ def named(request: Request, labels: str, skin: Skin = PAPER, touches: TouchKind 
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
+    if request.name == VERIFIED:
+        return _verified(request, labels, skin, touches, conditions or Conditions())
     if request.name not in NETWORKS:
         raise ValueError(f"solver {request.name!r} is unknown; expected one of {', '.join(NAMES)}")
     return _network(request, labels, skin, touches)
@@ -155,6 +171,35 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
     return Named(Run(solver, "pre"), loaded.id, prediction)
 
 
+def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions) -> Named:
+    from eitskin_sim.verification.residual import Noise
+    from eitskin_tools.evaluation.verified import Verified
+    from eitskin_tools.evaluation.verified_free import VerifiedFree
+
+    network = _network(replace(request, name="vd2t"), labels, skin, touches)
+    noise = Noise(conditions.noise, conditions.snr_db)
+    if labels != "units":
+        free = VerifiedFree(network.run, noise, touches, skin)
+        return replace(network, run=free.run, verified=free)
+    verified = Verified(network.run, noise, skin)
+    return replace(network, run=verified.run, verified=verified)
+
+
+def verdicts_of(
+    phantoms: Sequence[Phantom], by_group: dict[Group, Named], seeds: int
+) -> "dict[int, list[Checked[Any]]] | None":
+    """Return the verdicts on every phantom, one a seed, by its ``id``; None where the solver gives none."""
+    if any(one.verified is None for one in by_group.values()):
+        return None
+    found: dict[int, list[Checked[Any]]] = {}
+    for key, one in by_group.items():
+        assert one.verified is not None
+        group = [phantom for phantom in phantoms if (phantom.truth, phantom.scene.touch_kind) == key]
+        for number, phantom in enumerate(group):
+            found[id(phantom)] = list(one.verified.checked[number * seeds : (number + 1) * seeds])
+    return found
+
+
 def _check_reference(request: Request, path: str, *, takes_prediction: bool) -> None:
     """A network's dV is against the flat sheet; V_pred only comes on top of it."""
     if request.reference == "post":
@@ -203,6 +248,10 @@ def evaluate_requests(
             "skin_digest": conditions.skin.digest,
         }
         found.append({**report(request.name, conditions.noise, results), **extra})
+        if (checked := verdicts_of(phantoms, by_group, conditions.seeds)) is not None:
+            from eitskin_tools.evaluation.verified import add_verdicts
+
+            add_verdicts(found[-1], results, checked)
     return found
 
 
@@ -217,7 +266,7 @@ def evaluate_named(
     for one in phantoms:
         groups.setdefault((one.truth, one.scene.touch_kind), []).append(one)
     solvers = [
-        {(labels, touches): named(request, labels, conditions.skin, touches) for labels, touches in groups}
+        {(labels, touches): named(request, labels, conditions.skin, touches, conditions) for labels, touches in groups}
         for request in requests
     ]
     results: list[Results] = [[] for _ in requests]

@@ -11,7 +11,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all
 from eitskin_sim.evaluation.metrics import TOUCHED
 from eitskin_sim.evaluation.report import summary
 from eitskin_sim.scene.parts import Phantom
-from eitskin_tools.evaluation.solvers import Progress, Request, evaluate_named, named
+from eitskin_tools.evaluation.solvers import Progress, Request, evaluate_named, named, verdicts_of
 
 BINS: Final = (0.1, 0.5, 0.9)
 """Heights that an untouched sheet's peak is held against."""
@@ -22,7 +22,12 @@ def touched_trial(
 ) -> dict[str, Any]:
     """Return the summary of one solver on drawn phantoms, ``each`` of them at a deformation."""
     ((solvers, results),) = evaluate_named(phantoms, [request], conditions, progress)
-    return {**_head(request, conditions, next(iter(solvers.values()))), **summary(results, each, conditions.skin.grid)}
+    found = {**_head(request, conditions, next(iter(solvers.values()))), **summary(results, each, conditions.skin.grid)}
+    if (checked := verdicts_of(phantoms, solvers, conditions.seeds)) is not None:
+        from eitskin_tools.evaluation.verified import summary_of
+
+        found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
+    return found
 
 
 def untouched_trial(
@@ -34,7 +39,7 @@ def untouched_trial(
     progress: Progress | None,
 ) -> dict[str, Any]:
     """Return how high the maps of bent sheets rise that nothing touches."""
-    solver = named(request, labels, conditions.skin)
+    solver = named(request, labels, conditions.skin, conditions=conditions)
     peaks: list[float] = []
     run = Run(_keeping_peaks(solver.run.solver, peaks), solver.run.reference)
     evaluate_all(trials.untouched(deformations, family, labels, conditions.skin), [run], conditions, progress)

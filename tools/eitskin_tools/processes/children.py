@@ -51,7 +51,7 @@ class Child:
                 stdout=out,
                 stderr=err,
                 process_group=0,
-                preexec_fn=_die_with_parent,  # noqa: PLW1509 -- no thread runs yet, and the function is one system call
+                preexec_fn=die_with_parent,  # noqa: PLW1509 -- no thread runs yet, and the function is one system call
             )
 
     @property
@@ -140,6 +140,7 @@ def _deaf() -> Iterator[None]:
             signal.signal(number, handler)
 
 
-def _die_with_parent() -> None:
+def die_with_parent() -> None:
+    """Have the kernel end this process when its parent ends: to be called in a child that was just forked."""
     if _LIBC is not None:
         _LIBC.prctl(PR_SET_PDEATHSIG, signal.SIGTERM)

@@ -7,13 +7,14 @@ import numpy as np
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import IDEAL, Device, ideal
+from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import MM
+from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.inverse import dense_inverse
-from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, shared_system, with_contacts, without_middle
+from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.parts import Bend, Sheet
@@ -60,7 +61,20 @@ def inverted_sheet(
         skin: Whose mesh it is solved on.
     """
     true = device or ideal(skin)
-    grid, system = shared_mesh(size_mm, true.electrodes, skin), shared_system(bend, size_mm, true, skin)
+    return inverted_metric(lambda xy: metric(bend, true.sheet, xy), size_mm, into, true, skin)
+
+
+def inverted_metric(
+    first_form: Metric,
+    size_mm: float = ELEMENT_MM,
+    into: Array | None = None,
+    device: Device | None = None,
+    skin: Skin = PAPER,
+) -> InvertedSheet:
+    """Return a sheet of any first fundamental form, ready for touch sets; see :func:`inverted_sheet`."""
+    true = device or ideal(skin)
+    grid = shared_mesh(size_mm, true.electrodes, skin)
+    system = system_on(grid.mesh, true.sheet, true.electrodes, first_form, ideal(skin).electrodes)
     elements = np.arange(grid.mesh.n_elements)
     density = system.contacts.density(np.full(len(system.contacts.element), system.background))
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
@@ -68,18 +82,18 @@ def inverted_sheet(
     middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
     inverse = dense_inverse(grid.lines, before, (middle, tie), into)
     to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
-    tensor = _tensors(bend, system, true.sheet)
+    tensor = _tensors(first_form, system, true.sheet)
     return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals])
 
 
-def _tensors(bend: Bend, system: System, sheet: Sheet = IDEAL.sheet) -> Array:
+def _tensors(first_form: Metric, system: System, sheet: Sheet = IDEAL.sheet) -> Array:
     """Return (n, 3, 3): conductances xx, xy, yy of unit elements at sigma = 1, S, and their change along x and y."""
     mesh = system.mesh
     ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
 
     def at(x: float, y: float) -> Array:
         where = mesh.corners_mm + mesh.sizes_mm * (x, y)
-        first = metric(bend, sheet, where)
+        first = first_form(where)
         E, F, G = first.T
         found = np.asarray(system.thickness_mm * MM / (E * G - F**2) * np.stack([G * ratio, -F, E / ratio])).T
         return found * relative_conductivity(sheet, where, first)[:, None] if is_uneven(sheet) else found

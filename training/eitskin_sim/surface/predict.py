@@ -69,9 +69,12 @@ class FittedSurface:
 
     def metric(self, xy_mm: Array) -> Array:
         """Return the (n, 3) first fundamental form E, F, G at flat points (n, 2)."""
-        along_x = self._evaluate(xy_mm, (1, 0))
-        along_y = self._evaluate(xy_mm, (0, 1))
+        along_x, along_y = self.tangents(xy_mm)
         return np.stack([np.sum(a * b, 1) for a, b in ((along_x, along_x), (along_x, along_y), (along_y, along_y))], -1)
+
+    def tangents(self, xy_mm: Array) -> tuple[Array, Array]:
+        """Return the (n, 3) derivatives of the place by x and by y at flat points (n, 2)."""
+        return self._evaluate(xy_mm, (1, 0)), self._evaluate(xy_mm, (0, 1))
 
     def points(self, xy_mm: Array) -> Array:
         """Return the (n, 3) positions in mm of flat points (n, 2)."""

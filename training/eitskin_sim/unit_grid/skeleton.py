@@ -28,7 +28,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import Array, Index, TensorMesh
+from eitskin_sim.fem.mesh import Array, Index, Metric, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
@@ -138,6 +138,12 @@ def unit_system(
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
+def unit_system_of(first: Metric, refine: int = 1, skin: Skin = PAPER) -> tuple[UnitMesh, System]:
+    """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric."""
+    parts, true = _nominal_mesh(skin, refine), ideal(skin)
+    return parts, system_on(parts.mesh, true.sheet, true.electrodes, first, true.electrodes)
+
+
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
     """Return all units, each condensed at every one of some conductivities, S/m."""
     place = _place(parts)
@@ -147,6 +153,11 @@ def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[flo
 def condense_unit(unit: int, parts: UnitMesh, system: System, conductivity: float) -> Condensed:
     """Return one unit, condensed at one conductivity, S/m."""
     return _condense(unit, parts, system, _place(parts), (conductivity,))
+
+
+def condense_at(unit: int, parts: UnitMesh, system: System, conductivities: Sequence[float]) -> Condensed:
+    """Return one unit, condensed at each of some conductivities, S/m."""
+    return _condense(unit, parts, system, _place(parts), conductivities)
 
 
 def _place(parts: UnitMesh) -> Index:

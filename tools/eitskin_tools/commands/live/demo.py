@@ -14,7 +14,9 @@ from eitskin_tools.errors import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="how long, from the first frame (20)")
+    parser.add_argument(
+        "--seconds", type=float, metavar="S", help="how long, from the first frame (20, with --view 3600)"
+    )
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument(
         "--bundle", type=Path, metavar="FILE", help="bundle to run (default: a shipped one that knows the touches)"
@@ -35,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="at 50 dB (default N2)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
+    parser.add_argument("--view", action="store_true", help="look at it in the browser, until Ctrl-C")
     parser.add_argument("--no-draw", action="store_true", help="do not draw the map")
     parser.add_argument("--record", type=Path, metavar="FILE.npz", help="keep what the subscriber noted")
     parser.add_argument("--picture", type=Path, metavar="FILE.png", help="draw a frame of this run (extra 'plot')")
@@ -46,8 +49,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.demo.played import choose
     from eitskin_tools.demo.show import Options, draw_picture, print_summary, stream, summarise
 
-    if not arguments.seconds > 0.0:
-        raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
+    seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
+    if not seconds > 0.0:
+        raise UsageError(f"--seconds is {seconds:g}; expected above 0")
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
@@ -60,9 +64,9 @@ def run(arguments: argparse.Namespace) -> int:
             files.writable(path)
     bundle, kind = choose(arguments.bundle, touches.chosen(arguments))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
-    draw = sys.stdout.isatty() and not arguments.no_draw and not arguments.json
+    draw = sys.stdout.isatty() and not (arguments.no_draw or arguments.view) and not arguments.json
     options = Options(
-        seconds=arguments.seconds,
+        seconds=seconds,
         rate_hz=arguments.rate,
         bundle=bundle,
         touches=kind,
@@ -72,6 +76,7 @@ def run(arguments: argparse.Namespace) -> int:
         device=arguments.device,
         seed=arguments.seed,
         draw=draw,
+        view=arguments.view,
         talk=not draw and not arguments.json,
         record=arguments.record,
     )

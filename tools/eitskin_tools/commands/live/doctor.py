@@ -18,7 +18,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
     )
-    parser.add_argument("--recorded", type=Path, metavar="FILE.npy", help="frames to look at: (n, 104) V")
+    parser.add_argument(
+        "--recorded", type=Path, metavar="FILE", help="frames to look at: .npy of (n, 104) V, or the end of a .mcap"
+    )
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
     parser.add_argument("--bundle", type=Path, help="bundle that knows healthy frames (default: the shipped one)")
@@ -65,7 +67,10 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     if arrays is None:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
-    if arguments.recorded is not None:
+    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
+        recording, own = _of_recording(arguments)
+        reference = reference or own
+    elif arguments.recorded is not None:
         recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
     else:
         recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
@@ -76,6 +81,28 @@ def _electrodes(arguments: argparse.Namespace) -> int:
         for line in electrode_checkup.lines(found):
             say(line)
     return 0
+
+
+def _of_recording(arguments: argparse.Namespace) -> tuple[Any, Any]:
+    """Return the last seconds of a recording, and its reference."""
+    from eitskin.diagnostics.electrode_checkup import Recording
+    from eitskin_tools.command_line.needs import require
+
+    require("a recording", ("mcap",))
+    from eitskin.errors import BadReference
+    from eitskin.health.electrodes import WINDOW
+    from eitskin_tools.recording.bundles import reference_of
+    from eitskin_tools.recording.convert.table import table_of
+    from eitskin_tools.recording.script import Script
+
+    script = Script(files.find(arguments.recorded, files.RECORDING))
+    found = table_of(script, max(script.seconds - arguments.seconds, 0.0))
+    if len(found.voltages_V) < WINDOW:
+        raise BadReference(
+            f"{script.path}: {len(found.voltages_V)} frames to look at, expected {WINDOW}; see --seconds"
+        )
+    reference = reference_of(script, script.reference())
+    return Recording(found.voltages_V, None, script.hello.volts_per_count), reference
 
 
 def _configuration(port: str, baud: int) -> dict[str, Any]:

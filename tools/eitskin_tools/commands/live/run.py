@@ -34,7 +34,11 @@ SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--port", required=True, help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument("--port", help="serial port of the skin, or usb:SERIAL")
+    parser.add_argument(
+        "--config", type=Path, metavar="FILE.toml", help="several skins instead of one, as a robot.toml lists them"
+    )
+    parser.add_argument("--check", action="store_true", help="with --config: look at the file and what it names, only")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
     parser.add_argument(
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
@@ -86,6 +90,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
+    if arguments.config is not None:
+        from eitskin_tools.robot.command import run_all
+
+        return run_all(arguments, add_arguments)
     # Until there is something to close, Ctrl-C ends it as SIGTERM does: at once, and not amid some module's import.
     signal.signal(signal.SIGINT, signal.SIG_DFL)
     log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
@@ -222,6 +230,10 @@ def _serve(
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    if (arguments.port is None) == (arguments.config is None):
+        raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
+    if arguments.check and arguments.config is None:
+        raise UsageError("--check goes with --config: it looks at a robot.toml")
     bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
     for name, least in bounds.items():
         value = getattr(arguments, name)

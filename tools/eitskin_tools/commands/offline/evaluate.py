@@ -23,7 +23,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
     what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
     what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
-    what.add_argument("--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md)")
+    what.add_argument(
+        "--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md), or FILE.mcap"
+    )
     what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
     what.add_argument(
         "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
@@ -31,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         default="vd2t",
-        help="vd2t, vd2t-int8, tikhonov, l1 or sbl; the last three take the grid of the phantoms' labels, or the one "
-        "that -pixels or -units names (default: vd2t)",
+        help="vd2t, vd2t-int8, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three take the grid "
+        "of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
     )
     parser.add_argument(
         "--all",

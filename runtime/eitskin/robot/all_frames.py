@@ -1,0 +1,243 @@
+"""``for one in eitskin.subscribe_all(): one.skin, one.frame, one.touches``: the frames of all skins of a robot.
+
+Each skin is a subscription of its own; one poll waits for all of them. Whoever has frames waiting gets its turn in
+order, so a fast skin starves no slow one. In mode ``latest`` each turn takes the newest frame of its skin.
+
+A skin that falls silent is named by an error, and the others go on when the iterator is asked again.
+"""
+
+import math
+import time
+from collections import deque
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Self
+
+import zmq
+
+from eitskin.errors import RobotError, SilentSkin, StaleFrame
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.frame import Frame
+from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.subscription import FIRST_FRAME_S, Subscription
+from eitskin.robot.config import RobotSkin
+from eitskin.robot.described import Source, robot_skins
+from eitskin.robot.pose import Pose
+from eitskin.touches.touch import Touch
+
+LOOK_MS = 1000
+"""How often a connection that may be dead is looked at."""
+
+
+@dataclass(frozen=True, slots=True)
+class SkinFrame:
+    """A frame of one of several skins.
+
+    Attributes:
+        skin: Its name.
+        frame: As :func:`eitskin.subscribe` gives it.
+        pose: Where the skin sits on the robot.
+    """
+
+    skin: str
+    frame: Frame
+    pose: Pose
+
+    @property
+    def touches(self) -> tuple[Touch, ...]:
+        """The frame's touches, their places and normals in the robot's frame; they must have been asked for."""
+        return tuple(self.pose.touch(touch) for touch in self.frame.touches)
+
+
+class _Polled(Subscription):
+    """A subscription that somebody else waits for."""
+
+    def __init__(self, endpoint: str, **options: Any) -> None:
+        super().__init__(endpoint, **options)
+        self.socket.setsockopt(zmq.RCVTIMEO, 0)
+
+    @property
+    def socket(self) -> Any:
+        """To be polled."""
+        return self._socket
+
+    def taken(self) -> Frame | None:
+        """Return the frame that waits; None if none does, or what waited is none."""
+        try:
+            return self._take()
+        except zmq.Again:
+            return None
+
+    def look(self) -> None:
+        """Connect anew where the connection was lost for good."""
+        self._look_at_connection()
+
+
+class RobotSubscription:
+    """Open subscriptions to all skins of a robot; iterate it, leave it with ``close`` or as a context manager.
+
+    Args:
+        source: See :func:`subscribe_all`, as for all else.
+        mode: ``latest`` or ``all``.
+        timeout_s: Longest silence of each skin.
+        max_age_s: Oldest frame that is good enough.
+        touches: Each frame has its list of touches.
+        maps: False for touches alone.
+        keys: CURVE keys, of all skins or by name.
+
+    Raises:
+        RobotError: There are no skins, or the file is wrong.
+        ValueError: A bound is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of an endpoint.
+    """
+
+    def __init__(
+        self,
+        source: Source = None,
+        mode: str = "latest",
+        *,
+        timeout_s: float | None = None,
+        max_age_s: float | None = None,
+        touches: bool = False,
+        maps: bool = True,
+        keys: ClientKeys | Mapping[str, ClientKeys] | None = None,
+    ) -> None:
+        self.skins: dict[str, RobotSkin] = {one.name: one for one in robot_skins(source)}
+        """By name, in the robot's order."""
+        for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
+            if value is not None and not value > 0:
+                raise ValueError(f"{name} is {value}, expected more than 0")
+        if isinstance(keys, Mapping) and (strange := sorted(set(keys) - set(self.skins))):
+            raise RobotError(f"keys are for {', '.join(strange)}, expected names of {', '.join(self.skins)}")
+        self._first_s = FIRST_FRAME_S if timeout_s is None else timeout_s
+        self._timeout_s = math.inf if timeout_s is None else timeout_s
+        self._max_age_s = max_age_s
+        self._subscriptions: dict[str, _Polled] = {}
+        self._poller = zmq.Poller()
+        self._turns: deque[str] = deque()
+        self._by_socket: dict[Any, str] = {}
+        try:
+            for name, one in self.skins.items():
+                own = keys.get(name) if isinstance(keys, Mapping) else keys
+                found = _Polled(one.publish, mode=mode, touches=touches, maps=maps, keys=own)
+                self._subscriptions[name] = found
+                self._by_socket[found.socket] = name
+                self._poller.register(found.socket, zmq.POLLIN)
+        except BaseException:
+            self.close()
+            raise
+        now_s = time.monotonic()
+        self._heard_s = dict.fromkeys(self.skins, now_s)
+        self._due_s = dict.fromkeys(self.skins, now_s + self._first_s)
+
+    @property
+    def received(self) -> dict[str, int]:
+        """Frames taken so far, by skin."""
+        return {name: one.received for name, one in self._subscriptions.items()}
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """Frames published but not taken, by skin; in mode ``latest`` that is intended."""
+        return {name: one.lost for name, one in self._subscriptions.items()}
+
+    def silent_s(self) -> dict[str, float]:
+        """Return how long nothing has come, by skin; since the start where nothing ever has."""
+        now_s = time.monotonic()
+        return {name: now_s - heard_s for name, heard_s in self._heard_s.items()}
+
+    def next_frame(self) -> SkinFrame:
+        """Return the next frame of any skin, waiting for it.
+
+        Raises:
+            SilentSkin: One of the skins has sent nothing for too long; its ``skin`` says which, the text why. Asked
+                again, the others go on, and the silent one is named again after as long.
+            StaleFrame: A frame came, but is older than ``max_age_s``.
+        """
+        while True:
+            self._raise_if_silent()
+            if not self._turns:
+                self._wait()
+                continue
+            name = self._turns.popleft()
+            if (frame := self._subscriptions[name].taken()) is None:
+                continue
+            self._heard_s[name] = now_s = time.monotonic()
+            self._due_s[name] = now_s + self._timeout_s
+            if self._max_age_s is not None and (age_s := frame.age_s) > self._max_age_s:
+                raise StaleFrame(
+                    f"the newest frame of skin {name} is {age_s:.3f} s old, expected at most {self._max_age_s:g} s"
+                )
+            return SkinFrame(name, frame, self.skins[name].pose)
+
+    def _wait(self) -> None:
+        left_ms = (min(self._due_s.values()) - time.monotonic()) * 1000
+        ready = self._poller.poll(int(max(0, min(left_ms + 1, LOOK_MS))))
+        self._turns.extend(self._by_socket[socket] for socket, _ in ready)
+        if not ready:
+            for one in self._subscriptions.values():
+                one.look()
+
+    def _raise_if_silent(self) -> None:
+        now_s = time.monotonic()
+        late = min(self._due_s, key=self._due_s.__getitem__)
+        if now_s < self._due_s[late] or late in self._turns:
+            return
+        for name in (name for name in self.skins if name not in self._turns and now_s >= self._due_s[name]):
+            if self._subscriptions[name].socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
+                self._turns.append(name)  # it was us who did not ask
+                continue
+            allowed_s = self._timeout_s if self._subscriptions[name].received else self._first_s
+            self._due_s[name] = now_s + allowed_s
+            endpoint = self.skins[name].publish
+            why = explain_silence(endpoint, allowed_s)
+            raise SilentSkin(name, f"no frame of skin {name} from {endpoint} within {allowed_s:g} s: {why}")
+
+    __next__ = next_frame
+
+    def __iter__(self) -> Self:
+        return self
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Give the sockets back; closing twice is fine."""
+        for one in self._subscriptions.values():
+            one.close()
+
+
+def subscribe_all(
+    source: Source = None,
+    mode: str = "latest",
+    *,
+    timeout_s: float | None = None,
+    max_age_s: float | None = None,
+    touches: bool = False,
+    maps: bool = True,
+    keys: ClientKeys | Mapping[str, ClientKeys] | None = None,
+) -> RobotSubscription:
+    """Return open subscriptions to the frames of all skins of a robot, to be iterated.
+
+    Args:
+        source: Path of the robot.toml, or the folder in which ``eitskin run --config`` runs; None takes the folder that
+            it uses unless told otherwise.
+        mode: ``latest`` for a control loop, ``all`` for a recorder.
+        timeout_s: How long each skin may send nothing before :class:`eitskin.SilentSkin`, which names it. None gives
+            the first frame of each 5 s, and then goes on for ever; ``math.inf`` waits for ever from the start.
+        max_age_s: Oldest frame that is good enough; an older one raises :class:`eitskin.StaleFrame`.
+        touches: Each frame has its list of touches; ``one.touches`` has them in the robot's frame.
+        maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
+        keys: CURVE keys for TCP beyond loopback: one for all skins, or by name.
+
+    Raises:
+        RobotError: There are no skins, or the file is wrong.
+        OSError: There is no such file.
+        ValueError: A bound is not positive, or the mode does not exist.
+        EndpointError: ZeroMQ cannot make sense of an endpoint.
+    """
+    return RobotSubscription(
+        source, mode, timeout_s=timeout_s, max_age_s=max_age_s, touches=touches, maps=maps, keys=keys
+    )

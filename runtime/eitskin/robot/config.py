@@ -1,0 +1,273 @@
+"""``robot.toml``: the skins of a robot, each with its port, its files, where it publishes and where it sits.
+
+::
+
+    format = "eitskin-robot"
+    version = 1
+    folder = "/run/eitskin"          # of sockets; left out: the runtime folder of whoever runs it
+
+    [[skins]]
+    name = "left-arm"                # ipc://FOLDER/left-arm/frames and .../control, unless publish and control say else
+    port = "/dev/serial/by-id/..."   # or usb:SERIAL
+    reference = "left-flat.json"     # paths are relative to this file
+    [skins.pose]
+    translation_mm = [0, 120, 340]
+    quaternion_wxyz = [1, 0, 0, 0]
+    [skins.realtime]
+    affinity = [2]
+
+An unknown key is an error; what is left out has the default of ``eitskin run``. A program that subscribes reads the
+same file: nothing that it names has to be there but the endpoints.
+"""
+
+import os
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin.errors import EndpointError, RobotError
+from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
+from eitskin.robot.pose import Pose
+from eitskin.robot.values import Table
+from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.reading import parse_toml, read_text
+
+FORMAT: Final = "eitskin-robot"
+VERSION: Final = 1
+
+LARGEST: Final = 64 << 10
+"""Bytes of the file."""
+
+MOST: Final = 64
+"""Skins of a robot."""
+
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,31}")
+"""Of a skin: fit for a file's name, for a unit of systemd and for a line of a log."""
+
+USB: Final = "usb:"
+"""How the names of USB devices begin; alone it takes any."""
+
+TAKEN: Final = (FRAMES, CONTROL, "robot")
+"""Names that mean something else in the folder."""
+
+RESTARTS: Final = ("never", "on-failure", "always")
+"""When a skin's process that ended is started again."""
+
+SHIPPED_SKINS: Final = ("paper", "hydrogel", "lab")
+"""Descriptions that are named and not looked for."""
+
+
+@dataclass(frozen=True, slots=True)
+class Realtime:
+    """Settings of a skin's process, as the options of ``eitskin run`` with these names."""
+
+    sched_fifo: int | None = None
+    affinity: tuple[int, ...] = ()
+    mlock: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class RobotSkin:
+    """What a subscriber needs of one skin.
+
+    Attributes:
+        name: Of the skin.
+        publish: Endpoint of its frames.
+        control: Endpoint of its control requests.
+        pose: Where it sits on the robot.
+    """
+
+    name: str
+    publish: str
+    control: str
+    pose: Pose = field(default_factory=Pose)
+
+
+@dataclass(frozen=True, slots=True)
+class SkinSettings:
+    """One skin of the file; None is the default of ``eitskin run``."""
+
+    skin: RobotSkin
+    port: str
+    baud: int | None = None
+    bundle: Path | None = None
+    description: Path | None = None
+    """``skin`` in the file."""
+    touches: str | None = None
+    reference: Path | None = None
+    reference_frames: int | None = None
+    curve_keys: Path | None = None
+    solver: str | None = None
+    budget_ms: float | None = None
+    every_map: bool = False
+    idle_after_s: float | None = None
+    exclude_electrodes: tuple[int, ...] = ()
+    compensate_drift: bool | None = None
+    reconnect_s: float | None = None
+    restart: str = "never"
+    realtime: Realtime = field(default_factory=Realtime)
+
+    @property
+    def name(self) -> str:
+        """Of the skin."""
+        return self.skin.name
+
+
+@dataclass(frozen=True, slots=True)
+class Robot:
+    """The whole file.
+
+    Attributes:
+        folder: Where sockets lie by default, and what is known of the skins while they run.
+        skins: In the file's order.
+    """
+
+    folder: Path
+    skins: tuple[SkinSettings, ...]
+
+
+def load_robot(path: str | Path) -> Robot:
+    """Return what a robot.toml says; whether its files are there is not looked at.
+
+    Raises:
+        RobotError: The content is wrong: not TOML, an unknown key, a wrong value, two skins with one name, port or
+            endpoint; the text names file, skin and key.
+        OSError: There is no such file.
+    """
+    where = Path(path)
+    try:
+        return _robot(Table(parse_toml(read_text(where, LARGEST)), "the head of the file"), where.absolute().parent)
+    except ValueError as error:
+        text = str(error)
+        raise RobotError(text if text.startswith(str(where)) else f"{where}: {text}") from error
+
+
+def _robot(table: Table, beside: Path) -> Robot:
+    if table.text("format") != FORMAT or table.whole("version", 0, 1 << 20) != VERSION:
+        raise ValueError(f"expected format = {FORMAT!r} and version = {VERSION}: is it a robot's list of skins?")
+    stated = table.path("folder", beside)
+    listed = table.take("skins")
+    table.end()
+    if not isinstance(listed, list) or not listed or not all(isinstance(one, dict) for one in listed):
+        raise ValueError(f"skins is {quoted(listed)}, expected one table [[skins]] for each skin, and at least one")
+    if len(listed) > MOST:
+        raise ValueError(f"there are {len(listed)} skins, expected at most {MOST}")
+    folder = runtime_folder() if stated is None else stated
+    skins = tuple(_skin(Table(one, f"skins[{index}]"), folder, beside) for index, one in enumerate(listed))
+    _check_distinct(skins)
+    return Robot(folder, skins)
+
+
+def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
+    name = table.text("name")
+    if name is None or NAME.fullmatch(name) is None or name.lower() in TAKEN:
+        raise ValueError(
+            f"{table.where} name is {quoted(name)}, expected letters, digits, - and _, at most 32, not beginning with "
+            f"- or _, and none of {', '.join(TAKEN)}: it names a folder"
+        )
+    table.where = f"skin {name}"
+    port = table.text("port")
+    if not port or plain(port) != port:
+        raise ValueError(f"skin {name} port is {quoted(port)}, expected a serial port's path or usb:SERIAL")
+    curve_keys = table.path("curve_keys", beside)
+    publish = _endpoint(table, "publish", folder / name / FRAMES, keys=curve_keys is not None)
+    control = _endpoint(table, "control", folder / name / CONTROL, keys=curve_keys is not None)
+    description = table.text("skin")
+    restart = table.one_of("restart", RESTARTS) or "never"
+    reference = table.path("reference", beside)
+    if restart != "never" and reference is None:
+        raise ValueError(
+            f"skin {name} restart is {restart!r} without a reference: who starts again by itself cannot know that the "
+            "sheet is flat and untouched; capture one with 'eitskin reference', and name it"
+        )
+    found = SkinSettings(
+        skin=RobotSkin(name, publish, control, _pose(table)),
+        port=port,
+        baud=table.whole("baud", 300, 1 << 30),
+        bundle=table.path("bundle", beside),
+        description=Path(description) if description in SHIPPED_SKINS else _beside(description, beside),
+        touches=table.one_of("touches", ("lower", "raise")),
+        reference=reference,
+        reference_frames=table.whole("reference_frames", 2, 10_000),
+        curve_keys=curve_keys,
+        solver=table.one_of("solver", ("vd2t", "vd2t-int8", "tikhonov")),
+        budget_ms=table.number("budget_ms"),
+        every_map=table.truth("every_map") or False,
+        idle_after_s=table.number("idle_after_s"),
+        exclude_electrodes=table.wholes("exclude_electrodes", 15),
+        compensate_drift=table.truth("compensate_drift"),
+        reconnect_s=table.number("reconnect_s"),
+        restart=restart,
+        realtime=_realtime(table),
+    )
+    table.end()
+    return found
+
+
+def _beside(value: str | None, beside: Path) -> Path | None:
+    return None if value is None else beside / Path(value).expanduser()
+
+
+def _endpoint(table: Table, key: str, default: Path, *, keys: bool) -> str:
+    """Return an endpoint that can be bound and that a subscriber can know."""
+    endpoint = table.text(key) or f"ipc://{default}"
+    try:
+        if needs_keys(endpoint, control=key == "control") and not keys:
+            raise ValueError(f"{table.where} {key} is {endpoint}, which others may reach: it needs curve_keys")
+    except EndpointError as error:
+        raise ValueError(f"{table.where} {key}: {error}") from error
+    if endpoint.endswith(":*"):
+        raise ValueError(f"{table.where} {key} is {quoted(endpoint)}, expected a port that subscribers can know")
+    return endpoint
+
+
+def _pose(table: Table) -> Pose:
+    inner = table.table("pose")
+    if inner is None:
+        return Pose()
+    given: dict[str, Any] = {key: inner.take(key) for key in ("rotation", "quaternion_wxyz", "quaternion_xyzw")}
+    translation = inner.take("translation_mm")
+    inner.end()
+    stated = [key for key, value in given.items() if value is not None]
+    if len(stated) > 1:
+        raise ValueError(f"{inner.where} has {' and '.join(stated)}, expected one of them")
+    quaternion = given["quaternion_wxyz"]
+    if isinstance(last := given["quaternion_xyzw"], list) and len(last) == 4:
+        quaternion = [last[3], *last[:3]]
+    elif last is not None:
+        quaternion = last  # and refused with what it is
+    try:
+        return Pose.of(
+            rotation=given["rotation"],
+            quaternion_wxyz=quaternion,
+            translation_mm=[0.0, 0.0, 0.0] if translation is None else translation,
+        )
+    except ValueError as error:
+        raise ValueError(f"{inner.where} {error}") from error
+
+
+def _realtime(table: Table) -> Realtime:
+    inner = table.table("realtime")
+    if inner is None:
+        return Realtime()
+    found = Realtime(inner.whole("sched_fifo", 1, 99), inner.wholes("affinity", 4095), inner.truth("mlock") or False)
+    inner.end()
+    return found
+
+
+def _check_distinct(skins: tuple[SkinSettings, ...]) -> None:
+    """Raise ValueError where two skins would get into each other's way."""
+    seen: dict[tuple[str, str], str] = {}
+    for one in skins:
+        port = one.port if one.port.startswith(USB) else os.path.realpath(one.port)
+        own = (
+            ("name", one.name.lower()), ("port", port), ("endpoint", one.skin.publish), ("endpoint", one.skin.control),
+        )  # fmt: skip
+        for key in own:
+            if key in seen:
+                raise ValueError(f"skins {seen[key]} and {one.name} have one {key[0]}, {key[1]}; expected one each")
+            seen[key] = one.name
+    usb = [one for one in skins if one.port.startswith(USB)]
+    if len(usb) > 1 and (anyone := next((one.name for one in usb if one.port == USB), None)):
+        raise ValueError(f"skin {anyone} port is {USB!r}, which takes any; expected usb:SERIAL beside other USB skins")

@@ -1,0 +1,148 @@
+"""``robot.json``: what ``eitskin run --config`` tells, in its folder, of the skins that it runs.
+
+The parent writes it whole, whenever a process starts, is ready or ends. A program that knows the folder finds names,
+endpoints and poses in it; it needs no robot.toml::
+
+    {"format": "eitskin-robot-state", "version": 1, "pid": 4711,
+     "skins": [{"name": "left-arm", "publish": "ipc://...", "control": "ipc://...", "rotation": [[...]],
+                "translation_mm": [...], "state": "ready", "pid": 4712, "restarts": 0, "why": ""}]}
+"""
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin.errors import EndpointError, RobotError
+from eitskin.messaging.endpoints import needs_keys, runtime_folders
+from eitskin.robot.config import MOST, NAME, Robot, RobotSkin, load_robot
+from eitskin.robot.pose import Pose
+from eitskin_proto.files.plain import plain
+from eitskin_proto.files.reading import is_whole, read_json
+from eitskin_proto.files.writing import write_bytes
+
+FORMAT: Final = "eitskin-robot-state"
+VERSION: Final = 1
+
+FILE: Final = "robot.json"
+"""In the folder."""
+
+LARGEST: Final = 256 << 10
+"""Bytes of the file."""
+
+STATES: Final = ("starting", "ready", "waiting", "failed", "ended")
+"""Of a skin's process; waiting is for the next start."""
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessState:
+    """One skin, and how its process is.
+
+    Attributes:
+        skin: Name, endpoints and pose.
+        state: One of ``STATES``; empty where only a robot.toml was read.
+        pid: Of its process; 0 for none.
+        restarts: How often it was started again.
+        why: It ended the last time, in a line; empty if it never has.
+    """
+
+    skin: RobotSkin
+    state: str = ""
+    pid: int = 0
+    restarts: int = 0
+    why: str = ""
+
+
+def write_states(folder: Path, pid: int, states: Sequence[ProcessState]) -> None:
+    """Write the file whole.
+
+    Raises:
+        OSError: It cannot be written.
+    """
+    skins = [
+        {
+            "name": one.skin.name, "publish": one.skin.publish, "control": one.skin.control, **one.skin.pose.fields(),
+            "state": one.state, "pid": one.pid, "restarts": one.restarts, "why": one.why,
+        }
+        for one in states
+    ]  # fmt: skip
+    content = {"format": FORMAT, "version": VERSION, "pid": pid, "skins": skins}
+    write_bytes(folder / FILE, (json.dumps(content) + "\n").encode(), 0o600)
+
+
+def read_states(folder: Path) -> tuple[ProcessState, ...]:
+    """Return the skins of a folder in which ``eitskin run --config`` runs, or ran.
+
+    Raises:
+        RobotError: There is no robot.json, or it is malformed.
+    """
+    path = folder / FILE
+    try:
+        found = read_json(path, LARGEST)
+    except FileNotFoundError:
+        raise RobotError(
+            f"no {path}: nobody runs skins there; start them with 'eitskin run --config robot.toml', or name the "
+            "robot.toml"
+        ) from None
+    except (OSError, ValueError) as error:
+        raise RobotError(f"{path} cannot be read: {error}") from error
+    try:
+        return _states(found)
+    except (KeyError, TypeError, ValueError, EndpointError) as error:
+        raise RobotError(f"{path} is not what this version writes ({error}); use the runtime's release") from error
+
+
+def _states(found: Any) -> tuple[ProcessState, ...]:
+    if (found["format"], found["version"]) != (FORMAT, VERSION):
+        raise ValueError(f"expected {FORMAT} version {VERSION}")
+    if not 1 <= len(found["skins"]) <= MOST:
+        raise ValueError("number of skins")
+    return tuple(_state(one) for one in found["skins"])
+
+
+def _state(one: Any) -> ProcessState:
+    if not isinstance(one["name"], str) or NAME.fullmatch(one["name"]) is None or one["state"] not in STATES:
+        raise ValueError("name or state")
+    for key in ("publish", "control"):
+        if not isinstance(one[key], str):
+            raise ValueError(key)
+        needs_keys(one[key], control=key == "control")
+    if not is_whole(one["pid"]) or not is_whole(one["restarts"]):
+        raise ValueError("pid or restarts")
+    pose = Pose.of(rotation=one["rotation"], translation_mm=one["translation_mm"])
+    skin = RobotSkin(one["name"], one["publish"], one["control"], pose)
+    return ProcessState(skin, one["state"], one["pid"], one["restarts"], plain(str(one["why"])))
+
+
+Source = str | Path | Robot | None
+"""A robot.toml, a folder in which ``eitskin run --config`` runs, what was loaded; None for the default folder."""
+
+
+def states_of(source: Source = None) -> tuple[ProcessState, ...]:
+    """Return the skins of a robot, in its own order, and how their processes are where that is known.
+
+    Raises:
+        RobotError: There are none, or the file is wrong.
+        OSError: There is no such file.
+    """
+    if isinstance(source, Robot):
+        return tuple(ProcessState(one.skin) for one in source.skins)
+    if source is None:
+        folders = runtime_folders()
+        return read_states(next((one for one in folders if (one / FILE).exists()), folders[0]))
+    path = Path(source)
+    return read_states(path) if path.is_dir() else states_of(load_robot(path))
+
+
+def robot_skins(source: Source = None) -> tuple[RobotSkin, ...]:
+    """Return names, endpoints and poses of a robot's skins, in its own order.
+
+    Args:
+        source: Path of a robot.toml, or the folder in which ``eitskin run --config`` runs; None for its default one.
+
+    Raises:
+        RobotError: There are none, or the file is wrong.
+        OSError: There is no such file.
+    """
+    return tuple(one.skin for one in states_of(source))

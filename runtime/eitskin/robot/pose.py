@@ -1,0 +1,178 @@
+"""Where a skin sits on a robot: the rotation and the translation that take its places into the robot's frame.
+
+::
+
+    place in the robot's frame = rotation x place of the skin + translation_mm
+
+The skin's own frame is that of its cloud: x, y and z as the measured points have them, and the flat sheet's, with
+z = 0, where no cloud was given. Directions are rotated and not moved.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Final, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.touches.touch import Touch
+
+Array = npt.NDArray[np.float64]
+
+NEARLY: Final = 2e-3
+"""How far from a rotation a matrix or a quaternion may be that was written with three digits."""
+
+FARTHEST_MM: Final = 1e6
+"""A kilometre: whoever says more means another unit."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Pose:
+    """A rotation and a translation; equal when their numbers are.
+
+    Attributes:
+        rotation: (3, 3), orthonormal and right-handed; its columns are the skin's axes in the robot's frame.
+        translation_mm: (3,), where the skin's origin lies in the robot's frame.
+    """
+
+    rotation: Array = field(default_factory=lambda: np.eye(3))
+    translation_mm: Array = field(default_factory=lambda: np.zeros(3))
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        rotation: Sequence[Sequence[float]] | None = None,
+        quaternion_wxyz: Sequence[float] | None = None,
+        translation_mm: Sequence[float] = (0.0, 0.0, 0.0),
+    ) -> Self:
+        """Return a pose of numbers that people wrote; what is nearly a rotation is made exactly one.
+
+        Args:
+            rotation: (3, 3), rows first.
+            quaternion_wxyz: (4,) of length 1, the real part first; neither of the two is no rotation.
+            translation_mm: (3,) mm.
+
+        Raises:
+            ValueError: Both are given, or one is no rotation, or not finite; with what was found.
+        """
+        moved = _numbers(translation_mm, (3,), "translation_mm")
+        if np.abs(moved).max() > FARTHEST_MM:
+            raise ValueError(f"translation_mm is up to {np.abs(moved).max():g}, expected mm of at most {FARTHEST_MM:g}")
+        if rotation is not None and quaternion_wxyz is not None:
+            raise ValueError("rotation and quaternion are both given, expected one of them")
+        turned = np.eye(3)
+        if quaternion_wxyz is not None:
+            turned = _of_quaternion(_numbers(quaternion_wxyz, (4,), "quaternion"))
+        elif rotation is not None:
+            turned = _nearest(_numbers(rotation, (3, 3), "rotation"))
+        for values in (turned, moved):
+            values.flags.writeable = False
+        return cls(turned, moved)
+
+    @property
+    def quaternion_wxyz(self) -> tuple[float, float, float, float]:
+        """The rotation as a quaternion, the real part first and not negative."""
+        r = self.rotation
+        # of the four equal ways the one that divides by the largest number
+        squares = np.array([1 + r[0, 0] + r[1, 1] + r[2, 2], 1 + r[0, 0] - r[1, 1] - r[2, 2],
+                            1 - r[0, 0] + r[1, 1] - r[2, 2], 1 - r[0, 0] - r[1, 1] + r[2, 2]])  # fmt: skip
+        rows = {
+            0: [squares[0], r[2, 1] - r[1, 2], r[0, 2] - r[2, 0], r[1, 0] - r[0, 1]],
+            1: [r[2, 1] - r[1, 2], squares[1], r[0, 1] + r[1, 0], r[0, 2] + r[2, 0]],
+            2: [r[0, 2] - r[2, 0], r[0, 1] + r[1, 0], squares[2], r[1, 2] + r[2, 1]],
+            3: [r[1, 0] - r[0, 1], r[0, 2] + r[2, 0], r[1, 2] + r[2, 1], squares[3]],
+        }
+        found = np.array(rows[int(squares.argmax())])
+        w, x, y, z = (found / np.linalg.norm(found) * (-1.0 if found[0] < 0.0 else 1.0)).tolist()
+        return w, x, y, z
+
+    @property
+    def matrix(self) -> Array:
+        """The same as a (4, 4) matrix for homogeneous places in mm."""
+        found = np.eye(4)
+        found[:3, :3], found[:3, 3] = self.rotation, self.translation_mm
+        return found
+
+    def place(self, places_mm: npt.ArrayLike) -> Array:
+        """Return places in the robot's frame.
+
+        Args:
+            places_mm: (..., 3) of the skin.
+        """
+        return np.asarray(np.asarray(places_mm, dtype=np.float64) @ self.rotation.T + self.translation_mm)
+
+    def direction(self, directions: npt.ArrayLike) -> Array:
+        """Return directions in the robot's frame.
+
+        Args:
+            directions: (..., 3) of the skin, such as normals.
+        """
+        return np.asarray(np.asarray(directions, dtype=np.float64) @ self.rotation.T)
+
+    def touch(self, touch: Touch) -> Touch:
+        """Return a touch whose place and normal are in the robot's frame; all else stays."""
+        x, y, z = self.place(touch.place_mm).tolist()
+        nx, ny, nz = self.direction(touch.normal).tolist()
+        return replace(touch, place_mm=(x, y, z), normal=(nx, ny, nz))
+
+    def fields(self) -> dict[str, object]:
+        """Return it as plain lists, which :meth:`of` takes."""
+        return {"rotation": self.rotation.tolist(), "translation_mm": self.translation_mm.tolist()}
+
+    def __eq__(self, other: object) -> bool:
+        if not isinstance(other, Pose):
+            return NotImplemented
+        return bool(np.array_equal(self.matrix, other.matrix))
+
+    def __hash__(self) -> int:
+        return hash(self.matrix.tobytes())
+
+    def __str__(self) -> str:
+        """Return one line: where the origin lies, and how it is turned."""
+        x, y, z = self.translation_mm.tolist()
+        quaternion = " ".join(f"{part:.3f}" for part in self.quaternion_wxyz)
+        return f"at {x:g} {y:g} {z:g} mm, turned by {quaternion} (w x y z)"
+
+
+def _numbers(values: object, shape: tuple[int, ...], name: str) -> Array:
+    expected = f"{name}: expected {' x '.join(map(str, shape))} finite numbers"
+    try:
+        found = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError, OverflowError):
+        raise ValueError(f"{expected}, found something else") from None
+    if found.shape != shape:
+        raise ValueError(f"{expected}, found {' x '.join(map(str, found.shape)) or 'one'}")
+    if not np.isfinite(found).all():
+        raise ValueError(f"{expected}, found one that is not")
+    return found
+
+
+def _of_quaternion(values: Array) -> Array:
+    length = float(np.sqrt(values @ values))
+    if abs(length - 1.0) > NEARLY:
+        raise ValueError(f"quaternion has the length {length:.4g}, expected 1: it is no rotation")
+    w, x, y, z = (values / length).tolist()
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def _nearest(matrix: Array) -> Array:
+    """Return the rotation nearest to a matrix that nearly is one."""
+    if np.abs(matrix).max() > 1.0 + NEARLY:
+        raise ValueError(f"rotation has an entry of {np.abs(matrix).max():g}, expected -1 to 1: it is no rotation")
+    off = float(np.abs(matrix @ matrix.T - np.eye(3)).max())
+    if off > NEARLY:
+        raise ValueError(
+            f"rotation times its transpose is off the unit matrix by {off:.3g}, expected at most {NEARLY:g}: "
+            "it is no rotation"
+        )
+    if np.linalg.det(matrix) < 0.0:
+        raise ValueError("rotation has the determinant -1, expected +1: it is a mirror, and no rotation")
+    left, _, right = np.linalg.svd(matrix)
+    return np.asarray(left @ right)

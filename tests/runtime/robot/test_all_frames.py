@@ -1,0 +1,189 @@
+"""Frames of several skins in one iterator: by name, in turn, newest or all; a silent one is named, the others go on."""
+
+import time
+from contextlib import ExitStack
+
+import numpy as np
+import pytest
+
+import eitskin
+from eitskin.errors import RobotError, SilentSkin, StaleFrame
+from eitskin.messaging.frame_packer import FramePacker
+from eitskin.messaging.publish import Publisher
+from eitskin.touches.surface import Surface
+from eitskin.touches.watch import TouchWatch
+from eitskin_proto.skin.skin import PAPER
+
+GRID = PAPER.grid
+PATIENCE_S = 60.0
+
+
+class Published:
+    """A skin that publishes when it is told to."""
+
+    def __init__(self, folder, name):
+        (folder / name).mkdir()
+        self.publisher = Publisher(f"ipc://{folder}/{name}/frames")
+        self.packer = FramePacker(configuration="p/1", bundle="b", serial_number=name, run="r", shape=GRID.shape)
+        self.packer.put_texts("vd2t", (), ())
+        self.number = 0
+
+    def send(self, count=1, age_us=100):
+        for _ in range(count):
+            self.number += 1
+            for key, value in (("n", self.number), ("seq", self.number), ("age_us", age_us)):
+                self.packer.put(key, value)
+            self.packer.put("publish", time.perf_counter_ns())
+            self.publisher.look()
+            self.publisher.send(self.packer.message())
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """Two skins that publish, and the path of their robot.toml."""
+    text = f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}"\n'
+    text += '[[skins]]\nname = "left"\nport = "/dev/l"\npose.translation_mm = [100, 0, 0]\n'
+    text += '[[skins]]\nname = "right"\nport = "/dev/r"\npose.rotation = [[-1, 0, 0], [0, -1, 0], [0, 0, 1]]\n'
+    (tmp_path / "robot.toml").write_text(text)
+    skins = {name: Published(tmp_path, name) for name in ("left", "right")}
+    yield tmp_path / "robot.toml", skins
+    for one in skins.values():
+        one.publisher.close()
+
+
+def wait_for(skins, topic=b""):
+    """Wait until each skin has a subscriber."""
+    end = time.monotonic() + PATIENCE_S
+    while not all(one.publisher.topics.get(topic) for one in skins.values()) and time.monotonic() < end:
+        for one in skins.values():
+            one.publisher.look()
+        time.sleep(0.002)
+    assert all(one.publisher.topics.get(topic) for one in skins.values())
+
+
+def test_all_frames_of_all_skins_come_by_name_and_in_order(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S) as frames:
+        wait_for(skins)
+        skins["left"].send(30)
+        skins["right"].send(10)
+        found = [next(frames) for _ in range(40)]
+        assert frames.received == {"left": 30, "right": 10}
+        assert frames.lost == {"left": 0, "right": 0}
+    for name, count in (("left", 30), ("right", 10)):
+        own = [one.frame for one in found if one.skin == name]
+        assert [frame.number for frame in own] == list(range(1, count + 1))
+        assert {frame.serial_number for frame in own} == {name}
+
+
+def test_a_skin_with_many_frames_waiting_takes_turns_with_one_that_has_few(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S) as frames:
+        wait_for(skins)
+        skins["left"].send(200)
+        skins["right"].send(5)
+        waiting = frames._subscriptions["right"].socket
+        for _ in range(5):
+            assert waiting.poll(int(PATIENCE_S * 1000))
+            assert "right" in {next(frames).skin for _ in range(3)}  # at the latest after whose turn it was before
+            if frames.received["right"] == 5:
+                break
+        assert frames.received["right"] == 5
+        assert frames.received["left"] <= 10
+
+
+def test_the_newest_of_each_comes_however_slow_the_loop_is(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, timeout_s=PATIENCE_S) as frames:
+        wait_for(skins)
+        for one in skins.values():
+            one.send(50)
+        newest = {}
+        while set(newest.values()) != {50} or len(newest) < 2:
+            one = next(frames)
+            newest[one.skin] = one.frame.number
+        assert sum(frames.received.values()) < 100
+
+
+def test_touches_come_in_the_frame_of_the_robot(robot):
+    path, skins = robot
+    image = np.zeros(GRID.shape)
+    image[9:12, 19:22] = 1.0
+    packed = TouchWatch(GRID).look(image.ravel(), 1, Surface(GRID.flat_cloud_mm(), GRID), 1_000_000)
+    x, y = 20.5 * 10 / 3, 10.5 * 10 / 3
+    with eitskin.subscribe_all(path, "all", timeout_s=PATIENCE_S, touches=True) as frames:
+        wait_for(skins, b"\xde")
+        for one in skins.values():
+            one.packer.put_touches(packed)
+            one.send()
+        found = {one.skin: one for one in (next(frames), next(frames))}
+    (left,), (right,) = found["left"].touches, found["right"].touches
+    assert left.place_mm == pytest.approx((x + 100.0, y, 0.0), abs=1e-4)
+    assert right.place_mm == pytest.approx((-x, -y, 0.0), abs=1e-4)
+    assert left.normal == pytest.approx((0.0, 0.0, 1.0))
+    assert found["left"].frame.touches[0].place_mm == pytest.approx((x, y, 0.0), abs=1e-4)  # the skin's own
+
+
+def test_a_silent_skin_is_named_and_the_other_goes_on(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, "all", timeout_s=0.5) as frames:
+        wait_for(skins)
+        skins["right"].send()
+        got, silent = set(), {}
+        while "left" not in silent or "right" not in got:
+            try:
+                got.add(next(frames).skin)
+            except SilentSkin as error:
+                silent[error.skin] = str(error)
+                skins["right"].send()
+        assert "left" not in got
+        assert "no frame of skin left from ipc://" in silent["left"]
+        assert "within 0.5 s" in silent["left"]
+        assert frames.silent_s()["left"] > 0.4
+
+
+def test_frames_that_waited_here_are_no_silence(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, "all", timeout_s=0.2) as frames:
+        wait_for(skins)
+        for one in skins.values():
+            one.send(2)
+        sockets = [one.socket for one in frames._subscriptions.values()]
+        assert all(socket.poll(int(PATIENCE_S * 1000)) for socket in sockets)
+        time.sleep(0.3)  # longer than allowed: it is this side that does not ask
+        assert sorted(next(frames).skin for _ in range(4)) == ["left", "left", "right", "right"]
+
+
+def test_a_stale_frame_is_an_error_with_the_name(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, timeout_s=PATIENCE_S, max_age_s=1.0) as frames:
+        wait_for(skins)
+        skins["left"].send(age_us=2_000_000)
+        with pytest.raises(StaleFrame, match="of skin left is 2"):
+            next(frames)
+
+
+@pytest.mark.parametrize("options", [{"timeout_s": 0}, {"max_age_s": -1}, {"mode": "some"}])
+def test_bad_arguments_are_refused(robot, options):
+    with pytest.raises(ValueError, match="expected"):
+        eitskin.subscribe_all(robot[0], **options)
+
+
+def test_keys_of_a_skin_that_there_is_not_are_refused(robot):
+    with pytest.raises(RobotError, match="keys are for middle, expected names of left, right"):
+        eitskin.subscribe_all(robot[0], keys={"middle": None})
+
+
+def test_nobody_there_is_said_within_the_time_and_names_each(tmp_path):
+    (tmp_path / "robot.toml").write_text(
+        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}"\n'
+        '[[skins]]\nname = "a"\nport = "/dev/a"\n[[skins]]\nname = "b"\nport = "/dev/b"\n'
+    )
+    named = set()
+    with ExitStack() as stack:
+        frames = stack.enter_context(eitskin.subscribe_all(tmp_path / "robot.toml", timeout_s=0.2))
+        for _ in range(2):
+            with pytest.raises(SilentSkin, match="there is no such socket") as raised:
+                next(frames)
+            named.add(raised.value.skin)
+    assert named == {"a", "b"}

@@ -1,0 +1,141 @@
+"""robot.toml: what a good one says, and one line for each bad one."""
+
+import pytest
+
+from eitskin.errors import RobotError
+from eitskin.robot.config import load_robot
+from eitskin.robot.described import robot_skins
+
+HEAD = 'format = "eitskin-robot"\nversion = 1\n'
+
+
+@pytest.fixture
+def robot(tmp_path):
+    """Return what writes a robot.toml and loads it."""
+
+    def load(text, head=HEAD + 'folder = "sockets"\n'):
+        path = tmp_path / "robot.toml"
+        path.write_text(head + text)
+        return load_robot(path)
+
+    return load
+
+
+def skin(name="left", port="/dev/ttyACM0", more=""):
+    return f'[[skins]]\nname = "{name}"\nport = "{port}"\n{more}\n'
+
+
+def test_a_whole_file_is_read(robot, tmp_path):
+    more = """
+    bundle = "left.eitskin"
+    skin = "hydrogel"
+    reference = "left.json"
+    touches = "lower"
+    solver = "vd2t-int8"
+    budget_ms = 5
+    every_map = true
+    idle_after_s = 2.5
+    exclude_electrodes = [3, 7]
+    compensate_drift = false
+    reconnect_s = 60
+    restart = "on-failure"
+    [skins.pose]
+    quaternion_xyzw = [0, 0, 1, 0]
+    translation_mm = [1, 2, 3]
+    [skins.realtime]
+    sched_fifo = 50
+    affinity = [0, 1]
+    mlock = true
+    """
+    found = robot(skin(more=more) + skin("right", "usb:SKIN-2", 'publish = "tcp://127.0.0.1:5555"'))
+    left, right = found.skins
+    assert left.skin.publish == f"ipc://{tmp_path}/sockets/left/frames"
+    assert left.skin.control == f"ipc://{tmp_path}/sockets/left/control"
+    assert (left.bundle, left.reference) == (tmp_path / "left.eitskin", tmp_path / "left.json")
+    assert str(left.description) == "hydrogel"
+    assert left.skin.pose.place([1, 0, 0]).tolist() == pytest.approx([0, 2, 3])  # half a turn about z
+    assert (left.realtime.affinity, left.realtime.sched_fifo, left.exclude_electrodes) == ((0, 1), 50, (3, 7))
+    assert (right.skin.publish, right.restart, right.compensate_drift) == ("tcp://127.0.0.1:5555", "never", None)
+
+
+def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
+    robot(skin("a", "/dev/a") + skin("b", "/dev/b", "pose = {translation_mm = [0, 0, 9]}"))
+    a, b = robot_skins(tmp_path / "robot.toml")
+    assert (a.name, b.name) == ("a", "b")
+    assert b.pose.translation_mm.tolist() == [0.0, 0.0, 9.0]
+    assert robot_skins(str(tmp_path / "robot.toml"))[0].publish == a.publish
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("", "at least one"),
+        ("skins = []", "at least one"),
+        ("skins = [1]", "one table"),
+        ("skins = {}", "one table"),
+        (skin() + skin("right"), "skins left and right have one port, /dev/ttyACM0"),
+        (skin() + skin("left", "/dev/b"), "skins left and left have one name, left"),
+        (skin() + skin("LEFT", "/dev/b"), "skins left and LEFT have one name, left"),
+        (
+            skin(more='publish = "ipc:///x"') + skin("b", "/dev/b", 'control = "ipc:///x"'),
+            "left and b have one endpoint",
+        ),
+        (skin(more='publish = "ipc:///x"\ncontrol = "ipc:///x"'), "have one endpoint, ipc:///x"),
+        (skin(port="usb:") + skin("b", "usb:7"), "skin left port is 'usb:', which takes any"),
+        (skin(name="a/b"), "expected letters, digits"),
+        (skin(name=".."), "expected letters, digits"),
+        (skin(name="frames"), "none of frames, control, robot"),
+        (skin(name="x" * 33), "at most 32"),
+        (skin(name="a\\nb"), "expected a text of at most"),
+        ('[[skins]]\nport = "x"', "name is None"),
+        ('[[skins]]\nname = "x"', "skin x port is None"),
+        (skin(more="bundel = 3"), "unknown key 'bundel' in skin left; did you mean 'bundle'"),
+        (skin(more="[skins.pose]\nrotate = 3"), "unknown key 'rotate' in skin left pose; did you mean 'rotation'"),
+        (skin(more="[skins.realtime]\nfifo = 3"), "unknown key 'fifo' in skin left realtime"),
+        (skin(more="pose = 3"), "skin left pose is 3, expected a table"),
+        (skin(more="pose.rotation = [[1,0,0],[0,1,0],[0,0,-1]]"), "skin left pose rotation .* it is a mirror"),
+        (skin(more="pose.rotation = [[1,0,0],[0,1,0],[0,1,1]]"), "skin left pose rotation .* no rotation"),
+        (skin(more="pose.quaternion_wxyz = [1,0,0,0]\npose.quaternion_xyzw = [0,0,0,1]"), "expected one of them"),
+        (skin(more="pose.quaternion_xyzw = [0,0,1]"), "expected 4 finite numbers, found 3"),
+        (skin(more="restart = 'always'"), "restart is 'always' without a reference"),
+        (skin(more="restart = 'sometimes'"), "expected one of never, on-failure, always"),
+        (skin(more="baud = true"), "skin left baud is True"),
+        (skin(more="budget_ms = -1"), "skin left budget_ms is -1, expected a number above 0"),
+        (skin(more="budget_ms = nan"), "expected a number above 0"),
+        (skin(more="exclude_electrodes = [16]"), "whole numbers from 0 to 15"),
+        (skin(more='publish = "tcp://0.0.0.0:5555"'), "which others may reach: it needs curve_keys"),
+        (skin(more='publish = "tcp://127.0.0.1:*"'), "expected a port that subscribers can know"),
+        (skin(more='publish = "left"'), "skin left publish: endpoint 'left': expected ipc:"),
+        (skin(more=f'publish = "ipc:///{"x" * 100}"'), "more than 100 bytes"),
+        ("".join(skin(f"s{k}", f"/dev/{k}") for k in range(65)), "65 skins, expected at most 64"),
+        ("version = 1", "not a TOML file"),
+    ],
+)
+def test_a_bad_file_is_one_line_that_names_it(robot, tmp_path, text, said):
+    with pytest.raises(RobotError, match=said) as raised:
+        robot(text)
+    assert str(raised.value).startswith(f"{tmp_path}/robot.toml")
+    assert "\n" not in str(raised.value)
+
+
+@pytest.mark.parametrize(
+    "head", ["", 'format = "eitskin-skin"\nversion = 1\n', 'format = "eitskin-robot"\nversion = 2\n']
+)
+def test_a_file_of_another_kind_or_version_is_refused(robot, head):
+    with pytest.raises(RobotError, match="is it a robot's list of skins"):
+        robot(skin(), head)
+
+
+def test_one_port_by_two_paths_is_found(robot, tmp_path):
+    (tmp_path / "tty").touch()
+    (tmp_path / "by-id").symlink_to(tmp_path / "tty")
+    with pytest.raises(RobotError, match="one port"):
+        robot(skin("a", f"{tmp_path}/tty") + skin("b", f"{tmp_path}/by-id"))
+
+
+def test_a_file_that_is_missing_too_long_or_no_file_is_said(tmp_path):
+    with pytest.raises(FileNotFoundError):
+        load_robot(tmp_path / "none.toml")
+    (tmp_path / "long.toml").write_text("#" * (1 << 17))
+    with pytest.raises(RobotError, match="longer than"):
+        load_robot(tmp_path / "long.toml")

@@ -1,0 +1,135 @@
+"""The verifier off the unit grid: it finds what was drawn, says how sure it is, and more time does no harm."""
+
+from functools import lru_cache
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.parts import Touch
+from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.starts import starts_of
+from eitskin_sim.verification.free.waves import waves_of
+from eitskin_sim.verification.residual import Noise
+
+Array = npt.NDArray[np.float64]
+
+LONG_S = 100.0
+SQUARE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
+
+
+def moved(by: list[float]) -> Array:
+    return SQUARE + np.array(by)
+
+
+def flat_metric(xy_mm: Array) -> Array:
+    return np.tile([1.0, 0.0, 1.0], (len(xy_mm), 1))
+
+
+@lru_cache(maxsize=1)
+def verifier() -> FreeVerifier:
+    found = FreeVerifier(flat_V(), Noise("N2", 50.0))
+    found.deform(flat_cloud())
+    return found
+
+
+@lru_cache(maxsize=1)
+def flat_V() -> Array:
+    from eitskin_sim.verification.free.model import ELEMENT_MM, flat_model_V
+
+    return flat_model_V(PAPER, ELEMENT_MM)
+
+
+def share(pieces: Array) -> Array:
+    return np.array([map_of(one[None]) for one in pieces]).reshape(len(pieces), *PAPER.grid.shape)
+
+
+def seen(pieces: Array, seed: int = 0) -> Array:
+    model = verifier()._model
+    assert model is not None
+    volts = (1.0 + model.solve(pieces)[1]) * flat_V()
+    return np.asarray(volts * (1.0 + 10**-2.5 * np.random.default_rng(seed).standard_normal(104)))
+
+
+def verified(pieces: Array, start: Array, budget_s: float = LONG_S) -> FreeVerdict:
+    return verifier().verify(seen(pieces), share(start), budget_s=budget_s)
+
+
+def test_a_map_of_shapes_is_that_of_their_areas() -> None:
+    touch = Touch((Rect(54.0, 40.0, 66.0, 50.0),))
+    assert np.allclose(map_of(SQUARE), area_map([touch]), atol=1e-12)
+    two = np.vstack([SQUARE, moved([0, 6.0, 0, 0, 0, 0, 0, 0])])
+    assert np.allclose(map_of(two), area_map([Touch((Rect(54.0, 40.0, 72.0, 50.0),))]), atol=0.3)
+    assert map_of(two).max() <= 1.0
+
+
+def test_starts_are_the_rectangles_of_a_map_and_an_l_is_two() -> None:
+    found = starts_of(share(SQUARE))
+    assert found.shape == (1, 8)
+    assert np.allclose(found[0, 1:5], SQUARE[0, 1:5], atol=1.0)
+    ell = np.array([[0, 45, 50, 10, 40, 0, 50, 0], [0, 60, 35, 20, 10, 0, 50, 0]], dtype=float)
+    assert len(starts_of(map_of(ell)[None])) == 2
+    assert len(starts_of(np.zeros((0, *PAPER.grid.shape)))) == 0
+
+
+def test_waves_keep_the_border_and_their_rates_are_quotients() -> None:
+    waves = waves_of()
+    edge = np.array([[0.0, 30.0], [150.0, 70.0]])
+    assert np.abs(waves.at(edge)[0][:, :, 0]).max() < 1e-12
+    at = np.array([[33.0, 21.0], [101.0, 77.0]])
+    rates = np.array(waves.rates(flat_metric, at))
+    for number in (1, 5, 20):
+        step = np.zeros(len(waves.sd))
+        step[number] = 1e-4
+        quotient = (waves.moved(flat_metric, step)(at) - waves.moved(flat_metric, -step)(at)) / 2e-4
+        assert np.allclose(rates[:, :, number].T, quotient, atol=1e-6)
+
+
+@pytest.mark.slow
+def test_a_touch_is_found_within_its_errors_from_a_wrong_start() -> None:
+    verdict = verified(SQUARE, moved([0, 4.0, -3.0, 2.0, 3.0, 0, 0, 0]))
+    (touch,) = verdict.touches
+    assert not verdict.flagged
+    assert np.hypot(touch.centre_mm[0] - 60.0, touch.centre_mm[1] - 45.0) < 4.0 * np.hypot(*touch.centre_error_mm)
+    assert max(touch.centre_error_mm) < 1.0
+    assert abs(touch.strength_mm2 - 120.0 * np.log(50.0)) < 4.0 * touch.strength_error_mm2
+    assert touch.size_contrast_correlation < -0.5
+    assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
+
+
+@pytest.mark.slow
+def test_a_touch_that_the_map_lacks_is_added_and_one_that_is_not_there_is_none() -> None:
+    two = np.vstack([SQUARE, moved([0, 45.0, 20.0, 0, 0, 0, 0, 0])])
+    found = verified(two, SQUARE)
+    assert len(found.touches) == 2
+    assert not found.flagged
+    assert np.abs(np.sort(found.pieces[:, 1]) - two[:, 1]).max() < 2.0
+    assert len(verified(np.zeros((0, 8)), np.zeros((0, 8))).touches) == 0
+
+
+@pytest.mark.slow
+def test_a_press_below_contrast_1_is_found_and_has_a_negative_strength() -> None:
+    press = SQUARE.copy()
+    press[0, 3:7] = 16.0, 16.0, 0.0, 0.4
+    own = FreeVerifier(flat_V(), Noise("N2", 50.0), "lowering")
+    own.deform(flat_cloud())
+    found = own.verify(seen(press), share(press), budget_s=LONG_S)
+    assert [touch.strength_mm2 < 0.0 for touch in found.touches] == [True]
+    assert not found.flagged
+
+
+@pytest.mark.slow
+def test_what_no_touch_explains_is_flagged() -> None:
+    odd = seen(SQUARE) * (1.0 + 0.03 * (-1.0) ** np.arange(104))
+    assert verifier().verify(odd, share(SQUARE), budget_s=0.5).flagged
+
+
+def test_without_a_deformation_or_time_it_says_so() -> None:
+    own = FreeVerifier(np.ones(104), Noise("N2", 50.0))
+    with pytest.raises(ValueError, match="give its cloud first"):
+        own.verify(np.ones(104), share(SQUARE))

@@ -1,0 +1,69 @@
+"""Lines for the journal: a prefix where the stream is the journal's, and nowhere else."""
+
+import json
+import os
+
+import pytest
+
+from eitskin_tools.console.journal import goes_to_journal, prefix
+from eitskin_tools.console.run_log import RunLog
+
+
+@pytest.fixture
+def stream(tmp_path):
+    with (tmp_path / "log").open("w+") as found:
+        yield found
+
+
+@pytest.fixture
+def named(stream, monkeypatch):
+    found = os.fstat(stream.fileno())
+    monkeypatch.setenv("JOURNAL_STREAM", f"{found.st_dev}:{found.st_ino}")
+    return stream
+
+
+def lines(stream):
+    stream.seek(0)
+    return stream.read().splitlines()
+
+
+def test_each_event_has_its_level_before_it(named):
+    log = RunLog(named)
+    log.say("a port")
+    log.warn("a doubt")
+    log.ready("p", "c")
+    log.failed("stands still", "one\ntwo")
+    found = lines(named)
+    assert [line[:3] for line in found] == ["<6>", "<4>", "<5>", "<3>"]
+    assert found[0] == "<6>eitskin run: a port"
+    assert "two" in found[3]  # all of an event is one line
+
+
+def test_json_stays_json_behind_the_prefix(named):
+    RunLog(named, "json").warn("a doubt")
+    (line,) = lines(named)
+    assert line.startswith("<4>")
+    assert json.loads(line[3:])["text"] == "a doubt"
+
+
+def test_a_redirected_stream_gets_plain_lines(stream, tmp_path, monkeypatch):
+    other = os.stat(tmp_path)
+    monkeypatch.setenv("JOURNAL_STREAM", f"{other.st_dev}:{other.st_ino}")
+    RunLog(stream).say("a port")
+    assert lines(stream) == ["eitskin run: a port"]
+
+
+@pytest.mark.parametrize("value", ["", "5", ":", "a:b", "-1:2", "1:2:3"])
+def test_what_names_no_stream_is_none(stream, value):
+    assert not goes_to_journal(stream, {"JOURNAL_STREAM": value})
+
+
+def test_a_closed_stream_is_none(stream):
+    stream.close()
+    assert not goes_to_journal(stream, {"JOURNAL_STREAM": "1:2"})
+
+
+def test_levels_are_those_of_syslog():
+    assert [prefix(event) for event in ("error", "warning", "ready", "info", "anything")] == [
+        "<3>", "<4>", "<5>", "<6>", "<6>",
+    ]  # fmt: skip

@@ -1,0 +1,92 @@
+"""``evaluate --solver verified``: what a report gains, what is refused, and a phantom that is mended."""
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, truth_map
+from eitskin_sim.evaluation.metrics import score
+from eitskin_sim.evaluation.trials import random
+from eitskin_sim.scene.parts import Phantom, Scene
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.units import UnitTouch
+from eitskin_sim.verification.verdict import Verdict
+from eitskin_tools.bench.verify.conditions import Condition, conditions
+from eitskin_tools.cli import main
+from eitskin_tools.evaluation.solvers import Request, named
+from eitskin_tools.evaluation.verified import Checked, Verified, add_verdicts
+from eitskin_tools.evaluation.verified_free import VerifiedFree
+
+
+def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked:
+    verdict = Verdict((UnitTouch(3, 50.0),), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
+    return Checked(verdict, extra_ms, extra_ms, setup_ms, np.zeros(126, dtype=np.bool_))
+
+
+def phantom(name: str) -> Phantom:
+    return Phantom(name, Scene(), "units")
+
+
+def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unseen() -> None:
+    first, second = phantom("1"), phantom("2")
+    empty, wrong = np.zeros(PAPER.grid.shape), np.ones(PAPER.grid.shape)
+    right, off = (score(one, empty) for one in (empty, wrong))
+    results = [(first, [right, right]), (second, [off, off])]
+    verdicts = {
+        id(first): [checked(0.4, 1.0, 500.0), checked(0.005, 3.0)],
+        id(second): [checked(1e-9, 5.0, 700.0), checked(0.6, 7.0)],
+    }
+    found = {"phantoms": [{"name": "1"}, {"name": "2"}]}
+    add_verdicts(found, results, verdicts)
+    assert found["phantoms"][0] == {"name": "1", "p_value": pytest.approx(0.2025), "flagged": 0.5, "extra_ms": 2.0}
+    assert found["phantoms"][1]["flagged"] == 0.5
+    every = found["verified"]
+    assert isinstance(every, dict)
+    assert (every["wrong"], every["wrong_unflagged"], every["right_flagged"]) == (2, 1, 1)
+    assert (every["extra_ms_median"], every["setup_ms_median"]) == (4.0, 600.0)
+
+
+def test_touches_anywhere_are_checked_by_shapes() -> None:
+    assert isinstance(named(Request("verified"), "area").verified, VerifiedFree)
+    assert isinstance(named(Request("verified"), "units").verified, Verified)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["bench", "verify", "--only", "nothing of it"], "expected a part of one of: 1 to 6 units, N1"),
+        (["bench", "verify", "--each", "0"], "must be at least 1"),
+        (["bench", "verify", "--budget-ms", "-1"], "at least 0"),
+    ],
+)
+def test_bad_options_of_the_benchmark_are_one_line(
+    arguments: list[str], says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_mixed_contrasts_are_of_either_sign_and_within_their_range() -> None:
+    drawn = np.array(Condition("mixed", contrast=None).contrasts(400, np.random.default_rng(1)))
+    assert drawn.min() >= 0.1
+    assert drawn.max() <= 200.0
+    assert 0.4 < np.mean(drawn < 1.0) < 0.6
+    assert not np.any((drawn > 0.6) & (drawn < 2.0))
+    names = [one.name for one in conditions()]
+    assert len(set(names)) == len(names)
+
+
+@pytest.mark.slow
+@pytest.mark.heavy
+def test_a_network_that_sees_nothing_is_mended_from_an_independent_mesh() -> None:
+    phantoms = random((1, 3), 1, 2, "A", "units")
+
+    def blind(case: Case) -> np.ndarray:
+        return np.zeros(PAPER.grid.shape)
+
+    verified = Verified(Run(blind, "pre"), Noise("N2"), PAPER, budget_s=60.0)
+    (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
+    for (one, (found,)), verdict in zip(results, verified.checked, strict=True):
+        assert found.exact == 1.0, one.name
+        assert verdict.verdict.p_value > 1e-3
+        assert truth_map(one).any()

@@ -1,0 +1,121 @@
+"""Recordings made in this process: a device that is played, the tiny bundle, the real frame loop, the real recorder."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import eitskin
+from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.streams import envelope
+from eitskin.messaging.streams.desk import StreamDesk
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin.messaging.streams.state import SkinState
+from eitskin.model.bundle import load_bundle
+from eitskin.reference.captured import Reference
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.wire.answers import Hello
+from eitskin_proto.wire.frames import Frame as WireScan
+from eitskin_tools.recording.recorder import Kept, Recorder
+from eitskin_tools.recording.replay.line import RecordedLine
+from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.series import Series
+
+TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
+VOLTS = 1e-9
+PERIOD_NS = 5_000_000
+STREAMS = {"wire": WireFrame, "cloud": CloudInUse, "conditions": Conditions, "state": SkinState}
+
+CLOUD = PAPER.grid.flat_cloud_mm() + np.array([3.0, -200.0, 40.0])[:, None, None]
+RATIO = np.linspace(0.97, 1.04, 104)
+
+
+def hello() -> Hello:
+    return Hello(
+        firmware_version=(1, 0, 0), hardware_id=1, serial_number="TEST-1", configuration_digest=0xABCD, generation=0,
+        configuration_name="paper", rate_mHz=200_000, rows=104, sample_bytes=4, volts_per_count=VOLTS,
+    )  # fmt: skip
+
+
+def counts() -> np.ndarray:
+    size = np.geomspace(4e6, 1e4, 104)
+    return size * np.where(np.arange(104) % 3, -1, 1)
+
+
+def scans(frames: int, first: int = 100) -> list[Step]:
+    """Return frames of a sheet that is touched in the middle third, with noise, 5 ms apart."""
+    rng = np.random.default_rng(3)
+    found = []
+    for index in range(frames):
+        touch = 0.3 * np.cos(np.arange(104)) * (frames // 3 <= index < 2 * frames // 3)
+        row = np.rint(counts() * (1.0 + touch + 1e-4 * rng.standard_normal(104))).astype(np.int32)
+        payload = WireScan(first + index, 1000 + 5000 * index, row).pack()
+        found.append(Step(WireFrame(payload, first + index, index * PERIOD_NS), 10**9 + index * PERIOD_NS))
+    return found
+
+
+def reference() -> Reference:
+    volts = counts() * VOLTS
+    return Reference(volts, np.abs(volts) * 1e-4, 100, "TEST-1", 0xABCD, "paper", "2026-11-23T00:00:00Z")
+
+
+class Taker:
+    """Takes messages of frames and of streams in this process, as their subscribers get them."""
+
+    wanted, short = True, False
+
+    def __init__(self) -> None:
+        self.items: list[Any] = []
+        self.streams = StreamDesk(self._send)
+        self.streams.judge([b"\x86"])
+        self._joiner = envelope.Joiner()
+
+    def send(self, message: memoryview) -> None:
+        self.items.append(unpack_frame(bytes(message), 0))
+
+    def _send(self, message: bytes) -> None:
+        found = envelope.opened(message)
+        body = self._joiner.take(found)
+        if body is not None:
+            self.items.append(STREAMS[found.name].of(body, n=found.number, run=found.run))
+
+
+def measured(frames: int = 150, **options: Any) -> list[Any]:
+    """Return all that streams and frames say of a played skin that gets a cloud after a while."""
+    steps = scans(frames)
+    line = RecordedLine("test", hello(), lambda: iter(steps), paced=False)
+    taker = Taker()
+    with eitskin.Skin(line, bundle=load_bundle(TINY), reference=reference(), **options) as skin:
+        line.ended = skin.stop
+        volts = counts() * VOLTS
+
+        def before(step: Step) -> None:
+            if step.frame.seq == 100 + frames // 2:
+                skin.set_cloud(CLOUD, RATIO * volts, volts)
+
+        line.before = before
+        for _ in skin.publish(taker):
+            pass
+    return taker.items
+
+
+def recorded(path: Path, items: list[Any], kept: Kept = Kept(), **options: Any) -> Recorder:  # noqa: B008
+    """Write items into a file, and return what wrote them."""
+    recorder = Recorder(lambda head: Series(path, head, **options), kept)
+    for item in items:
+        recorder.take(item)
+    recorder.close()
+    return recorder
+
+
+@pytest.fixture(scope="session")
+def items() -> list[Any]:
+    return measured(skip_unchanged=True)
+
+
+@pytest.fixture
+def file(tmp_path: Path, items: list[Any]) -> Path:
+    path = tmp_path / "a.mcap"
+    recorded(path, items)
+    return path

@@ -1,0 +1,207 @@
+"""The commands: what cannot be used is one line and an exit status; what can is recorded, played and killed."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eitskin_tools import cli
+from eitskin_tools.recording.reader import Recording
+from eitskin_tools.recording.script import Script
+
+from .conftest import TINY
+
+Capture = pytest.CaptureFixture[str]
+
+
+def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
+    """Run a command, and return its status and the one line that it said."""
+    status = cli.main(list(words))
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    return status, err
+
+
+@pytest.mark.parametrize("command", ["replay", "reinfer", "convert"])
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [
+        (None, "no file"),
+        (b"", "is empty"),
+        (b"no recording", "is no MCAP file"),
+        (b"\x89MCAP0\r\n", "ends before it says what it is"),
+    ],
+)
+def test_what_is_no_recording_is_one_line(
+    tmp_path: Path, capsys: Capture, command: str, content: bytes | None, says: str
+) -> None:
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    more = ["--out", str(tmp_path / "a.npz")] if command == "convert" else []
+    status, said = one_line(capsys, command, str(path), *more)
+    assert status == 1
+    assert says in said
+
+
+def test_a_recording_of_another_protocol_is_one_line(
+    file: Path, tmp_path: Path, items: list[Any], capsys: Capture
+) -> None:
+    from dataclasses import replace
+
+    from eitskin import SkinState
+
+    from .conftest import recorded
+
+    other = [replace(one, protocol_id="0123456789abcdef") if isinstance(one, SkinState) else one for one in items]
+    recorded(tmp_path / "other.mcap", other)
+    status, said = one_line(capsys, "reinfer", str(tmp_path / "other.mcap"), "--bundle", str(TINY))
+    assert status == 1
+    assert "protocol_id" in said
+    assert "0123456789abcdef" in said
+
+
+def test_a_bundle_of_another_skin_and_one_that_is_not_there_are_one_line(file: Path, capsys: Capture) -> None:
+    status, said = one_line(capsys, "replay", str(file), "--quiet", "--bundle", str(TINY.with_name("second.eitskin")))
+    assert status == 1
+    assert "grid_id" in said
+    status, said = one_line(capsys, "reinfer", str(file))
+    assert status == 1
+    assert "name it with --bundle" in said
+
+
+def test_a_replay_onto_an_endpoint_in_use_is_one_line(file: Path, tmp_path: Path, capsys: Capture) -> None:
+    from eitskin.messaging.publish import Publisher
+
+    endpoint = f"ipc://{tmp_path}/f"
+    publisher = Publisher(endpoint)
+    try:
+        status, said = one_line(
+            capsys, "replay", str(file), "--bundle", str(TINY), "--publish", endpoint, "--quiet",
+            "--control", f"ipc://{tmp_path}/c",
+        )  # fmt: skip
+    finally:
+        publisher.close()
+    assert status == 1
+    assert "is in use" in said
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["replay", "a.mcap", "--speed", "0"], "--speed"),
+        (["replay", "a.mcap", "--from", "3", "--to", "2"], "--from 3 is not before --to 2"),
+        (["reinfer", "a.mcap", "--every", "0"], "--every"),
+        (["convert", "a.mcap", "--out", "a.xlsx"], ".parquet"),
+        (["record", "--out", "a.mcap", "--every", "0"], "--every"),
+        (["record", "--out", "a.mcap", "--wire-only", "--maps"], "--wire-only"),
+        (["record", "--out", "a.mcap", "--pictures-hz", "-1"], "--pictures-hz"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_2(capsys: Capture, words: list[str], says: str) -> None:
+    status, said = one_line(capsys, *words)
+    assert status == 2
+    assert says in said
+
+
+def test_record_does_not_overwrite(tmp_path: Path, capsys: Capture) -> None:
+    (tmp_path / "a.mcap").write_bytes(b"precious")
+    status, said = one_line(capsys, "record", "--out", str(tmp_path / "a.mcap"))
+    assert status == 2
+    assert "exists already" in said
+    assert (tmp_path / "a.mcap").read_bytes() == b"precious"
+
+
+def test_a_cut_recording_is_computed_to_where_it_ends_and_says_so(file: Path, capsys: Capture) -> None:
+    data = file.read_bytes()
+    file.write_bytes(data[:-200])
+    assert cli.main(["reinfer", str(file), "--bundle", str(TINY), "--json", "--quiet"]) == 0
+    out, err = capsys.readouterr()
+    assert "cut off" in err
+    assert err.count("\n") == 1
+    found = json.loads(out)
+    assert found["equal"] == found["published"] > 0
+    assert found["frames_per_s"] > 0
+
+
+def test_doctor_and_evaluate_read_a_recording(file: Path, capsys: Capture) -> None:
+    assert cli.main(["doctor", "--electrodes", "--recorded", str(file), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["frames"] > 14
+    assert len(found["electrodes"]) == 16
+
+
+@contextmanager
+def played(file: Path, folder: Path) -> Iterator[str]:
+    """Play a recording again and again, in a process of its own."""
+    endpoint = f"ipc://{folder}/f"
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", "replay", str(file), "--bundle", str(TINY), "--loop",
+         "--publish", endpoint, "--control", f"ipc://{folder}/c"], stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    assert process.stderr is not None
+    try:
+        for line in process.stderr:
+            if line.startswith("ready"):
+                break
+        yield endpoint
+    finally:
+        process.send_signal(signal.SIGTERM)
+        process.communicate(timeout=60)
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_stream_is_recorded_until_told_to_stop(file: Path, tmp_path: Path) -> None:
+    with played(file, tmp_path) as endpoint:
+        out = tmp_path / "b.mcap"
+        done = subprocess.run(
+            [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(out), "--frames", "300",
+             "--maps", "--json", "--quiet"], capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert (found["missed"], found["dropped"]) == (0, 0)
+    script = Script(out)
+    assert script.frames == found["frames"] >= 300
+    assert not script.recording.cut
+    numbers = [step.frame.n for step in script.steps()]
+    assert numbers == list(range(numbers[0], numbers[0] + len(numbers)))
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_ones(
+    file: Path, tmp_path: Path
+) -> None:
+    from eitskin_tools.fault_injection.recorder_kill import Witness, kill_one
+
+    with played(file, tmp_path) as endpoint:
+        witness = Witness(endpoint)
+        left = [kill_one(endpoint, tmp_path / f"k{number}.mcap", 0.7 * number, witness) for number in range(3)]
+        witness.close()
+    assert [one.gaps for one in left] == [0, 0, 0]
+    assert left[-1].frames > 0
+    for number in range(3):
+        assert Recording(tmp_path / f"k{number}.mcap").head
+
+
+@pytest.mark.process
+def test_where_nobody_publishes_the_recorder_says_so_in_a_line(tmp_path: Path) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "eitskin_tools.cli", "record", f"ipc://{tmp_path}/nobody", "--out",
+         str(tmp_path / "a.mcap"), "--timeout-s", "0.5"], capture_output=True, text=True, timeout=120, check=False,
+        env={**os.environ, "XDG_RUNTIME_DIR": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 1
+    assert done.stderr.count("\n") == 1, done.stderr
+    assert "nobody" in done.stderr
+    assert not (tmp_path / "a.mcap").exists()

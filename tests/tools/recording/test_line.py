@@ -1,0 +1,131 @@
+"""A recording behind a line: the runtime greets it as it greets a device, and reads what was recorded."""
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import eitskin
+from eitskin import Frame, WireFrame
+from eitskin.acquisition.device import Device
+from eitskin_proto.wire.frames import HEADER
+from eitskin_tools.recording.replay.line import RecordedLine
+from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.script import Script
+
+from .conftest import PERIOD_NS, TINY, Taker, hello, recorded, scans
+
+
+def test_it_answers_the_handshake_and_sends_what_was_recorded_in_order() -> None:
+    steps = scans(20)
+    line = RecordedLine("it", hello(), lambda: iter(steps), paced=False)
+    device = Device(line)
+    assert device.hello.serial_number == "TEST-1"
+    device.start()
+    found = [payload for _ in steps for payload in device.payloads(1.0)]
+    assert found == [step.frame.payload for step in steps]
+    assert device.time_sample is not None
+    assert device.time_sample.device_us == HEADER.unpack_from(found[0])[6]
+
+
+def test_what_belongs_before_a_frame_is_done_when_the_one_before_it_was_taken() -> None:
+    steps = scans(5)
+    line = RecordedLine("it", hello(), lambda: iter(steps), paced=False)
+    done: list[Any] = []
+    line.before = lambda step: done.append(step.frame.seq)
+    device = Device(line)
+    device.start()
+    for number in range(5):
+        device.payloads(1.0)
+        assert done == [100, 101, 102, 103, 104][: number + 1]
+
+
+def test_at_its_pace_no_frame_comes_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
+    from eitskin_tools.recording.replay import line as module
+
+    class Passing(threading.Event):
+        """Waiting lets the clock pass."""
+
+        def wait(self, timeout: float | None = None) -> bool:
+            now[0] += int((timeout or 0.0) * 1e9) + 1
+            return False
+
+    now = [1]
+    monkeypatch.setattr(module, "perf_counter_ns", lambda: now[0])
+    steps = scans(10)
+    line = RecordedLine("it", hello(), lambda: iter(steps), speed=2.0)
+    line._woken = Passing()
+    line.write(b"")
+    line._streaming = True
+    came = []
+    for _ in steps:
+        assert line.read(10.0)
+        came.append(now[0])
+    assert np.diff(came) == pytest.approx(PERIOD_NS / 2, abs=3)
+    assert line.read(0.25) == b""
+
+
+def test_again_and_again_the_numbers_go_on() -> None:
+    steps = scans(7)
+    line = RecordedLine("it", hello(), lambda: iter(steps), paced=False, loop=True)
+    device = Device(line)
+    device.start()
+    heads = [HEADER.unpack_from(payload) for _ in range(21) for payload in device.payloads(1.0)]
+    assert [head[5] for head in heads] == list(range(100, 121))
+    assert set(np.diff([head[6] for head in heads])) == {5000}
+    assert line.rounds == 2
+
+
+def test_a_read_that_waits_is_woken_by_cancel() -> None:
+    line = RecordedLine("it", hello(), lambda: iter(()), paced=True)
+    found: list[bytes] = []
+    thread = threading.Thread(target=lambda: found.append(line.read(None)))
+    thread.start()
+    line.cancel()
+    thread.join(30)
+    assert found == [b""]
+
+
+def play(path: Path, **options: Any) -> list[Any]:
+    taker = Taker()
+    with Player(Script(path), Manner(paced=False, **options), bundle=TINY) as player:
+        for _ in player.skin.publish(taker):
+            pass
+    return taker.items
+
+
+def test_a_program_sees_what_it_saw_then(file: Path, items: list[Any]) -> None:
+    again = [item for item in play(file) if isinstance(item, Frame)]
+    then = [item for item in items if isinstance(item, Frame)]
+    assert len(again) == len(then)
+    for one, other in zip(again, then, strict=True):
+        assert (one.sequence, one.device_us, one.touched, one.cloud) == (
+            other.sequence, other.device_us, other.touched, other.cloud,
+        )  # fmt: skip
+        assert one.map.tobytes() == other.map.tobytes()
+        assert one.serial_number == other.serial_number
+    assert [one.events for one in again] == [one.events for one in then]
+
+
+def test_a_part_is_played(file: Path) -> None:
+    script = Script(file)
+    half = script.seconds / 2
+    frames = [item for item in play(file, from_s=half) if isinstance(item, WireFrame)]
+    assert 0 < len(frames) < script.frames
+    assert frames[-1].seq == 249
+
+
+def test_what_is_played_can_be_recorded_and_is_the_same(file: Path, tmp_path: Path) -> None:
+    recorded(tmp_path / "b.mcap", play(file))
+    one, two = (list(Script(path).steps()) for path in (file, tmp_path / "b.mcap"))
+    assert [step.frame.payload for step in one] == [step.frame.payload for step in two]
+    assert [step.cloud and step.cloud.cloud.tobytes() for step in one] == [
+        step.cloud and step.cloud.cloud.tobytes() for step in two
+    ]
+
+
+def test_a_bundle_that_is_not_there_is_asked_for(file: Path) -> None:
+    with pytest.raises(eitskin.SkinError, match="name it with --bundle FILE"):
+        Player(Script(file))

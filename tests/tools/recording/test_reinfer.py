@@ -1,0 +1,142 @@
+"""Recorded maps, computed once more: bit by bit what was published; of other solvers, how far they are from it."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin import Frame, WireFrame
+from eitskin.model.bundle import load_bundle
+from eitskin_proto.errors import MismatchError
+from eitskin_tools.recording.bundles import bundle_of
+from eitskin_tools.recording.layout import RecordingError
+from eitskin_tools.recording.reinfer.choice import others
+from eitskin_tools.recording.reinfer.rerun import Computed
+from eitskin_tools.recording.reinfer.results import draw, write
+from eitskin_tools.recording.reinfer.session import Span, reinfer
+from eitskin_tools.recording.reinfer.tally import Agreement, centre_mm
+from eitskin_tools.recording.script import Script
+
+from .conftest import TINY, measured, recorded
+
+SECOND = TINY.with_name("second.eitskin")
+
+
+def test_every_published_map_comes_out_the_same(file: Path) -> None:
+    found = reinfer(Script(file), load_bundle(TINY)).fields()
+    assert found["equal"] == found["published"] == 150
+    assert found["unknown"] == 0
+    assert found["frames"] == 150
+
+
+@pytest.mark.parametrize("options", [{}, {"solver": "tikhonov"}, {"budget_ms": 1000.0}, {"exclude": ()}])
+def test_they_do_by_whatever_solver_and_options(tmp_path: Path, options: dict[str, Any]) -> None:
+    recorded(tmp_path / "a.mcap", measured(90, **options))
+    found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
+    assert (found["equal"], found["differing"]) == (90, {})
+
+
+def test_a_map_that_was_published_otherwise_is_found(tmp_path: Path, items: list[Any]) -> None:
+    class Off:
+        """A frame whose map differs in one pixel's last bit."""
+
+        def __init__(self, frame: Frame) -> None:
+            self._frame = frame
+            self.map = frame.map.copy()
+            self.map[0, 0] = np.nextafter(self.map[0, 0], np.float32(2))
+
+        def __getattr__(self, name: str) -> Any:
+            return getattr(self._frame, name)
+
+    touched = next(item for item in items if isinstance(item, Frame) and item.map.any())
+    from eitskin_tools.recording.recorder import Kept, Recorder
+    from eitskin_tools.recording.series import Series
+
+    recorder = Recorder(lambda head: Series(tmp_path / "a.mcap", head), Kept())
+    for item in items:
+        if item is touched:
+            recorder._when_known(item.run, recorder._frame, Off(item))
+        else:
+            recorder.take(item)
+    recorder.close()
+    found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
+    assert found["differing"] == {"map": 1}
+    assert found["first_differing"] == touched.sequence
+    assert found["equal"] == 149
+
+
+def test_the_same_solver_by_name_agrees_with_itself_and_another_does_less(file: Path) -> None:
+    script, bundle = Script(file), load_bundle(TINY)
+    ran = next(step.frame.solver for step in script.steps() if step.frame.touched)
+    same = reinfer(script, bundle, others(script, bundle, None, ran)).fields()["against_recorded"]
+    assert same["touched_agreement"] == 1.0
+    assert same["cc_p5"] == pytest.approx(1.0)
+    other = reinfer(script, bundle, others(script, bundle, None, "tikhonov")).fields()["against_recorded"]
+    assert other["both_touched"] == same["both_touched"] > 10
+    assert other["cc_median"] < 0.999
+
+
+def test_one_frame_in_some_is_enough_for_a_slow_solver(file: Path) -> None:
+    script, bundle = Script(file), load_bundle(TINY)
+    found = reinfer(script, bundle, others(script, bundle, None, "tikhonov"), every=10).fields()
+    assert found["against_recorded"]["frames"] == 15
+
+
+def test_a_solver_that_is_not_there_is_named_with_those_that_are(file: Path) -> None:
+    script, bundle = Script(file), load_bundle(TINY)
+    with pytest.raises(ValueError, match=r"'sblx' does not exist; expected one of vd2t, vd2t-int8, tikhonov, .*sbl"):
+        others(script, bundle, None, "sblx")
+
+
+def test_a_bundle_of_another_skin_is_refused(file: Path) -> None:
+    script = Script(file)
+    with pytest.raises(MismatchError, match="grid_id"):
+        bundle_of(script, SECOND)
+
+
+@pytest.mark.process  # matplotlib asks for the system's fonts
+def test_maps_and_a_picture_are_written(file: Path, tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    script, bundle = Script(file), load_bundle(TINY)
+    found = reinfer(script, bundle, others(script, bundle, None, "tikhonov"), keep=1000, span=Span(0.0))
+    write(tmp_path / "maps.npz", found)
+    with np.load(tmp_path / "maps.npz") as arrays:
+        assert arrays["map"].shape == arrays["recorded_map"].shape == (150, 30, 45)
+        assert arrays["seq"].tolist() == [step.frame.seq for step in script.steps()]
+    draw(tmp_path / "maps.png", found, 6)
+    assert (tmp_path / "maps.png").read_bytes()[:4] == b"\x89PNG"
+
+
+def test_more_maps_than_may_be_kept_are_refused(file: Path) -> None:
+    with pytest.raises(RecordingError, match="--from and --to"):
+        reinfer(Script(file), load_bundle(TINY), keep=10)
+
+
+def test_without_digests_nothing_is_said_to_be_equal(tmp_path: Path, items: list[Any]) -> None:
+    recorded(tmp_path / "a.mcap", [item for item in items if not isinstance(item, Frame)])
+    found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
+    assert "equal" not in found
+    assert found["frames"] == sum(isinstance(item, WireFrame) for item in items)
+
+
+def test_the_centre_of_a_disc_is_its_middle_and_moves_with_it() -> None:
+    y, x = np.indices((30, 45)) + 0.5
+    for middle in ((20.0, 10.0), (30.5, 22.25)):
+        disc = (np.hypot(x - middle[0], y - middle[1]) < 4.0).astype(np.float32)
+        found = centre_mm(disc, (2.0, 3.0))
+        assert found is not None
+        np.testing.assert_allclose(found, (2.0 * middle[0], 3.0 * middle[1]), atol=0.3)
+    assert centre_mm(np.full((30, 45), 0.4, np.float32), (2.0, 3.0)) is None
+
+
+def test_agreement_counts_touched_alike_and_measures_apart() -> None:
+    one, other = np.zeros((30, 45), np.float32), np.zeros((30, 45), np.float32)
+    one[5:8, 5:8] = other[5:8, 15:18] = 1.0
+    found = Agreement((2.0, 2.0))
+    found.add(Computed(one, True, "a"), Computed(other, True, "b"))
+    found.add(Computed(one, True, "a"), Computed(np.zeros_like(one), False, "none"))
+    fields = found.fields()
+    assert fields["touched_agreement"] == 0.5
+    assert fields["centre_mm_median"] == pytest.approx(20.0)
+    assert fields["cc_median"] == pytest.approx(-9 / (1350 - 9))

@@ -1,0 +1,20 @@
+"""The supervising process, around stand-ins of skins: ``family_process.py ROBOT.toml GRACE_S``."""
+
+import os
+import sys
+from pathlib import Path
+
+from eitskin.robot.config import load_robot
+from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.robot.checked import make_folders
+from eitskin_tools.robot.child import Pauses, SkinProcess
+from eitskin_tools.robot.log import RobotLog
+from eitskin_tools.robot.supervise import Family
+from eitskin_tools.service.supervisor import Supervisor
+
+robot = load_robot(sys.argv[1])
+make_folders(robot)
+program = (sys.executable, "-S", str(Path(__file__).with_name("skin_script.py")))
+skins = [SkinProcess(one, Pauses(0.05, 0.4, 60.0), program=program) for one in robot.skins]
+log = RobotLog(RunLog(sys.stderr, "json"))
+sys.exit(Family(robot.folder, skins, log, Supervisor.of(os.environ), float(sys.argv[2])).run())

@@ -1,0 +1,245 @@
+"""The process that supervises: what becomes of one skin touches no other, and in the end nobody is left."""
+
+import json
+import os
+import select
+import signal
+import socket
+import subprocess
+import sys
+import threading
+import time
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+from eitskin.robot.described import FILE, read_states
+from eitskin_tools.robot.child import Pauses
+
+HERE = Path(__file__).parent
+PATIENCE_S = 60.0
+
+pytestmark = pytest.mark.process
+
+
+class Family:
+    """The supervising process, whose events are read one by one."""
+
+    def __init__(self, folder, kinds, restart, grace_s, environment):
+        (folder / "ref.json").touch()
+        text = f'format = "eitskin-robot"\nversion = 1\nfolder = "{folder}/r"\n'
+        for name, kind in kinds.items():
+            text += f'[[skins]]\nname = "{name}"\nport = "{kind}@{folder}"\nreference = "ref.json"\n'
+            text += f'restart = "{restart}"\n'
+        (folder / "robot.toml").write_text(text)
+        self.folder = folder / "r"
+        self.process = subprocess.Popen(
+            [sys.executable, HERE / "family_process.py", folder / "robot.toml", str(grace_s)],
+            stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
+        )  # fmt: skip
+        self.heard = []
+
+    def until(self, wanted):
+        """Return the next event of which a condition holds."""
+        timer = threading.Timer(PATIENCE_S, self.process.kill)
+        timer.start()
+        try:
+            for line in self.process.stderr:
+                self.heard.append(json.loads(line))
+                if wanted(self.heard[-1]):
+                    return self.heard[-1]
+        finally:
+            timer.cancel()
+        raise AssertionError(f"it was not said, but: {self.heard}")
+
+    def ready(self):
+        return self.until(lambda event: event["event"] == "ready" and "of" in event)
+
+    def states(self):
+        return {one.skin.name: one for one in read_states(self.folder)}
+
+    def ended(self):
+        """Read all that is still said, and return the exit status."""
+        self.heard += [json.loads(line) for line in self.process.stderr]
+        return self.process.wait(PATIENCE_S)
+
+
+@pytest.fixture
+def family(tmp_path):
+    """Return a context manager that supervises stand-ins, by name."""
+
+    @contextmanager
+    def run(restart="never", grace_s=PATIENCE_S, environment=None, **kinds):
+        found = Family(tmp_path, kinds, restart, grace_s, environment or {})
+        try:
+            yield found
+        finally:
+            found.process.terminate()
+            found.process.communicate()
+
+    return run
+
+
+def gone(pid):
+    """Wait for the end of a process that is no child of ours."""
+    try:
+        handle = os.pidfd_open(pid)
+    except ProcessLookupError:
+        return True
+    poll = select.poll()
+    poll.register(handle, select.POLLIN)
+    found = bool(poll.poll(int(PATIENCE_S * 1000)))
+    os.close(handle)
+    return found
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_all_end_when_it_is_told_to_and_nothing_is_left(family, number):
+    with family(a="good", b="other") as found:
+        assert found.ready()["skins"] == ["a", "b"]
+        pids = [one.pid for one in found.states().values()]
+        found.process.send_signal(number)
+        assert found.ended() == 0
+    assert all(gone(pid) for pid in pids)
+    assert not (found.folder / FILE).exists()
+    assert not [event for event in found.heard if event["event"] == "error"]
+
+
+def test_one_that_falls_is_named_with_its_reason_and_the_other_runs_on(family):
+    with family(a="fails", b="good") as found:
+        ready = found.ready()
+        assert (ready["skins"], ready["of"]) == (["b"], 2)
+        (error,) = [event for event in found.heard if event["event"] == "error" and "status" in event["text"]]
+        assert error["skin"] == "a"
+        assert "ended with status 1: no port /dev/ttyNONE; 1 of 2 skins run on" in error["text"]
+        states = found.states()
+        assert (states["a"].state, states["a"].pid, states["b"].state) == ("failed", 0, "ready")
+        assert "no port /dev/ttyNONE" in states["a"].why
+        found.process.terminate()
+        assert found.ended() == 0
+
+
+def test_a_skin_that_is_killed_is_named_by_the_signal(family):
+    with family(a="good", b="other") as found:
+        found.ready()
+        os.kill(found.states()["a"].pid, signal.SIGKILL)
+        error = found.until(lambda event: event["event"] == "error")
+        assert error["skin"] == "a"
+        assert "by signal 9 (Killed)" in error["text"]
+        assert found.states()["b"].state == "ready"
+
+
+def test_a_skin_starts_again_where_that_is_asked_for_and_the_others_do_not_notice(family):
+    with family("on-failure", a="once", b="good") as found:
+        found.until(lambda event: event["event"] == "ready" and event.get("skin") == "b")
+        before = found.states()["b"].pid
+        while (ready := found.states()["a"]).state != "ready":
+            found.until(lambda event: event["event"] in ("ready", "error"))
+        assert ready.restarts == 1
+        assert "signal 9" in ready.why
+        assert (found.states()["b"].pid, found.states()["b"].restarts) == (before, 0)
+        assert any("starts again in 0.05 s" in event["text"] for event in found.heard if event["event"] == "error")
+
+
+def test_pauses_between_starts_double_up_to_the_longest(family):
+    pauses = Pauses()
+    assert [pauses.after(count) for count in range(1, 8)] == [1.0, 2.0, 4.0, 8.0, 16.0, 30.0, 30.0]
+    assert pauses.after(10**6) == 30.0
+    with family("on-failure", a="fails", b="good") as found:
+        said = []
+        while len(said) < 5:
+            text = found.until(lambda event: event["event"] == "error" and "again in" in event["text"])["text"]
+            said.append(float(text.split("again in ")[1].split(" s")[0]))
+    assert said == pytest.approx([0.05, 0.1, 0.2, 0.4, 0.4], rel=0.02)
+
+
+def test_bad_usage_is_not_tried_again(family):
+    with family("always", a="usage", b="good") as found:
+        found.ready()
+        assert found.states()["a"].state == "failed"
+        assert "--baud is 5" in found.states()["a"].why
+
+
+def test_when_nobody_is_left_it_ends_and_fails(family):
+    with family(a="fails", b="usage") as found:
+        assert found.ended() == 1
+    assert not (found.folder / FILE).exists()
+
+
+def test_one_that_hears_nothing_is_ended_by_force(family):
+    with family(a="deaf", b="good", grace_s=0.3) as found:
+        found.ready()
+        pid = found.states()["a"].pid
+        found.process.terminate()
+        assert found.ended() == 0
+        assert gone(pid)
+
+
+def test_one_that_was_stopped_ends_as_well(family):
+    with family(a="good", b="other") as found:
+        found.ready()
+        pid = found.states()["a"].pid
+        os.kill(pid, signal.SIGSTOP)
+        found.process.terminate()
+        assert found.ended() == 0
+        assert gone(pid)
+
+
+def test_the_skins_end_with_a_parent_that_is_killed(family):
+    with family(a="good", b="other") as found:
+        found.ready()
+        pids = [one.pid for one in found.states().values()]
+        found.process.kill()
+        assert all(gone(pid) for pid in pids)
+
+
+def test_what_is_no_log_is_passed_on_as_a_warning_and_stops_nobody(family):
+    with family(a="babbles", b="good") as found:
+        assert found.ready()["skins"] == ["a", "b"]
+        assert any(event["event"] == "warning" and "no json" in event["text"] for event in found.heard)
+
+
+def test_whoever_reads_the_log_no_more_stops_nobody(family):
+    with family("on-failure", a="good", b="other") as found:
+        found.ready()
+        before = found.states()
+        found.process.stderr.close()
+        os.kill(before["a"].pid, signal.SIGKILL)  # there is something to say
+        while (now := found.states())["a"].restarts == 0 or now["a"].state != "ready":
+            assert found.process.poll() is None
+            time.sleep(0.01)
+        assert now["b"].pid == before["b"].pid
+        found.process.terminate()
+        assert found.process.wait(PATIENCE_S) == 0
+        found.process.stderr = None
+
+
+def test_a_folder_in_use_is_refused(family, tmp_path):
+    with family(a="good") as found:
+        found.ready()
+        second = subprocess.run(
+            [sys.executable, HERE / "family_process.py", tmp_path / "robot.toml", "1"],
+            capture_output=True, check=False, text=True, timeout=PATIENCE_S,
+        )  # fmt: skip
+        assert "is in use: another 'eitskin run --config' runs skins there" in second.stderr
+        assert found.states()["a"].state == "ready"  # nobody wrote over what is known of it
+
+
+def test_systemd_hears_of_all_and_the_skins_do_not_speak_to_it(family, tmp_path):
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.settimeout(PATIENCE_S)
+        environment = {"NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": "200000"}
+        with family(a="environment", b="fails", environment=environment) as found:
+            heard = []
+            while "READY=1" not in heard or heard.count("WATCHDOG=1") < 3:
+                heard.append(ear.recv(4000).decode())
+            found.ready()
+            found.process.terminate()
+            while heard[-1] != "STOPPING=1":
+                heard.append(ear.recv(4000).decode())
+            assert found.ended() == 0
+    told = [event["text"] for event in found.heard if event["event"] == "info"]
+    assert told == [""]
+    assert any(line.startswith("STATUS=1 of 2 skins publish; b failed: ended with status 1") for line in heard)

@@ -1,0 +1,246 @@
+"""Units, rule and recipe as they are shipped: their own grammar, and systemd's, udev's and a container tool's word."""
+
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
+from eitskin_tools import cli
+from eitskin_tools.service.files import FILES, text_of
+
+UNITS = ("eitskin.service", "eitskin@.service")
+SECTIONS = {
+    "Unit": {"Description", "Documentation", "StartLimitIntervalSec", "StartLimitBurst"},
+    "Service": {
+        "Type", "NotifyAccess", "User", "SupplementaryGroups", "ExecStart", "Environment", "RuntimeDirectory",
+        "RuntimeDirectoryMode", "WatchdogSec", "TimeoutStartSec", "TimeoutStopSec", "KillMode", "Restart", "RestartSec",
+        "RestartPreventExitStatus", "LimitRTPRIO", "LimitMEMLOCK", "LimitNOFILE", "DevicePolicy", "DeviceAllow",
+        "CapabilityBoundingSet", "AmbientCapabilities", "NoNewPrivileges", "ProtectSystem", "ProtectHome", "PrivateTmp",
+        "ProtectKernelTunables", "ProtectKernelModules", "ProtectKernelLogs", "ProtectControlGroups", "ProtectClock",
+        "ProtectHostname", "ProtectProc", "RestrictNamespaces", "RestrictSUIDSGID", "RestrictAddressFamilies",
+        "LockPersonality", "MemoryDenyWriteExecute", "RemoveIPC", "SystemCallArchitectures", "SystemCallFilter",
+        "SystemCallErrorNumber", "UMask",
+    },
+    "Install": {"WantedBy"},
+}  # fmt: skip
+"""Directives of systemd 252; ``systemd-analyze verify`` says the same of each where it is there."""
+
+SEVERAL = {"Environment", "DeviceAllow"}
+"""Directives that may be given more than once."""
+
+
+def parsed(text):
+    """Return {section: [(directive, value)]} of a unit, by the rules of systemd.syntax(7)."""
+    found, section = {}, None
+    for line in text.splitlines():
+        if not line.strip() or line[0] in "#;":
+            continue
+        if head := re.fullmatch(r"\[(\w+)\]", line):
+            section = found.setdefault(head[1], [])
+            continue
+        name, separator, value = line.partition("=")
+        assert separator, line
+        assert section is not None, line
+        section.append((name, value))
+    return found
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_a_unit_has_known_directives_once_each_and_nothing_left_to_fill_in(name):
+    text = text_of(name, "robot", "/opt/eitskin/bin/eitskin")
+    found = parsed(text)
+    assert set(found) == set(SECTIONS)
+    for section, given in found.items():
+        names = [directive for directive, _ in given]
+        assert set(names) <= SECTIONS[section]
+        assert {name for name in names if names.count(name) > 1} <= SEVERAL
+    assert "{" not in text
+    service = dict(found["Service"])
+    assert service["Type"] == "notify"
+    assert float(service["WatchdogSec"]) > 2 * 2.0, "longer than a frame loop may stand still"
+    assert service["ExecStart"].startswith("/opt/eitskin/bin/eitskin run --config /etc/eitskin/")
+    words = service["ExecStart"].replace("%i", "arm").split()[1:]
+    assert cli._parser("run").parse_args(words).config
+
+
+def test_what_is_no_directive_is_found():
+    with pytest.raises(AssertionError):
+        parsed("[Service]\nType notify\n")
+    assert not set(dict(parsed("[Service]\nWatchdogSecs=5\n")["Service"])) <= SECTIONS["Service"]
+
+
+def analyse(*words):
+    program = shutil.which("systemd-analyze")
+    if program is None:
+        pytest.skip("no systemd-analyze: the Debian package systemd has it")
+    return subprocess.run([program, *words], capture_output=True, text=True, check=False, timeout=120)
+
+
+@pytest.fixture
+def written(tmp_path):
+    """Return the folder with all files, whose units start a program that exists."""
+    words = ["service", "--out", str(tmp_path / "units"), "--user", "root", "--program", "/bin/true"]
+    assert cli.main(words) == 0
+    return tmp_path / "units"
+
+
+@pytest.mark.process
+def test_systemd_takes_the_units(written):
+    found = analyse("--man=no", "verify", *(str(written / name) for name in UNITS))
+    assert (found.returncode, found.stdout + found.stderr) == (0, "")
+    unit = written / "eitskin.service"
+    unit.write_text(unit.read_text().replace("ProtectClock=", "ProtectClocks="))
+    assert "ProtectClocks" in analyse("--man=no", "verify", str(unit)).stderr
+
+
+@pytest.mark.process
+def test_systemd_finds_the_units_well_closed(written):
+    for name in UNITS:
+        found = analyse("security", "--offline=true", "--threshold=30", str(written / name))
+        assert found.returncode == 0, found.stdout[-300:] + found.stderr
+
+
+def test_the_rule_names_the_ids_that_are_looked_for_and_the_unit_that_is_shipped():
+    text = text_of("61-eitskin-start.rules", "robot", "/usr/bin/eitskin").replace("\\\n", " ")
+    rules = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    assert len(rules) == 2
+    part = re.compile(r'(ACTION|SUBSYSTEM|TAG|ATTRS?\{\w+\}|ENV\{\w+\})(==|!=|\+=)"[\w.-]+"')
+    for rule in rules:
+        parts = [each.strip() for each in rule.split(",")]
+        assert all(part.fullmatch(each) for each in parts), rule
+        assert re.search(rf'ATTRS?\{{idVendor\}}=="{VENDOR_ID:04x}"', rule)
+        assert re.search(rf'ATTRS?\{{idProduct\}}=="{PRODUCT_ID:04x}"', rule)
+        assert 'TAG+="systemd"' in rule
+        assert 'ENV{SYSTEMD_WANTS}+="eitskin.service"' in rule
+    assert "eitskin.service" in {one.name for one in FILES}
+
+
+@pytest.mark.process
+def test_udev_takes_the_rule(written):
+    program = shutil.which("udevadm")
+    if program is None:
+        pytest.skip("no udevadm: the Debian package udev has it")
+    if "verify" not in subprocess.run([program, "--help"], capture_output=True, text=True, check=False).stdout:
+        pytest.skip("this udevadm has no 'verify': systemd 254 and later have it")
+    found = subprocess.run(
+        [program, "verify", "--resolve-names=never", str(written / "61-eitskin-start.rules")],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_files_are_written_where_the_system_looks(tmp_path, capsys):
+    assert cli.main(["service", "--install", "--root", str(tmp_path), "--user", "robot"]) == 0
+    written = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*") if path.is_file())
+    assert written == [
+        "etc/systemd/system/eitskin.service", "etc/systemd/system/eitskin@.service",
+        "etc/udev/rules.d/61-eitskin-start.rules",
+    ]  # fmt: skip
+    assert "systemctl enable --now eitskin" in capsys.readouterr().out
+    assert "User=robot" in (tmp_path / written[0]).read_text()
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    (["--user", "a b"], "--user is 'a b'"), (["--program", "eitskin"], "--program is 'eitskin'"),
+    (["--program", "/a b"], "without blanks"), (["--print", "eitskin"], "no file 'eitskin'"),
+    (["--program", "/x%n"], "--program is '/x%n'"),
+])  # fmt: skip
+def test_what_does_not_fit_into_a_unit_is_refused(words, said, capsys):
+    assert cli.main(["service", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+def test_one_is_printed_and_all_are_listed(capsys):
+    assert cli.main(["service", "--print", "Containerfile"]) == 0
+    assert "HEALTHCHECK" in capsys.readouterr().out
+    assert cli.main(["service"]) == 0
+    listed = capsys.readouterr().out
+    assert [one.name for one in FILES if one.name not in listed] == []
+
+
+def test_the_recipe_runs_as_nobody_in_particular_and_looks_at_its_health():
+    text = text_of("Containerfile", "robot", "/usr/bin/eitskin").replace("\\\n", " ")
+    lines = [line for line in text.splitlines() if line.strip() and not line.startswith("#")]
+    known = {"FROM", "COPY", "RUN", "ENV", "USER", "WORKDIR", "STOPSIGNAL", "HEALTHCHECK", "ENTRYPOINT", "CMD"}
+    assert {line.split()[0] for line in lines} <= known
+    last = {line.split()[0]: line for line in lines}
+    assert last["USER"].split()[1] not in ("root", "0")
+    assert '["eitskin", "status", "--all"]' in last["HEALTHCHECK"]
+    assert cli._parser("status").parse_args(["status", "--all"]).all
+    assert cli._parser("run").parse_args(["run", "--config", "/etc/eitskin/robot.toml"]).config
+
+
+def container_tool():
+    """Return a container tool that works, or skip with what is missing."""
+    missing = []
+    for name in ("podman", "docker", "buildah"):
+        if (program := shutil.which(name)) is None:
+            missing.append(f"{name} is not installed")
+            continue
+        asked = subprocess.run([program, "info"], capture_output=True, text=True, check=False, timeout=120)
+        if asked.returncode == 0 and name != "buildah":
+            return program
+        missing.append(f"{name}: {(asked.stderr.strip().splitlines() or ['cannot run what it builds'])[-1]}")
+    pytest.skip("; ".join(missing))
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_the_container_is_built_and_runs(tmp_path):
+    program = container_tool()
+    source = Path(__file__).parents[3]
+    recipe = tmp_path / "Containerfile"
+    recipe.write_text(text_of("Containerfile", "robot", "/usr/bin/eitskin"))
+    form = ["--format", "docker"] if "podman" in program else []
+    built = subprocess.run(
+        [program, "build", *form, "-t", "eitskin-test", "-f", recipe, source],
+        capture_output=True, text=True, check=False, timeout=1800,
+    )  # fmt: skip
+    if built.returncode and re.search(r"pull|registry|resolve|dial|toomanyrequests", built.stderr):
+        pytest.skip(f"the base image cannot be had: {built.stderr.strip().splitlines()[-1]}")
+    assert built.returncode == 0, built.stderr
+    for words, wanted in ((["--version"], "eitskin "), (["run", "--config", "/none.toml"], "no file '/none.toml'")):
+        ran = subprocess.run(
+            [program, "run", "--rm", "eitskin-test", *words], capture_output=True, text=True, check=False, timeout=300
+        )
+        assert wanted in ran.stdout + ran.stderr
+    who = subprocess.run(
+        [program, "run", "--rm", "--entrypoint", "id", "eitskin-test", "-u"],
+        capture_output=True, text=True, check=False, timeout=300,
+    )  # fmt: skip
+    assert who.stdout.strip() == "10001"
+
+
+MDWE = """
+import ctypes, os, sys
+assert ctypes.CDLL(None).prctl(65, 1, 0, 0, 0) == 0, "refused"
+os.execv(sys.executable, [sys.executable, "-m", "eitskin_tools.cli", *sys.argv[1:]])
+"""
+"""Runs eitskin under PR_SET_MDWE (Linux 6.3), the kernel's own form of MemoryDenyWriteExecute."""
+
+
+@pytest.mark.process
+def test_the_runtime_needs_no_memory_that_is_written_and_executed(tmp_path):
+    tests = Path(__file__).parents[2]
+    made_up = '{"rate_hz": 100, "touches": [[0.3, 300, 0.3]]}'
+    with subprocess.Popen(
+        [sys.executable, tests / "runtime" / "skin_process.py", made_up], stdout=subprocess.PIPE, text=True
+    ) as skin:
+        try:
+            port = skin.stdout.readline().strip()
+            words = ["run", "--port", port, "--reference-frames", "10", "--force-reference", "--frames", "50"]
+            words += ["--publish", f"ipc://{tmp_path}/f", "--control", f"ipc://{tmp_path}/c"]
+            found = subprocess.run(
+                [sys.executable, "-c", MDWE, *words], capture_output=True, text=True, check=False, timeout=120
+            )
+        finally:
+            skin.terminate()
+    if "refused" in found.stderr:
+        pytest.skip("this kernel has no PR_SET_MDWE: Linux 6.3 and later have it")
+    assert found.returncode == 0, found.stderr
+    assert "50 frames at" in found.stderr
+    assert re.search(r"vd2t\S* \d+ us", found.stderr), "a network has run"

@@ -1,0 +1,249 @@
+"""The page in a headless Chromium, in front of a runtime that publishes known scenes."""
+
+import contextlib
+import io
+import threading
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.view.messages import surface_message
+from eitskin_tools.view.viewer import Viewer
+
+from .chromium import PROGRAM, Browser
+from .scripted import Runtime, Scene, cylinder, disc, flat
+
+pytestmark = [
+    pytest.mark.process,
+    pytest.mark.slow,
+    pytest.mark.skipif(PROGRAM is None, reason="no Chromium: tools/system-packages.sh chromium"),
+]
+
+TOUCHED = disc(110.0, 30.0)
+SHOWN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history.newest"
+
+
+@pytest.fixture
+def endpoint(tmp_path):
+    return f"ipc://{tmp_path}/frames"
+
+
+@pytest.fixture
+def viewer(endpoint):
+    with Viewer(endpoint, PAPER) as found:
+        yield found
+
+
+@contextlib.contextmanager
+def browser(viewer, *arguments, **more):
+    """Give a browser with the page open; whatever it did, it said no error and asked nobody else."""
+    with Browser(*arguments, **more) as found:
+        found.open(viewer.address)
+        yield found
+        assert found.thrown == []
+        assert [text for text in found.said if "ERR_" not in text] == []
+        assert {urlsplit(url).netloc for url in found.asked} == {urlsplit(viewer.address).netloc}
+
+
+def picture(found):
+    """Return (height, width, 3) of the screen."""
+    pillow = pytest.importorskip("PIL.Image")
+    return np.asarray(pillow.open(io.BytesIO(found.picture())).convert("RGB"), dtype=float)
+
+
+def draws_newer(found):
+    """Wait until a frame that comes from now on has been drawn."""
+    found.evaluate("window.mark = eitskin.page.drawings, window.then = eitskin.history.newest.t")
+    found.wait("eitskin.history.shown.t > window.then && eitskin.page.drawings > window.mark + 1")
+
+
+def pixel(shot, place, half=2):
+    """Return the mean colour about a place."""
+    x, y = (round(value) for value in place)
+    return shot[y - half : y + half + 1, x - half : x + half + 1].mean(axis=(0, 1))
+
+
+def flat_place(found, x_mm, y_mm):
+    """Return where a place of the sheet lies on the screen, in the flat map."""
+    return found.evaluate(
+        f"(() => {{ const b = document.getElementById('flat').getBoundingClientRect(), [x, y] = "
+        f"eitskin.flat.place({x_mm}, {y_mm}); return [b.left + x, b.top + y]; }})()"
+    )
+
+
+def space_place(found, x_mm, y_mm):
+    """Return where a place of the sheet lies on the screen, on the bent surface."""
+    return found.evaluate(
+        f"(() => {{ const b = document.getElementById('scene').getBoundingClientRect(), [x, y] = "
+        f"eitskin.page.project(eitskin.history.shown.surface.at({x_mm}, {y_mm}).place); "
+        "return [b.left + x, b.top + y]; })()"
+    )
+
+
+def test_the_touch_is_bright_where_it_is_and_the_rest_is_dark_flat_and_bent(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)) as runtime, browser(viewer) as found:
+        found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
+        shot = picture(found)
+        for place in (flat_place, space_place):
+            assert pixel(shot, place(found, 110.0, 25.5)).min() > 130  # below the centre, where the arrow begins
+            assert pixel(shot, place(found, 40.0, 70.0)).max() < 90
+        bent = cylinder()
+        viewer.board.post("surface", surface_message(3, bent, "one"))
+        runtime.scene = Scene(TOUCHED, cloud=3, cloud_mm=bent)
+        found.wait("eitskin.history.shown.surface.revision === 3")
+        found.wait("eitskin.history.shown.head.cloud === 3")
+        draws_newer(found)
+        lit = space_place(found, 110.0, 25.5)
+        shot = picture(found)
+        assert pixel(shot, lit, 1).min() > 110
+        assert pixel(shot, space_place(found, 60.0, 70.0), 1).max() < 100
+        height = found.evaluate("eitskin.history.shown.surface.at(110, 30).place[2]")
+        turn = (110.0 - 75.0) / (150.0 / np.deg2rad(120.0))
+        assert height == pytest.approx(150.0 / np.deg2rad(120.0) * (np.cos(turn) - 1.0), abs=0.1)  # of the polygon
+        row = found.evaluate("document.querySelector('#touches tr').innerText.split(/\\s+/)")
+        assert (float(row[1].rstrip(",")), float(row[2])) == pytest.approx((110.0, 30.0), abs=0.2)
+        assert float(row[3]) == pytest.approx(np.pi * 64, rel=0.1)
+
+
+def test_another_size_a_phone_and_the_dark_are_drawn_anew_and_nothing_sticks_out(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+        found.wait(SHOWN)
+        light = picture(found)
+        assert pixel(light, (900, 22)).mean() > 200
+        found.wear(dark=True)
+        draws_newer(found)
+        assert pixel(picture(found), (900, 22)).mean() < 60
+        found.evaluate("document.getElementById('theme').click()")  # light, whatever the system says
+        draws_newer(found)
+        assert pixel(picture(found), (900, 22)).mean() > 200
+        for width, height in ((1280, 720), (900, 700), (1920, 1080), (390, 844), (320, 640)):
+            found.resize(width, height, mobile=width < 500)
+            found.wait(f"innerWidth === {width}")
+            draws_newer(found)
+            assert found.evaluate("document.documentElement.scrollWidth") <= width, (width, height)
+            drawn = found.evaluate(
+                "['scene', 'overlay', 'flat', 'strip-touches', 'strip-drift'].map((id) => { const c = "
+                "document.getElementById(id), b = c.getBoundingClientRect(); return [c.width - Math.round(b.width), "
+                "c.height - Math.round(b.height), Math.min(b.width, b.height)]; })"
+            )
+            assert all(abs(wide) <= 1 and abs(high) <= 1 and least > 60 for wide, high, least in drawn), drawn
+        found.resize(1280, 720)
+        found.wait("innerWidth === 1280")
+        assert found.evaluate("document.documentElement.scrollHeight") <= 720
+
+
+def test_the_page_says_that_nobody_is_there_and_goes_on_when_somebody_comes_and_comes_again(viewer, endpoint):
+    with browser(viewer) as found:
+        found.wait("document.getElementById('notice')?.hidden === false")
+        assert "eitskin run" in found.evaluate("document.getElementById('notice').innerText")
+        assert found.evaluate("document.getElementById('state').dataset.state") == "silent"
+        for run in ("one", "two"):
+            with Runtime(endpoint, Scene(TOUCHED), run=run):
+                found.wait(f"eitskin.history.newest?.head.run === {run!r} && document.getElementById('notice').hidden")
+                found.wait("document.getElementById('state').dataset.state === 'live'")
+            found.wait("document.getElementById('state').dataset.state === 'silent'")
+        found.wait("document.getElementById('log').innerText.includes('started anew')")
+
+
+def test_the_page_comes_back_when_the_viewer_was_started_anew(endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER) as first:
+        port = first.server.port
+        with browser(first) as found:
+            found.wait(SHOWN)
+            first.__exit__()
+            found.wait("document.getElementById('state').dataset.state === 'gone'")
+            with Viewer(endpoint, PAPER, port=port):
+                found.wait("document.getElementById('state').dataset.state === 'live'")
+
+
+def test_time_stands_still_steps_and_goes_on_by_keys_and_the_surface_turns(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+        found.wait(f"{SHOWN} && eitskin.history.frames.length > 10")
+        found.press(" ")
+        at = found.evaluate("[eitskin.history.mode, eitskin.history.shown.t]")
+        assert at[0] == "paused"
+        draws = found.evaluate("eitskin.history.frames.length")
+        found.wait(f"eitskin.history.frames.length > {draws} + 3")
+        assert found.evaluate("eitskin.history.shown.t") == at[1]
+        found.press(",")
+        assert found.evaluate("eitskin.history.shown.t") < at[1]
+        found.press(".")
+        assert found.evaluate("eitskin.history.shown.t") == at[1]
+        found.evaluate("(() => { const s = document.getElementById('scrub'); s.value = 0; "
+                       "s.dispatchEvent(new Event('input')); })()")  # fmt: skip
+        assert found.evaluate("eitskin.history.shown === eitskin.history.oldest")
+        found.wait("document.getElementById('when').innerText.endsWith('ago')")
+        found.press(" ")
+        assert found.evaluate("eitskin.history.mode") == "playing"
+        found.press("l")
+        assert found.evaluate("eitskin.history.mode") == "live"
+        before = found.evaluate("eitskin.camera.yaw")
+        found.evaluate("document.getElementById('scene').focus()")
+        found.press("ArrowLeft")
+        turned = found.evaluate("eitskin.camera.yaw")
+        assert turned != before
+        x, y = space_place(found, 75.0, 50.0)
+        found.drag(x, y, 60, 0)
+        assert found.evaluate("eitskin.camera.yaw") < turned
+        found.press("2")
+        assert found.evaluate("eitskin.camera.pitch") > 1.5
+        found.press("?")
+        assert found.evaluate("document.getElementById('keys').open")
+        found.press("Escape")
+        found.wait("!document.getElementById('keys').open")
+        found.press("t")
+        assert found.evaluate("document.documentElement.dataset.theme") == "light"
+
+
+def test_every_button_can_be_reached_by_the_keyboard_and_has_a_name(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+        found.wait(SHOWN)
+        met = set()
+        for _ in range(30):
+            found.press("Tab")
+            met.add(found.evaluate("document.activeElement.id || document.activeElement.dataset.view || ''"))
+        assert {"theme", "help", "scene", "tilted", "above", "front", "closer", "pause", "back", "scrub"} <= met
+        nameless = found.evaluate(
+            "[...document.querySelectorAll('button, input, canvas:not([aria-hidden])')].filter((node) => !node.hidden "
+            "&& !(node.getAttribute('aria-label') || node.innerText.trim())).map((node) => node.id)"
+        )
+        assert nameless == []
+
+
+def test_losses_left_out_work_and_sick_electrodes_are_told_in_words(viewer, endpoint):
+    scene = Scene(flat()[2], electrodes=("5:detached:imputed",), skipped=("inference:untouched",), counts=(0, 0, 0, 0))
+    with Runtime(endpoint, scene) as runtime, browser(viewer) as found:
+        found.wait(SHOWN)
+        found.wait("document.getElementById('electrodes').innerText.includes('5 is detached')")
+        found.wait("document.getElementById('skipped').innerText.includes('nothing touches')")
+        assert found.evaluate("document.getElementById('losses-now').innerText") == "none since the start"
+        runtime.scene = Scene(flat()[2], events=("withheld:stuck",), counts=(7, 0, 1, 0))
+        found.wait("document.getElementById('log').innerText.includes('7 frames lost on the wire')")
+        found.wait("document.getElementById('log').innerText.includes('A frame was withheld')")
+        found.wait("document.getElementById('losses-now').innerText === '7 lost, 1 withheld'")
+        found.wait("document.getElementById('electrodes').innerText.includes('All 16 are well')")
+
+
+def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as stalled, browser(viewer) as found:
+        stalled.wait(SHOWN)
+        found.wait(SHOWN)
+        busy = threading.Thread(
+            target=stalled.evaluate, args=("(() => { const t = Date.now(); while (Date.now() - t < 2000); })()",)
+        )
+        busy.start()
+        for _ in range(5):
+            draws_newer(found)
+        busy.join()
+        draws_newer(stalled)
+
+
+def test_off_loopback_the_page_wants_its_token(endpoint):
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER, token="right") as viewer:
+        with Browser() as found:
+            found.open(viewer.address.replace("right", "wrong"))
+            found.wait("document.getElementById('notice')?.innerText.includes('token')")
+        with browser(viewer) as found:
+            found.wait(SHOWN)

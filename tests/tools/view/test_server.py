@@ -1,0 +1,283 @@
+import http.client
+import socket
+import threading
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.view import board as board_module
+from eitskin_tools.view import server as server_module
+from eitskin_tools.view.address import host_allowed, is_loopback, page_address
+from eitskin_tools.view.board import Board
+from eitskin_tools.view.messages import electrode_places_mm, packed, skin_message, status_message, unpacked
+from eitskin_tools.view.pages import pages
+from eitskin_tools.view.server import PortTaken, ViewServer
+
+
+class Remembering:
+    def __init__(self):
+        self.done = []
+
+    def start(self):
+        self.done.append("start")
+        return ""
+
+    def stop(self):
+        self.done.append("stop")
+        return ""
+
+
+@pytest.fixture
+def serve():
+    """Return a maker of running servers."""
+    running = []
+
+    def make(token="", **more):
+        server = ViewServer("127.0.0.1", 0, Board(), token, **more)
+        thread = threading.Thread(target=server.serve_forever, kwargs={"poll_interval": 0.01})
+        thread.start()
+        running.append((server, thread))
+        return server
+
+    yield make
+    for server, thread in running:
+        server.board.close()
+        server.shutdown()
+        thread.join()
+        server.server_close()
+
+
+def ask(server, path="/", method="GET", **headers):
+    connection = http.client.HTTPConnection("127.0.0.1", server.port, timeout=60)
+    named = {"Host": f"127.0.0.1:{server.port}"} | {name.replace("_", "-"): value for name, value in headers.items()}
+    connection.putrequest(method, path, skip_host=True)
+    for name, value in named.items():
+        connection.putheader(name, value)
+    connection.endheaders()
+    answer = connection.getresponse()
+    return answer, connection
+
+
+def status(server, *arguments, **headers):
+    answer, connection = ask(server, *arguments, **headers)
+    text = answer.read()
+    connection.close()
+    return answer.status, text
+
+
+def test_the_pages_files_are_served_with_a_policy_that_allows_nothing_else(serve):
+    server = serve()
+    for path, (kind, body) in pages().items():
+        answer, connection = ask(server, path)
+        assert (answer.status, answer.read(), answer.headers["Content-Type"]) == (200, body, kind)
+        assert answer.headers["Content-Security-Policy"].startswith("default-src 'none'")
+        assert "unsafe" not in answer.headers["Content-Security-Policy"]
+        assert answer.headers["X-Content-Type-Options"] == "nosniff"
+        connection.close()
+    assert {"/", "/main.js", "/style.css"} <= set(pages())
+
+
+def test_the_page_names_no_file_that_is_not_served_and_none_of_another_site():
+    for path, (kind, body) in pages().items():
+        text = body.decode()
+        assert "://" not in text.replace("http://www.w3.org/2000/svg", ""), path
+        if kind.startswith("text/javascript"):
+            named = [line.rpartition('from "./')[2].rstrip('";') for line in text.splitlines() if 'from "./' in line]
+            assert {f"/{name}" for name in named} <= set(pages()), path
+
+
+@pytest.mark.parametrize("path", ["/../server.py", "/index.html", "/stream/", "/%2e%2e/feed.py", "/main.js?x"])
+def test_any_other_path_is_not_there(serve, path):
+    assert status(serve(), path)[0] == 404
+
+
+@pytest.mark.parametrize("method", ["PUT", "DELETE", "OPTIONS", "HEAD", "TRACE", "BREW"])
+def test_any_other_method_is_refused_in_one_line(serve, method):
+    code, text = status(serve(), "/", method)
+    assert code == 501
+    assert text.count(b"\n") <= 1
+    assert b"<" not in text
+
+
+def test_a_request_that_names_another_host_is_refused(serve):
+    server = serve()
+    port = server.port
+    for host in ("evil.example", f"evil.example:{port}", "127.0.0.1", f"127.0.0.1:{port + 1}", "", f"10.0.0.1:{port}"):
+        assert status(server, Host=host)[0] == 421, host
+    for host in (f"127.0.0.1:{port}", f"localhost:{port}", f"LOCALHOST:{port}", f"[::1]:{port}"):
+        assert status(server, Host=host)[0] == 200, host
+
+
+def test_beyond_loopback_a_name_of_a_site_is_refused_and_an_address_is_not():
+    assert host_allowed("192.168.1.7:80", "0.0.0.0", 80)
+    assert host_allowed("[fe80::1]:80", "::", 80)
+    assert host_allowed(f"{socket.gethostname()}:80", "0.0.0.0", 80)
+    assert not host_allowed("evil.example:80", "0.0.0.0", 80)
+    assert not host_allowed("192.168.1.7.evil.example:80", "0.0.0.0", 80)
+
+
+def test_a_page_of_another_site_gets_nothing(serve):
+    server = serve()
+    assert status(server, "/", Sec_Fetch_Site="cross-site")[0] == 403
+    assert status(server, "/stream", Sec_Fetch_Site="same-site")[0] == 403
+    assert status(server, "/main.js", Sec_Fetch_Site="same-origin")[0] == 200
+
+
+def test_the_stream_wants_the_token_and_the_address_has_it(serve):
+    server = serve("secret")
+    assert status(server, "/stream")[0] == status(server, "/stream", Authorization="Bearer secreT")[0] == 401
+    assert server.address == f"http://127.0.0.1:{server.port}/#token=secret"
+    answer, connection = ask(server, "/stream", Authorization="Bearer secret")
+    assert answer.status == 200
+    connection.close()
+
+
+def test_without_a_token_only_this_machine_is_served():
+    with pytest.raises(ValueError, match="expected a token"):
+        ViewServer("0.0.0.0", 0, Board())
+    assert [is_loopback(host) for host in ("127.0.0.1", "::1", "localhost", "0.0.0.0", "10.0.0.1", "name")] == [
+        True, True, True, False, False, False,
+    ]  # fmt: skip
+    assert page_address("::1", 80, "t") == "http://[::1]:80/#token=t"
+
+
+def test_a_port_in_use_is_told_in_one_line(serve):
+    port = serve().port
+    with pytest.raises(PortTaken, match=f"port {port} of 127.0.0.1 is in use.*--port"):
+        ViewServer("127.0.0.1", port, Board())
+
+
+def test_only_the_page_itself_starts_a_recording(serve):
+    recorder = Remembering()
+    server = serve("t", recorder=recorder)
+    own = f"http://127.0.0.1:{server.port}"
+    assert status(server, "/record/start", "POST")[0] == 403
+    assert status(server, "/record/start", "POST", Origin="http://evil.example")[0] == 403
+    assert status(server, "/record/start", "POST", Origin=own)[0] == 401
+    assert status(server, "/record/start", "POST", Origin=own, Authorization="Bearer t", Content_Length="5")[0] == 413
+    assert recorder.done == []
+    assert status(server, "/record/start", "POST", Origin=own, Authorization="Bearer t")[0] == 200
+    assert status(server, "/record/stop", "POST", Origin=own, Authorization="Bearer t")[0] == 200
+    assert recorder.done == ["start", "stop"]
+
+
+def test_a_head_that_is_too_long_or_never_ends_is_left(serve, monkeypatch):
+    server = serve()
+    with socket.create_connection(("127.0.0.1", server.port), 60) as line:
+        line.sendall(b"GET / HTTP/1.1\r\nX: " + b"x" * (server_module.LARGEST_HEAD + 5000))
+        assert line.recv(1) == b""
+    monkeypatch.setattr(server_module, "HEAD_S", 0.05)
+    with socket.create_connection(("127.0.0.1", server.port), 60) as line:
+        line.sendall(b"GET / HT")
+        assert line.recv(1) == b""
+
+
+def test_two_requests_in_one_packet_are_both_answered(serve):
+    server = serve()
+    head = f"GET /favicon.svg HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode()
+    with socket.create_connection(("127.0.0.1", server.port), 60) as line:
+        line.sendall(head + head.replace(b"\r\n\r\n", b"\r\nConnection: close\r\n\r\n"))
+        said = b"".join(iter(lambda: line.recv(65536), b""))
+    assert said.count(b"HTTP/1.1 200") == 2
+    assert said.count(b"<svg") == 2
+
+
+def test_more_connections_than_there_may_be_are_sent_away_and_room_comes_back(serve, monkeypatch):
+    monkeypatch.setattr(server_module, "MOST", 2)
+    server = serve()
+    lines = [socket.create_connection(("127.0.0.1", server.port), 60) for _ in range(2)]
+    for line in lines:  # each is taken: it answers
+        line.sendall(f"GET /favicon.svg HTTP/1.1\r\nHost: 127.0.0.1:{server.port}\r\n\r\n".encode())
+        assert line.recv(12) == b"HTTP/1.1 200"
+    with socket.create_connection(("127.0.0.1", server.port), 60) as third:
+        assert third.recv(1) == b""
+    for line in lines:
+        line.close()
+    while True:
+        try:
+            if status(server)[0] == 200:
+                break
+        except (OSError, http.client.HTTPException):
+            continue
+
+
+def chunks(answer):
+    """Yield the messages of a stream as they come."""
+    waiting = b""
+    while data := answer.read1(65536):
+        waiting += data
+        whole = unpacked(waiting)
+        for head, body in whole:
+            waiting = waiting[len(packed(head, body)) :]
+            yield head, body
+
+
+def test_a_page_gets_the_newest_of_each_kind_and_then_what_is_newer(serve):
+    server = serve()
+    for number in range(5):
+        server.board.post("frame", packed({"kind": "frame", "n": number}, b"12"))
+    server.board.post("skin", packed({"kind": "skin"}))
+    answer, connection = ask(server, "/stream")
+    coming = chunks(answer)
+    assert next(coming) == ({"kind": "skin"}, b"")
+    assert next(coming) == ({"kind": "frame", "n": 4}, b"12")
+    server.board.post("status", status_message("silent", "nobody is there"))
+    assert next(coming)[0] == {"kind": "status", "state": "silent", "text": "nobody is there"}
+    server.board.close()
+    assert list(coming) == []
+    connection.close()
+
+
+def test_only_so_many_pages_look_on_at_once(serve, monkeypatch):
+    monkeypatch.setattr(board_module, "MOST_PAGES", 1)
+    server = serve()
+    answer, connection = ask(server, "/stream")
+    assert answer.status == 200
+    code, text = status(server, "/stream")
+    assert code == 503
+    assert b"close one" in text
+    connection.close()
+
+
+def test_a_page_that_reads_nothing_keeps_nobody_waiting_and_is_left(serve, monkeypatch):
+    monkeypatch.setattr(server_module, "STALL_S", 0.2)
+    server = serve()
+    server.board.post("frame", packed({"kind": "frame", "n": 0}, bytes(1 << 20)))
+    answer, connection = ask(server, "/stream")
+    assert answer.status == 200
+    number = 0
+    while server.board.pages:  # posting never waits; the page is left once its line is full
+        number += 1
+        server.board.post("frame", packed({"kind": "frame", "n": number}, bytes(1 << 20)))
+        threading.Event().wait(0.01)
+    connection.close()
+
+
+def test_a_message_cut_anywhere_is_no_message_yet():
+    message = packed({"kind": "frame", "text": "ä"}, b"\0\xff")
+    assert unpacked(message) == [({"kind": "frame", "text": "ä"}, b"\0\xff")]
+    assert [unpacked(message[:end]) for end in range(len(message))] == [[]] * len(message)
+    assert len(unpacked(message * 3 + message[:-1])) == 3
+
+
+def test_electrodes_lie_on_the_border_at_their_arc_length():
+    places = electrode_places_mm(PAPER)
+    assert places[0].tolist() == [12.5, 0.0]
+    assert places[5].tolist() == [150.0, 18.75]
+    assert places[8].tolist() == [137.5, 100.0]
+    assert places[15].tolist() == [0.0, 18.75]
+    x, y = places.T
+    on_border = np.minimum(np.minimum(x, 150 - x), np.minimum(y, 100 - y))
+    assert np.abs(on_border).max() == 0.0
+
+
+def test_the_colours_can_be_told_apart_without_hue():
+    from eitskin_tools.pictures.draw import palette
+
+    linear = (palette() / 255.0) ** 2.2
+    lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
+    assert np.diff(lightness).min() > 0.5  # each level is lighter than the one before, in any kind of colour blindness
+    assert lightness[-1] - lightness[0] > 80
+    (head, _) = unpacked(skin_message(PAPER, palette(), {}))[0]
+    assert head["palette"][0] == palette()[0].tolist()

@@ -1,0 +1,1 @@
+"""How many skins a machine carries."""

@@ -1,0 +1,1 @@
+"""What the verifier of touches survives, and whether its p-values keep their word."""

@@ -1,0 +1,1 @@
+"""``eitskin bench view``."""

@@ -1,0 +1,153 @@
+"""What the live page costs: the stream of 200 frames a second without a viewer, and with 0, 1 and 3 pages open.
+
+Processes as in the demonstration: a virtual skin, the runtime, a subscriber that takes every frame, and the viewer. The
+pages are readers of its stream in this process: no browser draws, so that the figures are the server's own. Cases take
+turns, round by round.
+"""
+
+import argparse
+import http.client
+import json
+import os
+import socket
+import sys
+import tempfile
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+from typing import Any, Final
+from urllib.parse import urlsplit
+
+from eitskin_tools.demo.recorder import Record
+from eitskin_tools.processes.children import Child, process_group
+
+CASES: Final[dict[str, int | None]] = {"no viewer": None, "0 pages": 0, "1 page": 1, "3 pages": 3}
+READY_S: Final = 120.0
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each case in a round (20)")
+    parser.add_argument("--rounds", type=int, default=3, metavar="N", help="in which all cases take turns (3)")
+    parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (200)")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Measure, print, and return 0."""
+    found: dict[str, list[dict[str, Any]]] = {name: [] for name in CASES}
+    for number in range(arguments.rounds):
+        for name, pages in CASES.items():
+            print(f"round {number + 1} of {arguments.rounds}: {name}", file=sys.stderr, flush=True)
+            found[name].append(_measure(pages, arguments.seconds, arguments.rate))
+    rows = [_summed(name, runs) for name, runs in found.items()]
+    if arguments.json:
+        print(json.dumps({"rows": rows, "summary": {"lost_by_subscriber": sum(r["lost_by_subscriber"] for r in rows)}}))
+        return 0
+    for row in rows:
+        print(
+            f"{row['case']:<10} {row['frames']} frames, {row['lost_by_subscriber']} lost by the subscriber, "
+            f"{row['lost_on_the_wire']} on the wire; latency p50 {row['p50_ms']:.2f} ms, p99 {row['p99_ms']:.2f} ms; "
+            f"viewer {row['viewer_cpu_percent']:.1f} % of a core, {row['pictures_per_page_s']:.1f} pictures/s a page"
+        )
+    return 0
+
+
+def _summed(name: str, runs: list[dict[str, Any]]) -> dict[str, Any]:
+    total = {key: sum(found[key] for found in runs) for key in ("frames", "lost_by_subscriber", "lost_on_the_wire")}
+    means = ("p50_ms", "p99_ms", "viewer_cpu_percent", "pictures_per_page_s")
+    return {"case": name, **total, **{key: sum(found[key] for found in runs) / len(runs) for key in means}}
+
+
+def _measure(pages: int | None, seconds: float, rate_hz: float) -> dict[str, Any]:
+    """Return what one case showed."""
+    import numpy as np
+
+    with tempfile.TemporaryDirectory(prefix="eitskin-view-") as name, process_group() as children:
+        folder = Path(name)
+        publish, record = f"ipc://{folder}/frames", folder / "record.npz"
+        skin = _started(
+            children, "virtual-skin", ["virtual-skin", "--json", f"--rate={rate_hz:g}", "--seconds=1000"], folder
+        )
+        port = json.loads(skin.line(skin.out, "{", READY_S))["port"]
+        words = ["run", f"--port={port}", f"--publish={publish}", f"--control=ipc://{folder}/control", "--json"]
+        runtime = _started(children, "run", words, folder)
+        runtime.line(runtime.err, "ready ", READY_S, children)
+        viewer, address = None, ""
+        if pages is not None:
+            words = ["view", f"--endpoint={publish}", "--port=0", "--no-open"]
+            viewer = _started(children, "view", words, folder)
+            address = viewer.line(viewer.out, "viewing ", READY_S, children).split()[3]
+        with _readers(address, pages or 0) as counts:
+            capacity = int(seconds * rate_hz * 1.5) + 1000
+            words = [publish, str(record), f"--seconds={seconds:g}", f"--capacity={capacity}"]
+            taker = Child("subscriber", "eitskin_tools.demo.recorder", words, folder)
+            children.append(taker)
+            taker.line(taker.out, "first", READY_S, children)
+            before_s, shown = _cpu_s(viewer), sum(counts)
+            while taker.wait(1.0) is None:
+                for child in children[:-1]:
+                    child.check()
+            used_s, shown = _cpu_s(viewer) - before_s, sum(counts) - shown
+            if taker.status:
+                taker.check()
+        found = Record.load(record)
+        latency_ms = (found.received_ns - found.host_ns[:, 0]) / 1e6
+        return {
+            "frames": len(found.sequence),
+            "lost_by_subscriber": found.late,
+            "lost_on_the_wire": int(found.sequence[-1] - found.sequence[0] + 1 - len(found.sequence)) - found.late,
+            "p50_ms": float(np.quantile(latency_ms, 0.5)),
+            "p99_ms": float(np.quantile(latency_ms, 0.99)),
+            "viewer_cpu_percent": 100.0 * used_s / seconds,
+            "pictures_per_page_s": shown / seconds / pages if pages else 0.0,
+        }
+
+
+def _started(children: list[Child], name: str, words: list[str], folder: Path) -> Child:
+    child = Child(name, "eitskin_tools.cli", words, folder)
+    children.append(child)
+    return child
+
+
+def _cpu_s(child: Child | None) -> float:
+    """Return the CPU time that a process has used; 0 for none."""
+    if child is None:
+        return 0.0
+    fields = Path(f"/proc/{child.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
+    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
+
+
+@contextmanager
+def _readers(address: str, pages: int) -> Iterator[list[int]]:
+    """Read the viewer's stream as so many pages would; give how many frames each has taken."""
+    counts, lines, threads = [0] * pages, [], []
+    for page in range(pages):
+        connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=60)
+        connection.request("GET", "/stream")
+        lines.append(connection.sock)  # the answer takes it over
+        threads.append(threading.Thread(target=_read, args=(connection.getresponse(), counts, page), daemon=True))
+        threads[-1].start()
+    try:
+        yield counts
+    finally:
+        for line in lines:
+            with suppress(OSError):
+                line.shutdown(socket.SHUT_RDWR)
+        for thread in threads:
+            thread.join(30)
+
+
+def _read(answer: http.client.HTTPResponse, counts: list[int], page: int) -> None:
+    from eitskin_tools.view.messages import packed, unpacked
+
+    waiting = b""
+    try:
+        while data := answer.read1(65536):
+            waiting += data
+            for head, body in unpacked(waiting):
+                waiting = waiting[len(packed(head, body)) :]
+                counts[page] += head["kind"] == "frame"
+    except (OSError, http.client.HTTPException, ValueError, AttributeError):
+        return  # the other end has gone, or this one was closed

@@ -1,0 +1,1 @@
+"""Subcommands that write or read recordings."""

@@ -1,0 +1,180 @@
+"""``eitskin record``: write what a runtime measures into a file, until told to stop.
+
+A process of its own, so that no frame waits for a disk. The file can be read to the last half second whatever ends this
+process; it opens in Foxglove.
+"""
+
+import argparse
+import contextlib
+import json
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+
+POLL_S = 0.25
+"""How long the disk rests at most: what has come is on it by then."""
+
+FIRST_S = 10.0
+"""How long a runtime may take to say what skin it has."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
+    parser.add_argument("--out", type=Path, required=True, metavar="FILE.mcap", help="file to write; it must be new")
+    parser.add_argument("--maps", action="store_true", help="keep the maps; without, a digest of each")
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="with --maps: one map in N (default 1)")
+    parser.add_argument(
+        "--wire-only",
+        action="store_true",
+        help="neither digests nor pictures: the runtime computes no map for the recorder's sake",
+    )
+    parser.add_argument(
+        "--pictures-hz", type=float, default=30.0, metavar="HZ", help="pictures for Foxglove a second (default 30)"
+    )
+    parser.add_argument("--rotate-mb", type=float, metavar="MB", help="go on in a new file after so many megabytes")
+    parser.add_argument("--rotate-minutes", type=float, metavar="M", help="go on in a new file after so many minutes")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
+    parser.add_argument("--frames", type=int, metavar="N", help="end after N frames of the wire")
+    parser.add_argument("--timeout-s", type=float, metavar="T", help="end after T s without a frame (default: wait)")
+    parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
+    parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
+    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but what is wrong")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Record until SIGINT, SIGTERM, a number of frames or a time; return 0, or 1 when the disk was full."""
+    _check(arguments)
+    from eitskin.messaging.curve_keys import load_client_keys
+    from eitskin.messaging.streams.subscription import subscribe_streams
+    from eitskin.messaging.subscription import subscribe
+    from eitskin_tools.recording.intake import Intake
+    from eitskin_tools.recording.recorder import Kept, Recorder
+    from eitskin_tools.recording.series import Series
+
+    keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    stopped = _Stop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, stopped)
+    most_bytes = None if arguments.rotate_mb is None else round(arguments.rotate_mb * 1e6)
+    most_s = None if arguments.rotate_minutes is None else arguments.rotate_minutes * 60.0
+
+    def opener(head: dict[str, str]) -> Series:
+        return Series(arguments.out, head, most_bytes=most_bytes, most_s=most_s)
+
+    def frames() -> Any:
+        return subscribe(arguments.endpoint, "all", timeout_s=POLL_S, skip_unchanged=True, keys=keys)
+
+    def streams() -> Any:
+        return subscribe_streams(arguments.endpoint, timeout_s=POLL_S, keys=keys)
+
+    sources = [streams] if arguments.wire_only else [streams, frames]
+    kept = Kept(arguments.maps, arguments.every, 0.0 if arguments.wire_only else arguments.pictures_hz)
+    recorder = Recorder(opener, kept)
+    with contextlib.ExitStack() as stack:
+        intake = Intake(sources)
+        stack.callback(recorder.close)
+        stack.callback(intake.close)
+        full = _go_on(arguments, recorder, intake, stopped)
+    if arguments.json:
+        print(json.dumps(_summary(recorder, intake)))
+    elif not arguments.quiet and not full:
+        print(f"eitskin record: {_text(recorder)}", file=sys.stderr)
+    if full:
+        print(
+            f"eitskin record: the disk is full: {_text(recorder)}; the file is whole, free some room", file=sys.stderr
+        )
+    return 1 if full else 0
+
+
+class _Stop:
+    """Remembers that somebody wants an end."""
+
+    def __init__(self) -> None:
+        self.asked = False
+
+    def __call__(self, *_: object) -> None:
+        self.asked = True
+
+
+def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _Stop) -> bool:
+    """Record until the end, and return whether the disk was full."""
+    from eitskin.errors import NoFrame
+    from eitskin_tools.console.status_line import StatusLine
+
+    line = StatusLine(sys.stderr)
+    begin_s = heard_s = shown_s = time.monotonic()
+    with contextlib.ExitStack() as stack:
+        stack.callback(line.end)
+        while not stopped.asked:
+            found = intake.next(POLL_S)
+            now_s = time.monotonic()
+            if found is not None:
+                heard_s = now_s
+                recorder.take(found)
+            elif recorder.series is not None:
+                recorder.series.sync()
+            if recorder.full:
+                return True
+            if recorder.series is None and now_s - begin_s > (arguments.timeout_s or FIRST_S):
+                raise intake.silent or NoFrame(
+                    "the runtime does not say what skin it has: it is older than recordings; update it"
+                )
+            if arguments.timeout_s is not None and now_s - heard_s > arguments.timeout_s:
+                return False
+            if arguments.seconds is not None and recorder.recorded_s >= arguments.seconds:
+                return False
+            if arguments.frames is not None and recorder.frames >= arguments.frames:
+                return False
+            if line.live and not arguments.quiet and now_s - shown_s >= 1.0:
+                shown_s = now_s
+                line.show(_text(recorder) + ("; nothing comes" if now_s - heard_s > 1.0 else ""))
+    return False
+
+
+def _text(recorder: Any) -> str:
+    """Return how far it is, in a line."""
+    series = recorder.series
+    if series is None:
+        return "waiting for the runtime"
+    more = f" and {len(series.files) - 1} files before" if len(series.files) > 1 else ""
+    return (
+        f"{recorder.recorded_s:.1f} s, {recorder.frames} frames, {recorder.missed} missed, "
+        f"{series.size / 1e6:.2f} MB in {series.path}{more}"
+    )
+
+
+def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
+    series = recorder.series
+    return {
+        "frames": recorder.frames,
+        "missed": recorder.missed,
+        "published": recorder.published,
+        "seconds": round(recorder.recorded_s, 3),
+        "bytes": 0 if series is None else series.size,
+        "files": [] if series is None else [str(path) for path in series.files],
+        "dropped": intake.dropped,
+        "full": recorder.full,
+    }
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if (arguments.server_key is None) != (arguments.client_key is None):
+        raise UsageError("--server-key and --client-key belong together")
+    if arguments.wire_only and arguments.maps:
+        raise UsageError("--wire-only keeps no maps: leave --maps out")
+    for name in ("every", "rotate_mb", "rotate_minutes", "seconds", "frames", "timeout_s"):
+        value = getattr(arguments, name)
+        if value is not None and not 0 < value < 1e9:
+            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+    if not 0.0 <= arguments.pictures_hz <= 1000.0:
+        raise UsageError(f"--pictures-hz is {arguments.pictures_hz:g}, expected 0 to 1000")
+    files.writable(arguments.out)
+    if arguments.out.exists():
+        raise UsageError(f"--out {arguments.out} exists already; name another file, or move it away")

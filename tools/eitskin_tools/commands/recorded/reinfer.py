@@ -1,0 +1,147 @@
+"""``eitskin reinfer``: compute the maps of a recording once more, by what was running or by something else."""
+
+import argparse
+import json
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.command_line import files
+from eitskin_tools.errors import UsageError
+
+MOST_KEPT = 200_000
+"""Maps in a file: a gigabyte of memory."""
+
+PICTURES = 6
+"""Frames that a picture shows."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
+    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the one that was running)")
+    parser.add_argument(
+        "--recorded-bundle", type=Path, metavar="FILE", help="the one that was running, if it is not a shipped one"
+    )
+    parser.add_argument(
+        "--solver", metavar="NAME", help="vd2t, vd2t-int8, tikhonov, or any of 'eitskin evaluate' (extra: sim)"
+    )
+    parser.add_argument("--every", type=int, default=1, metavar="N", help="another solver: one frame in N (default 1)")
+    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
+    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    parser.add_argument("--out", type=Path, metavar="MAPS.npz", help="write the maps")
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw some frames (extra: plot)")
+    parser.add_argument("--quiet", action="store_true", help="show no progress")
+    parser.add_argument("--json", action="store_true", help="print one JSON object")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Compute, compare, and return 0; 1 if maps that should be the same differ."""
+    _check(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from eitskin_tools.console.status_line import StatusLine
+    from eitskin_tools.recording.reinfer.choice import others
+    from eitskin_tools.recording.reinfer.session import Span, reinfer
+    from eitskin_tools.recording.script import Script
+
+    script = Script(arguments.file)
+    if script.ending:
+        print(f"eitskin reinfer: {script.path}{script.ending}", file=sys.stderr)
+    recorded = _recorded(script, arguments)
+    other = others(script, recorded, arguments.bundle, arguments.solver)
+    line = StatusLine(sys.stderr)
+
+    def progress(done: int, of: int) -> None:
+        if not arguments.quiet:
+            line.show(f"{done} of {of} frames")
+
+    found = reinfer(
+        script,
+        recorded,
+        other,
+        span=Span(arguments.from_s, arguments.to_s),
+        every=arguments.every,
+        keep=MOST_KEPT if arguments.out or arguments.plot else 0,
+        progress=progress,
+    )
+    line.end()
+    if arguments.out is not None:
+        from eitskin_tools.recording.reinfer.results import write
+
+        write(arguments.out, found)
+    if arguments.plot is not None:
+        from eitskin_tools.recording.reinfer.results import draw
+
+        draw(arguments.plot, found, PICTURES)
+    fields = {"file": str(script.path), "bundle": recorded.id, "solver": arguments.solver, **found.fields()}
+    fields["as_recorded"] = recorded.id == script.told("bundle")
+    if other is not None:
+        fields["other_bundle"] = getattr(other, "bundle_id", "")
+    if arguments.json:
+        print(json.dumps(fields))
+    else:
+        for text in _lines(fields):
+            print(text)
+    return 1 if found.equality is not None and found.equality.differing else 0
+
+
+def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
+    """Return the bundle that was running; where it is not there, the one that is named instead."""
+    from eitskin_tools.recording.bundles import bundle_of
+    from eitskin_tools.recording.layout import RecordingError
+
+    if arguments.recorded_bundle is not None:
+        return bundle_of(script, arguments.recorded_bundle)
+    try:
+        return bundle_of(script)
+    except RecordingError:
+        if arguments.bundle is None:
+            raise
+        return bundle_of(script, arguments.bundle)
+
+
+def _lines(found: dict[str, Any]) -> list[str]:
+    """Return what people read."""
+    lines = [
+        f"{found['frames']} frames, {found['withheld']} of them withheld, in {found['elapsed_s']:.1f} s: "
+        f"{found['frames_per_s']:.0f} frames/s, {found['times_real_time'] or 0:.1f} times real time"
+    ]
+    if "published" in found:
+        differing = ", ".join(f"{count} by {why}" for why, count in found["differing"].items())
+        lines.append(
+            f"{found['equal']} of {found['published']} published maps are bit-equal"
+            + (f"; {found['unknown']} cannot be told" if found["unknown"] else "")
+            + (f"; differing: {differing}, first at frame {found['first_differing']}" if differing else "")
+        )
+    elif not found["as_recorded"]:
+        lines.append("compared with nothing: name the bundle that was running with --recorded-bundle")
+    elif "against_recorded" not in found:
+        lines.append("the recording has no digests of its maps to compare with")
+    if (against := found.get("against_recorded")) is not None:
+        median, low = _number(against["cc_median"], ".3f"), _number(against["cc_p5"], ".3f")
+        near, far = _number(against["centre_mm_median"], ".2f"), _number(against["centre_mm_p95"], ".2f")
+        lines.append(
+            f"against what was running, {against['frames']} frames: {_share(against['touched_agreement'])} touched "
+            f"alike; {against['both_touched']} touched in both: CC {median} median, {low} lowest "
+            f"twentieth; centres {near} mm apart, median, {far} highest twentieth"
+        )
+    return lines
+
+
+def _number(value: float | None, form: str) -> str:
+    return "-" if value is None else format(value, form)
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if arguments.every < 1:
+        raise UsageError(f"--every is {arguments.every}, expected at least 1")
+    if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
+        raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")
+    for path in (arguments.out, arguments.plot):
+        if path is not None:
+            files.writable(path)

@@ -1,0 +1,103 @@
+"""``eitskin replay``: publish a recording as if its skin were there, through the same runtime and topics."""
+
+import argparse
+import contextlib
+import json
+import os
+import signal
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.errors import UsageError
+
+LOOK_S = 0.01
+"""Between two looks whether somebody subscribed, with --wait."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
+    parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
+    parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
+    parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
+    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the one that was running)")
+    parser.add_argument("--solver", metavar="NAME", help="most accurate solver to use (default: the one that ran)")
+    pace = parser.add_mutually_exclusive_group()
+    pace.add_argument("--as-fast-as-possible", action="store_true", help="one frame as soon as the last is done")
+    pace.add_argument("--speed", type=float, default=1.0, metavar="X", help="X times the pace at which it came")
+    parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
+    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
+    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    parser.add_argument("--wait", action="store_true", help="begin when somebody subscribes")
+    parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
+    parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
+
+
+def run(arguments: argparse.Namespace) -> int:
+    """Play until the end, SIGINT, SIGTERM or ``stop``; return 0."""
+    _check(arguments)
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from eitskin.messaging import endpoints
+    from eitskin.messaging.control import ControlServer
+    from eitskin.messaging.curve_keys import load_server_keys
+    from eitskin.messaging.publish import Publisher
+    from eitskin.serving import serve
+    from eitskin_tools.console.run_log import RunLog
+    from eitskin_tools.recording.replay.play import Manner, Player
+    from eitskin_tools.recording.script import Script
+
+    log = RunLog(sys.stderr, quiet=arguments.quiet, command="replay")
+    keys = None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
+    script = Script(arguments.file)
+    log.say(
+        f"{script.path}: {script.frames} frames of {script.told('serial')} in {script.seconds:.1f} s{script.ending}"
+    )
+    manner = Manner(
+        not arguments.as_fast_as_possible, arguments.loop, arguments.from_s, arguments.to_s, arguments.speed
+    )
+    with contextlib.ExitStack() as stack:
+        player = stack.enter_context(
+            Player(script, manner, bundle=arguments.bundle, solver=arguments.solver, tell=log.warn)
+        )
+        skin = player.skin
+        publisher = Publisher(arguments.publish or endpoints.default_publish(), keys, skin.bundle.skin.grid.shape)
+        stack.callback(publisher.close)
+        control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
+        stack.callback(control.close)
+        stack.callback(skin.stop)
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, lambda *_: skin.stop())
+        for line in player.line.report():
+            log.say(line)
+        log.ready(publisher.endpoint, control.endpoint)
+        if arguments.wait:
+            _wait(skin, publisher)
+        serve(skin, publisher)
+        found = {**skin.summary(), "sent": player.line.sent, "rounds": player.line.rounds}
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        log.say(f"{found['sent']} frames played, {found['published']} published, {found['lost']} lost when recorded")
+    return 0
+
+
+def _wait(skin: Any, publisher: Any) -> None:
+    """Return when somebody subscribed to anything, or nobody waits for it any more."""
+    while not skin.stopping:
+        publisher.look()
+        if publisher.wanted or publisher.streams.asked:
+            return
+        time.sleep(LOOK_S)
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if not 0.0 < arguments.speed < 1e6:
+        raise UsageError(f"--speed is {arguments.speed:g}, expected more than 0")
+    for name in ("from_s", "to_s"):
+        value = getattr(arguments, name)
+        if value is not None and not 0 <= value < 1e9:
+            raise UsageError(f"--{name[:-2]} is {value:g}, expected 0 or more")
+    if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
+        raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")

@@ -1,0 +1,204 @@
+"""The network's map checked by physics: ``eitskin evaluate --solver verified``.
+
+The network answers as it does in the runtime; its touched units, at several thresholds, are where the verifier starts
+(:mod:`eitskin_sim.verification.units`). A reduced model is made from each cloud, as in a process beside the runtime,
+and once more with the uneven stretch that the first frame there shows, which no scan can: that belongs to the shape and
+not to the frame, so it counts as set-up, and serves all frames of the shape. Voltages come from the harness's own mesh,
+whatever the model's.
+"""
+
+import time
+from dataclasses import dataclass, replace
+from typing import Any, Final, Generic, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.normalise import inverse_reference, relative_change
+from eitskin_proto.sensor.row_gaussian import rows_of
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.evaluation.harness import Case, Results, Run
+from eitskin_sim.evaluation.metrics import Score
+from eitskin_sim.measurement.consistency import Filler
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.verification.material import MATERIAL
+from eitskin_sim.verification.prepared import prepared
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.units import BUDGET_S, UnitTouch, UnitVerifier
+from eitskin_sim.verification.verdict import Fitted, Verdict
+
+THRESHOLDS: Final = (0.5, 0.25, 0.75)
+"""Heights at which a unit of the network's map counts as touched: one start each."""
+
+CLEAR: Final = 3.0
+"""An amplitude of material that is so many standard errors from 0 goes into the model."""
+
+REBUILT: Final = 2
+"""How often a model is made anew with what was found."""
+
+LEAST: Final = 0.02
+"""Less of it is left to the nuisance."""
+
+MOST: Final = 0.3
+"""No amplitude of a real sheet is larger."""
+
+Material = tuple[float, ...]
+STILL: Final = (0.0, 0.0, 0.0)
+NOTHING: Final = Fitted("", 0.0, 0.0)
+
+
+Found = TypeVar("Found", bound=Verdict[Any])
+"""A verdict on units, or on shapes anywhere."""
+
+
+@dataclass(frozen=True, slots=True)
+class Checked(Generic[Found]):
+    """One map's verdict, and what it took."""
+
+    verdict: Found
+    extra_ms: float
+    """The verifier's own time on the frame, by the clock."""
+    cpu_ms: float
+    """The same by the processor: what it takes where nothing else runs."""
+    setup_ms: float
+    """Making the models of its shape, by the processor."""
+    network: npt.NDArray[np.bool_]
+    """(units,) or (pixels,) what the network alone says is touched."""
+
+
+class Verified:
+    """A network and the verifier behind it.
+
+    Args:
+        network: The network's run.
+        noise: What the instrument's noise is.
+        skin: Whose models.
+        budget_s: What a frame may take.
+        missing: Electrodes that are gone: their rows are not looked at, and filled in for the network.
+        filler: Fills them in.
+        made: Verifiers of clouds as scanned, kept from one run to another; None keeps none.
+    """
+
+    def __init__(
+        self,
+        network: Run,
+        noise: Noise,
+        skin: Skin,
+        budget_s: float = BUDGET_S,
+        missing: tuple[int, ...] = (),
+        filler: Filler | None = None,
+        made: dict[bytes, UnitVerifier] | None = None,
+    ) -> None:
+        self._network, self._noise, self._skin, self._budget_s = network, noise, skin, budget_s
+        self._missing, self._filler, self._made = missing, filler, made
+        self.checked: list[Checked[Verdict[UnitTouch]]] = []
+        """Verdicts in the order of the cases."""
+        self._shape: tuple[bytes, UnitVerifier, Material] | None = None
+
+    @property
+    def run(self) -> Run:
+        """Return the run that the harness takes."""
+        return replace(self._network, solver=self.solve)
+
+    def solve(self, case: Case) -> npt.NDArray[np.float64]:
+        """Return the map of the touched units."""
+        grid = self._skin.grid
+        change = relative_change(case.voltages, case.flat_reference)
+        rows = inverse_reference(case.flat_reference) != 0.0
+        if self._missing and self._filler is not None:
+            rows &= ~rows_of(self._missing)
+            filled = change[None].copy()
+            self._filler.fill(filled, self._missing)
+            case = replace(case, voltages=case.flat_reference * (1.0 + filled[0]))
+        image = self._network.solver(case)
+        starts = _starts(image, grid)
+        verifier, material, setup_ms = self._of(case)
+        before: tuple[UnitTouch, ...] = ()
+        for attempt in range(REBUILT + 1):
+            start = time.process_time()
+            verdict = verifier.verify(
+                change,
+                case.flat_reference,
+                starts,
+                self._noise,
+                rows=rows,
+                budget_s=self._budget_s,
+                before=before,
+                clock=time.process_time,
+            )
+            cpu_ms = 1e3 * (time.process_time() - start)
+            more = [next((one for one in verdict.nuisances if one.name == name), NOTHING) for name in MATERIAL]
+            if attempt == REBUILT or all(abs(one.value) <= max(CLEAR * one.error, LEAST) for one in more):
+                break
+            before = verdict.touches
+            material = tuple(
+                float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True)
+            )
+            begin = time.process_time()
+            verifier = prepared(case.sheet.cloud_mm, self._skin, material=material)
+            setup_ms += 1e3 * (time.process_time() - begin)
+            self._shape = case.sheet.cloud_mm.tobytes(), verifier, material
+        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
+        touched = np.zeros(grid.n_units)
+        touched[[one.unit for one in verdict.touches]] = 1.0
+        return np.asarray(grid.map_from_units(touched), dtype=np.float64)
+
+    def _of(self, case: Case) -> tuple[UnitVerifier, Material, float]:
+        """Return the verifier of a case's shape, the material in it, and ms that it took: 0 for the shape just seen."""
+        cloud = case.sheet.cloud_mm.tobytes()
+        if self._shape is not None and self._shape[0] == cloud:
+            return self._shape[1], self._shape[2], 0.0
+        begin = time.process_time()
+        verifier = None if self._made is None else self._made.get(cloud)
+        if verifier is None:
+            verifier = prepared(case.sheet.cloud_mm, self._skin)
+            if self._made is not None:
+                self._made[cloud] = verifier
+        self._shape = cloud, verifier, STILL
+        return verifier, STILL, 1e3 * (time.process_time() - begin)
+
+
+def _starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bool_]]:
+    """Return the units of a map that are touched, at each threshold."""
+    unit = grid.unit_of_pixel.ravel()
+    pixels = np.maximum(np.bincount(unit, minlength=grid.n_units), 1)
+    height = np.bincount(unit, weights=image.ravel(), minlength=grid.n_units) / pixels
+    return [height >= one for one in THRESHOLDS]
+
+
+def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked[Any]]]) -> None:
+    """Add to a report what the verifier said of each phantom, and of all of them.
+
+    Args:
+        found: The report.
+        results: Phantoms and their scores.
+        checked: A phantom's verdicts, one a score, by its ``id``.
+    """
+    for row, (phantom, _) in zip(found["phantoms"], results, strict=True):
+        own = checked[id(phantom)]
+        row["p_value"] = float(np.median([one.verdict.p_value for one in own]))
+        row["flagged"] = float(np.mean([one.verdict.flagged for one in own]))
+        row["extra_ms"] = float(np.median([one.extra_ms for one in own]))
+    found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
+
+
+def summary_of(every: list[tuple[Phantom, list[Score], list[Checked[Any]]]]) -> dict[str, Any]:
+    """Return what verdicts come to, over all maps."""
+    exact = np.array([one.exact for _, scores, _ in every for one in scores]) == 1.0
+    all_ = [one for _, _, checked in every for one in checked]
+    flagged = np.array([one.verdict.flagged for one in all_])
+    extra, cpu = np.array([one.extra_ms for one in all_]), np.array([one.cpu_ms for one in all_])
+    setup = [one.setup_ms for one in all_ if one.setup_ms]
+    return {
+        "maps": len(all_),
+        "exact": float(exact.mean()),
+        "wrong": int((~exact).sum()),
+        "wrong_unflagged": int((~exact & ~flagged).sum()),
+        "right_flagged": int((exact & flagged).sum()),
+        "extra_ms_median": float(np.median(extra)),
+        "extra_ms_p95": float(np.percentile(extra, 95)),
+        "cpu_ms_median": float(np.median(cpu)),
+        "cpu_ms_p95": float(np.percentile(cpu, 95)),
+        "setup_ms_median": float(np.median(setup)),
+        "chi_squared_median": float(np.median([one.verdict.chi_squared for one in all_])),
+    }

@@ -1,0 +1,72 @@
+"""The network's map checked by physics where touches lie anywhere: ``eitskin evaluate --solver verified``.
+
+Touches of the network's map, as the stream finds them, are where the search starts
+(:mod:`eitskin_sim.verification.free`). The map is drawn from the shapes that were found; where physics cannot explain
+the frame by them, the network's own map stays, and the frame is flagged. Making the model of a shape, once or twice
+more where the frame shows that the sheet is stretched otherwise than its scan, counts as set-up: it serves all frames
+of the shape.
+"""
+
+import time
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.touches.moments import Finder
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.evaluation.harness import Case, Run
+from eitskin_sim.evaluation.metrics import TOUCHED
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.starts import shares_of
+from eitskin_sim.verification.residual import Noise
+from eitskin_tools.evaluation.verified import Checked
+
+
+class VerifiedFree:
+    """A network and the verifier of touches anywhere behind it.
+
+    Args:
+        network: The network's run.
+        noise: What the instrument's noise is.
+        touches: Which way touches change conductance.
+        skin: Whose models.
+        budget_s: What a frame may take.
+    """
+
+    def __init__(self, network: Run, noise: Noise, touches: TouchKind, skin: Skin, budget_s: float = BUDGET_S) -> None:
+        self._network, self._noise, self._touches, self._skin = network, noise, touches, skin
+        self._budget_s = budget_s
+        self._finder = Finder(skin.grid)
+        self.checked: list[Checked[FreeVerdict]] = []
+        """Verdicts in the order of the cases."""
+        self._shape: tuple[bytes, FreeVerifier] | None = None
+
+    @property
+    def run(self) -> Run:
+        """Return the run that the harness takes."""
+        return replace(self._network, solver=self.solve)
+
+    def solve(self, case: Case) -> npt.NDArray[np.float64]:
+        """Return the map of the shapes found, or the network's where they explain nothing."""
+        image = self._network.solver(case)
+        grid = self._skin.grid
+        found = self._finder.find(image)
+        shares = shares_of(found.pixels, found.touch, found.weights, found.count, grid)
+        key = case.sheet.cloud_mm.tobytes() + case.flat_reference.tobytes()
+        if self._shape is None or self._shape[0] != key:
+            verifier, before = FreeVerifier(case.flat_reference, self._noise, self._touches, self._skin), 0.0
+            verifier.deform(case.sheet.cloud_mm)
+            self._shape = key, verifier
+        else:
+            verifier = self._shape[1]
+            before = verifier.setup_cpu_s
+        made, start = verifier.setup_cpu_s, time.process_time()
+        verdict = verifier.verify(case.voltages, shares, None, self._budget_s)
+        cpu_s = time.process_time() - start - (verifier.setup_cpu_s - made)
+        setup_ms = 1e3 * (verifier.setup_cpu_s - before)
+        touched = (image >= TOUCHED).ravel()
+        self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
+        return image if verdict.flagged else map_of(verdict.pieces, grid)

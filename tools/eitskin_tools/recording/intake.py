@@ -1,0 +1,82 @@
+"""Two subscriptions into one queue: what was measured, and what was published of it.
+
+Each has a thread of its own that does nothing but take messages from its socket; whoever writes them may be held up by
+the disk for a while.
+"""
+
+import threading
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from queue import Empty, SimpleQueue
+from typing import Any, Final
+
+from eitskin.errors import NoFrame
+from eitskin_proto.errors import SkinError
+
+MOST_WAITING: Final = 20_000
+"""Messages that wait for the disk: half a minute at 200 frames/s; more would be memory without end."""
+
+
+class Intake:
+    """Takes from subscriptions until it is closed.
+
+    Args:
+        sources: Each makes a subscription that ends its waiting with :class:`eitskin.NoFrame` now and then.
+    """
+
+    def __init__(self, sources: Iterable[Callable[[], Any]]) -> None:
+        self._queue: SimpleQueue[object] = SimpleQueue()
+        self._closing = threading.Event()
+        self.dropped = 0
+        """Messages that were not taken because the disk was too slow."""
+        self.silent: SkinError | None = None
+        """Why nothing comes, as the last source to wait in vain said it; None once something came since."""
+        self._threads = [
+            threading.Thread(target=self._take, args=(source,), name=f"record-{number}", daemon=True)
+            for number, source in enumerate(sources)
+        ]
+        for thread in self._threads:
+            thread.start()
+
+    def _take(self, source: Callable[[], Any]) -> None:
+        try:
+            subscription = source()
+        except Exception as error:
+            self._queue.put(error)
+            return
+        try:
+            while not self._closing.is_set():
+                try:
+                    for found in subscription:
+                        self.silent = None
+                        if self._queue.qsize() < MOST_WAITING:
+                            self._queue.put(found)
+                        else:
+                            self.dropped += 1
+                        if self._closing.is_set():
+                            return
+                except NoFrame as error:
+                    self.silent = error
+        except Exception as error:
+            self._queue.put(error)
+        finally:
+            subscription.close()
+
+    def next(self, timeout_s: float) -> object | None:
+        """Return what came next; None if nothing came in time.
+
+        Raises:
+            SkinError: A subscription failed.
+        """
+        with suppress(Empty):
+            found = self._queue.get(timeout=timeout_s)
+            if isinstance(found, Exception):
+                raise found
+            return found
+        return None
+
+    def close(self) -> None:
+        """End the subscriptions, and wait for their threads."""
+        self._closing.set()
+        for thread in self._threads:
+            thread.join(5.0)

@@ -1,0 +1,119 @@
+"""The map and the bent surface as Foxglove shows them: its well-known schemas, in their JSON form.
+
+JSON needs no further package and every release of Foxglove reads it; binary fields are base64. The surface is a cloud
+of points, a pixel each, with the map's value for a colour; the map is a grid of 32-bit floats on the flat sheet.
+"""
+
+import base64
+import json
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_tools.recording.layout import Channel
+
+NS: Final = 1_000_000_000
+FLOAT32: Final = 7
+"""``foxglove.PackedElementField.type`` of a float32."""
+
+STEPS: Final = np.float32(1024)
+"""Of a map's values from 0 to 1, in pictures."""
+
+STRIDE: Final = 18
+"""Bytes of a point: a multiple of three, so that in base64 the same point is the same text, which packs to nothing."""
+
+FRAME_ID: Final = "skin"
+POSE: Final = {"position": {"x": 0.0, "y": 0.0, "z": 0.0}, "orientation": {"x": 0.0, "y": 0.0, "z": 0.0, "w": 1.0}}
+
+
+def _object(title: str, **properties: Any) -> dict[str, Any]:
+    return {"title": title, "type": "object", "properties": properties}
+
+
+_TIME: Final = {
+    "type": "object",
+    "title": "time",
+    "properties": {"sec": {"type": "integer", "minimum": 0}, "nsec": {"type": "integer", "minimum": 0}},
+}
+_NUMBER: Final = {"type": "number"}
+_WHOLE: Final = {"type": "integer", "minimum": 0}
+_TEXT: Final = {"type": "string"}
+_BYTES: Final = {"type": "string", "contentEncoding": "base64"}
+_POSE: Final = _object(
+    "foxglove.Pose",
+    position=_object("foxglove.Vector3", x=_NUMBER, y=_NUMBER, z=_NUMBER),
+    orientation=_object("foxglove.Quaternion", x=_NUMBER, y=_NUMBER, z=_NUMBER, w=_NUMBER),
+)
+_FIELDS: Final = {
+    "type": "array",
+    "items": _object("foxglove.PackedElementField", name=_TEXT, offset=_WHOLE, type=_WHOLE),
+}
+
+GRID: Final = Channel(
+    "/eitskin/grid",
+    "json",
+    "foxglove.Grid",
+    json.dumps(
+        _object(
+            "foxglove.Grid", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, column_count=_WHOLE,
+            cell_size=_object("foxglove.Vector2", x=_NUMBER, y=_NUMBER), row_stride=_WHOLE, cell_stride=_WHOLE,
+            fields=_FIELDS, data=_BYTES,
+        )
+    ),
+)  # fmt: skip
+
+SURFACE: Final = Channel(
+    "/eitskin/surface",
+    "json",
+    "foxglove.PointCloud",
+    json.dumps(
+        _object(
+            "foxglove.PointCloud", timestamp=_TIME, frame_id=_TEXT, pose=_POSE, point_stride=_WHOLE, fields=_FIELDS,
+            data=_BYTES,
+        )
+    ),
+)  # fmt: skip
+
+
+def grid(values: npt.NDArray[np.float32], pixel_mm: tuple[float, float], wall_ns: int) -> bytes:
+    """Return a map as ``foxglove.Grid``.
+
+    Args:
+        values: (rows, columns), row 0 at y = 0.
+        pixel_mm: Width and height of a pixel.
+        wall_ns: When it was measured.
+    """
+    columns = values.shape[1]
+    fields = [{"name": "touched", "offset": 0, "type": FLOAT32}]
+    cell = {"x": pixel_mm[0] * 1e-3, "y": pixel_mm[1] * 1e-3}
+    return _packed(wall_ns, fields, values, column_count=columns, cell_size=cell, row_stride=4 * columns, cell_stride=4)
+
+
+def surface(values: npt.NDArray[np.float32], cloud_mm: npt.NDArray[np.float32], wall_ns: int) -> bytes:
+    """Return the bent sheet as ``foxglove.PointCloud`` in metres, coloured by a map.
+
+    Args:
+        values: (rows, columns).
+        cloud_mm: (3, rows, columns) in the pose in which it came.
+        wall_ns: When it was measured.
+    """
+    points = np.zeros((values.size, STRIDE), dtype=np.uint8)
+    points[:, :12] = np.ascontiguousarray(cloud_mm.reshape(3, -1).T * 1e-3, dtype="<f4").view(np.uint8)
+    points[:, 12:16] = _rounded(values).reshape(-1, 1).view(np.uint8)
+    fields = [
+        {"name": name, "offset": 4 * index, "type": FLOAT32} for index, name in enumerate(("x", "y", "z", "touched"))
+    ]
+    return _packed(wall_ns, fields, points, point_stride=STRIDE)
+
+
+def _rounded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return a map to a 1024th: nobody sees more, and its last bytes are zeros, which pack well."""
+    return np.ascontiguousarray(np.rint(values * STEPS) / STEPS, dtype="<f4")
+
+
+def _packed(wall_ns: int, fields: list[dict[str, object]], data: npt.NDArray[Any], **more: object) -> bytes:
+    stamp = {"sec": wall_ns // NS, "nsec": wall_ns % NS}
+    plain = base64.b64encode(np.ascontiguousarray(data).tobytes()).decode("ascii")
+    content = {"timestamp": stamp, "frame_id": FRAME_ID, "pose": POSE, "fields": fields, "data": plain, **more}
+    return json.dumps(content, separators=(",", ":")).encode("ascii")

@@ -1,0 +1,223 @@
+"""From a subscription to a file: what comes is written as it came, and pictures for Foxglove beside it.
+
+The recorder is a process of its own: a chunk that is packed and forced onto the disk takes milliseconds, which the
+frame loop must not wait for. It knows no socket: whoever subscribes hands it one value after the other.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.messaging.frame import Frame
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin.messaging.streams.state import SkinState
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.recording import pictures
+from eitskin_tools.recording.codec import note_of, pack_json, pack_map
+from eitskin_tools.recording.layout import (
+    CLOUD,
+    CONDITIONS,
+    FRAME,
+    JSON_MEDIA,
+    MAP,
+    REFERENCE,
+    STATE,
+    WIRE,
+    RecordingError,
+)
+from eitskin_tools.recording.series import Series
+
+MOST_EARLY: Final = 4000
+"""Values that wait until the skin has said what it is: 10 s of a stream of 400 a second."""
+
+RESTING_NS: Final = 1_000_000_000
+"""Between two pictures while nothing changes in them."""
+
+
+@dataclass(frozen=True, slots=True)
+class Kept:
+    """What of the stream is kept beside the wire, the clouds and the state."""
+
+    maps: bool = False
+    """The maps themselves, not their digests alone."""
+    every: int = 1
+    """Of the maps one in so many."""
+    pictures_hz: float = 30.0
+    """Pictures for Foxglove a second, at most; 0 for none."""
+
+
+Opener = Callable[[dict[str, str]], Series]
+"""Makes the files, given their head."""
+
+NO_CLOUD: Final = np.zeros((3, 0, 0), dtype=np.float32)
+
+
+def head_of(found: SkinState) -> dict[str, str]:
+    """Return what a recording's head says of the skin."""
+    names = ("host", "serial", "configuration", "bundle", "skin", "protocol_id", "grid_id", "run")
+    created = datetime.fromtimestamp(found.utc_ns * 1e-9, UTC).isoformat(timespec="seconds")
+    return {
+        **{name: getattr(found, name) for name in names},
+        "release": found.version,
+        "solvers": " ".join(found.solvers),
+        "hello": found.hello.hex(),
+        "created_utc": created,
+    }
+
+
+class Recorder:
+    """Writes what it is given; end it with ``close``.
+
+    Args:
+        opener: Makes the files, as soon as the skin has said what it is.
+        kept: What of the stream is kept.
+        pixel_mm: Width and height of a pixel, for pictures.
+    """
+
+    def __init__(self, opener: Opener, kept: Kept, pixel_mm: tuple[float, float] = PAPER.grid.pixel_mm) -> None:
+        self._opener, self._kept, self._pixel_mm = opener, kept, pixel_mm
+        self._series: Series | None = None
+        self._early: list[tuple[str, Callable[[Any], None], Any]] = []
+        self._run = self._reference = ""
+        self._offset_ns = 0
+        self._cloud = NO_CLOUD
+        self._map_sequence = -1
+        self._picture_ns = 0
+        self._picture_sequence = -1
+        self._maps = 0
+        self.frames = 0
+        """Of the wire, written."""
+        self.missed = 0
+        """Of the wire: numbered by the runtime, never received."""
+        self._number = -1
+        self.published = 0
+        """Frames whose digests were written."""
+        self._first_ns = self._last_ns = 0
+        self._conditions_revision = self._cloud_revision = -1
+
+    @property
+    def series(self) -> Series | None:
+        """The files; None before the skin has said what it is."""
+        return self._series
+
+    @property
+    def recorded_s(self) -> float:
+        """From the first frame of the wire to the last."""
+        return (self._last_ns - self._first_ns) * 1e-9
+
+    @property
+    def full(self) -> bool:
+        """Whether the disk is full: the recording must be ended now."""
+        return self._series is not None and self._series.full
+
+    def take(self, found: object) -> None:
+        """Take whatever a stream carries.
+
+        Raises:
+            OSError: It cannot be written, for another reason than a full disk.
+            RecordingError: Much came, but not what skin it is of; or there is no room for a file.
+        """
+        match found:
+            case WireFrame():
+                self._when_known(found.run, self._wire, found)
+            case CloudInUse():
+                self._when_known(found.run, self._take_cloud, found)
+            case Conditions():
+                self._when_known(found.run, self._conditions, found)
+            case Frame():
+                self._when_known(found.run, self._frame, found)
+            case SkinState():
+                self._state(found)
+
+    def _when_known(self, run: str, write: Callable[[Any], None], found: Any) -> None:
+        """Write it, if the file is of the run that it is of; else keep it until that run has said what it is."""
+        if run == self._run and self._series is not None:
+            write(found)
+            return
+        if len(self._early) >= MOST_EARLY:
+            raise RecordingError(
+                "the runtime sends frames but does not say what skin they are of; update it to this release"
+            )
+        self._early.append((run, write, found))
+
+    def _state(self, found: SkinState) -> None:
+        """Write what is known of the skin; the first of a run begins a file."""
+        if found.run != self._run:
+            head = {**head_of(found), "wall_minus_host_ns": str(found.utc_ns - found.made_ns)}
+            self._offset_ns = found.utc_ns - found.made_ns
+            if self._series is None:
+                self._series = self._opener(head)
+            else:
+                self._series.begin_anew(head)
+            self._run, self._reference = found.run, ""
+            self._number = self._map_sequence = self._conditions_revision = self._cloud_revision = -1
+        assert self._series is not None
+        if found.reference is not None and found.reference_sha256 != self._reference:
+            self._reference = found.reference_sha256
+            name = f"{REFERENCE}{self._reference[:16]}.json"
+            self._series.attach(name, JSON_MEDIA, found.reference, found.utc_ns)
+        self._series.add(STATE, pack_json(found.as_dict()), found.made_ns + self._offset_ns, found.n)
+        early, self._early = self._early, []
+        for run, write, one in early:
+            self._when_known(run, write, one)
+
+    def _wire(self, found: WireFrame) -> None:
+        if 0 <= self._number < found.n:
+            self.missed += found.n - self._number - 1
+        self._number = found.n
+        self.frames += 1
+        self._first_ns = self._first_ns or found.read_ns
+        self._last_ns = max(self._last_ns, found.read_ns)
+        self._series_in_hand.add(WIRE, found.body(), found.read_ns + self._offset_ns, found.n)
+
+    def _take_cloud(self, found: CloudInUse) -> None:
+        """Write a cloud once, however often it is told."""
+        if found.revision == self._cloud_revision:
+            return
+        self._cloud_revision, self._cloud = found.revision, found.cloud
+        self._picture_sequence = -1
+        self._series_in_hand.add(CLOUD, found.body(), found.utc_ns or time.time_ns(), found.n)
+
+    def _conditions(self, found: Conditions) -> None:
+        if found.revision == self._conditions_revision:
+            return
+        self._conditions_revision = found.revision
+        self._series_in_hand.add(CONDITIONS, found.body(), time.time_ns(), found.n)
+
+    @property
+    def _series_in_hand(self) -> Series:
+        assert self._series is not None
+        return self._series
+
+    def _frame(self, found: Frame) -> None:
+        series, read_ns = self._series_in_hand, found.host_ns["read"] + self._offset_ns
+        self.published += 1
+        series.add(FRAME, pack_json(note_of(found)), read_ns, found.number)
+        if self._kept.maps and found.map_sequence != self._map_sequence:
+            self._map_sequence = found.map_sequence
+            if self._maps % self._kept.every == 0:
+                series.add(MAP, pack_map(found.map_sequence, found.map), read_ns, found.number)
+            self._maps += 1
+        self._draw(found.map, found.map_sequence, read_ns)
+
+    def _draw(self, values: npt.NDArray[np.float32], sequence: int, wall_ns: int) -> None:
+        """Write pictures, if it is time for some."""
+        if not self._kept.pictures_hz or values.shape != self._cloud.shape[1:]:
+            return
+        since_ns = wall_ns - self._picture_ns
+        if since_ns < 1e9 / self._kept.pictures_hz or (sequence == self._picture_sequence and since_ns < RESTING_NS):
+            return
+        self._picture_ns, self._picture_sequence = wall_ns, sequence
+        series = self._series_in_hand
+        series.add(pictures.GRID, pictures.grid(values, self._pixel_mm, wall_ns), wall_ns)
+        series.add(pictures.SURFACE, pictures.surface(values, self._cloud, wall_ns), wall_ns)
+
+    def close(self) -> None:
+        """End the file; closing twice is fine."""
+        if self._series is not None:
+            self._series.close()

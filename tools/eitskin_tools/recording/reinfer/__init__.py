@@ -1,0 +1,1 @@
+"""Recorded frames computed once more: by what was running, or by another bundle or solver."""

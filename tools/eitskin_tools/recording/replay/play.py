@@ -1,0 +1,119 @@
+"""A skin that a recording plays: the ordinary runtime on a recorded line.
+
+The bundle, the reference and the solver are those of the recording unless others are named. Each cloud is taken before
+the frame that met it first, and a reference that was captured anew takes effect where it did. Electrodes that were
+excluded by hand are. What else is wrong with electrodes, and drift, the runtime finds out by itself, as it did then.
+"""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from eitskin.model.engine import solvers
+from eitskin.skin import Skin
+from eitskin_proto.errors import SkinError
+from eitskin_tools.recording.bundles import bundle_of, reference_of
+from eitskin_tools.recording.replay.line import RecordedLine
+from eitskin_tools.recording.script import Script, Step
+
+NEVER_S = 1e8
+"""The recording says when the device idles, nobody asks it to."""
+
+
+@dataclass(frozen=True, slots=True)
+class Manner:
+    """How a recording is played."""
+
+    paced: bool = True
+    """At the pace at which it came, not as fast as it can be computed."""
+    loop: bool = False
+    from_s: float | None = None
+    to_s: float | None = None
+    speed: float = 1.0
+
+
+class Player:
+    """An open skin that plays a recording; leave it with ``close`` or as a context manager.
+
+    Args:
+        script: The recording.
+        manner: How.
+        bundle: A file; None for the bundle that was running, if it is a shipped one.
+        solver: The most accurate solver to use; None for the one that was.
+        tell: Takes a line on what could not be done.
+
+    Raises:
+        SkinError: Bundle, reference or recording cannot be used, with what to do.
+        ValueError: The bundle has no such solver.
+    """
+
+    def __init__(
+        self,
+        script: Script,
+        manner: Manner = Manner(),
+        *,
+        bundle: str | Path | None = None,
+        solver: str | None = None,
+        tell: Callable[[str], None] = lambda _: None,
+    ) -> None:
+        self._script, self._tell = script, tell
+        loaded = bundle_of(script, bundle)
+        if solver is None:
+            then = script.told("solvers").split()
+            solver = then[0] if then and then[0] in solvers(loaded) else None
+        first = script.conditions[min(script.conditions)] if script.conditions else None
+        reference = reference_of(script, script.reference(), loaded.skin)
+        self._first = first
+
+        def steps() -> Iterator[Step]:
+            return script.steps(manner.from_s, manner.to_s)
+
+        self.line = RecordedLine(
+            str(script.path), script.hello, steps, paced=manner.paced, loop=manner.loop, speed=manner.speed
+        )
+        self.skin = Skin(
+            self.line,
+            bundle=loaded,
+            reference=reference,
+            solver=solver,
+            skip_unchanged=first is not None and first.skip_unchanged,
+            exclude=() if first is None else tuple(one for one, state, _ in first.electrodes if state == "excluded"),
+            idle_after_s=NEVER_S if _idles(script) else None,
+        )
+        self._reference = "" if first is None else first.reference
+        self.line.before = self._before
+        self.line.ended = self.skin.stop
+
+    def _before(self, step: Step) -> None:
+        """Let hold what holds from a frame on."""
+        if step.conditions is not None and step.reference is not None and step.conditions.reference != self._reference:
+            self._reference = step.conditions.reference
+            try:
+                self.skin.loop.use(reference_of(self._script, step.reference, self.skin.bundle.skin))
+            except SkinError as error:
+                self._tell(f"a reference of the recording is left out: {error}")
+        if step.cloud is not None and not (step.cloud.why == "start" and self.skin.pipeline.record.cloud == 0):
+            given = step.cloud.why == "given"
+            try:
+                self.skin.set_cloud(
+                    step.cloud.cloud if given else None,
+                    step.cloud.predicted if given else None,
+                    step.cloud.predicted_flat if given else None,
+                )
+            except (SkinError, ValueError) as error:
+                self._tell(f"cloud {step.cloud.revision} of the recording is left out: {error}")
+
+    def close(self) -> None:
+        """Close the skin; closing twice is fine."""
+        self.skin.close()
+
+    def __enter__(self) -> "Player":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+
+def _idles(script: Script) -> bool:
+    """Whether the device idled at times."""
+    return any(state.get("status", {}).get("mode_changes") for state in script.states)

@@ -1,0 +1,173 @@
+"""A recording as what happened to a runtime, frame by frame: which cloud, reference and conditions each one met.
+
+The file is gone through once to learn what there is; then the frames are read again, a chunk at a time, so that a
+recording of hours takes no more memory than one of seconds.
+"""
+
+import hashlib
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from eitskin.errors import FrameError
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.files.plain import stated
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.wire.answers import Hello
+from eitskin_tools.recording.codec import unpack_json
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.reader import Recording
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Step:
+    """One frame of the wire, and what holds from it on; None where nothing changed."""
+
+    frame: WireFrame
+    log_ns: int
+    """When it was read, on the wall clock."""
+    conditions: Conditions | None = None
+    cloud: CloudInUse | None = None
+    reference: bytes | None = None
+
+
+class Script:
+    """What a recording tells of a stream.
+
+    Args:
+        path: Of the recording.
+
+    Raises:
+        RecordingError: It cannot be used, or holds no frame.
+        MismatchError: It is of another protocol.
+        OSError: It cannot be read.
+    """
+
+    def __init__(self, path: str | Path) -> None:
+        self.recording = Recording(path)
+        self.path = self.recording.path
+        self.hello = self._hello()
+        self.states: list[dict[str, Any]] = []
+        """All that was said of the skin, in order."""
+        self.frames = 0
+        """Of the wire."""
+        self.notes = 0
+        """Published frames whose digests are there."""
+        self.first_ns = self.last_ns = 0
+        """``log_ns`` of the first and the last frame of the wire."""
+        self.clouds: dict[int, CloudInUse] = {}
+        """By revision."""
+        self.conditions: dict[int, Conditions] = {}
+        """By revision."""
+        self.malformed = 0
+        """Messages that make no sense."""
+        self._look()
+        self.references = {hashlib.sha256(data).hexdigest(): data for data in self.recording.attached.values()}
+        """Files as ``eitskin reference`` writes them, by SHA-256."""
+        self.ending = self._ending()
+        """What is wrong with the file's end or middle, as a clause; "" if nothing is."""
+        if not self.frames:
+            raise RecordingError(f"{path} holds no frame of the wire{self.ending}")
+
+    def _ending(self) -> str:
+        found = "; it was cut off, what is there ends before its time" if self.recording.cut else ""
+        if self.recording.damaged:
+            found += f"; {self.recording.damaged} damaged chunks are left out"
+        return found + (f"; {self.malformed} messages make no sense" if self.malformed else "")
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last."""
+        return (self.last_ns - self.first_ns) * 1e-9
+
+    def told(self, name: str) -> str:
+        """Return a text of the head: ``bundle``, ``configuration``, ``serial``, ..."""
+        return self.recording.head.get(name, "")
+
+    def reference(self) -> bytes:
+        """Return what the first frame is held against, as ``eitskin reference`` writes it.
+
+        Raises:
+            RecordingError: There is none.
+        """
+        first = next(self.steps())
+        if first.reference is not None:
+            return first.reference
+        raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
+
+    def _hello(self) -> Hello:
+        head = self.recording.head
+        protocol = head.get("protocol_id", PROTOCOL_ID)
+        hint = "install the release that made the recording ('eitskin --version' names a release's ids)"
+        if protocol != PROTOCOL_ID:
+            raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
+        try:
+            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
+            found.check()
+        except MismatchError:
+            raise
+        except (ValueError, IndexError, SkinError) as error:
+            raise RecordingError(f"{self.path}: the device's HELLO cannot be read: {error}") from error
+        return found
+
+    def _look(self) -> None:
+        """Go through the file once."""
+        topics = {WIRE.topic, CLOUD.topic, CONDITIONS.topic, STATE.topic, FRAME.topic}
+        for entry in self.recording.entries(topics):
+            try:
+                if entry.topic == WIRE.topic:
+                    self.first_ns = self.first_ns or entry.log_ns
+                    self.last_ns = entry.log_ns
+                    self.frames += 1
+                elif entry.topic == CLOUD.topic:
+                    cloud = CloudInUse.of(entry.data)
+                    self.clouds[cloud.revision] = cloud
+                elif entry.topic == CONDITIONS.topic:
+                    found = Conditions.of(entry.data)
+                    self.conditions[found.revision] = found
+                elif entry.topic == STATE.topic:
+                    self.states.append(unpack_json(entry.data))
+                else:
+                    self.notes += 1
+            except (RecordingError, FrameError):
+                self.malformed += 1
+
+    def steps(self, from_s: float | None = None, to_s: float | None = None) -> Iterator[Step]:
+        """Yield the frames of the wire, and what changed before each.
+
+        Args:
+            from_s: Begin so long after the first frame, with everything that held then.
+            to_s: End so long after the first frame.
+
+        Raises:
+            RecordingError: No frame lies between the two.
+        """
+        begin_ns = self.first_ns + int((from_s or 0.0) * 1e9)
+        end_ns = None if to_s is None else self.first_ns + int(to_s * 1e9)
+        before: Conditions | None = None
+        count = 0
+        for entry in self.recording.entries({WIRE.topic}, begin_ns, end_ns):
+            if entry.log_ns < begin_ns or (end_ns is not None and entry.log_ns > end_ns):
+                continue
+            try:
+                frame = WireFrame.of(entry.data, n=entry.sequence)
+            except FrameError:
+                continue
+            count += 1
+            now = self.conditions.get(frame.conditions)
+            yield self._step(frame, entry.log_ns, now, before)
+            before = now or before
+        if not count:
+            raise RecordingError(
+                f"{self.path} has no frame from {from_s or 0:g} s to {self.seconds if to_s is None else to_s:g} s; it "
+                f"lasts {self.seconds:.1f} s"
+            )
+
+    def _step(self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None) -> Step:
+        if now is None or now is before:
+            return Step(frame, log_ns)
+        cloud = self.clouds.get(now.cloud) if before is None or before.cloud != now.cloud else None
+        changed = before is None or before.reference != now.reference
+        return Step(frame, log_ns, now, cloud, self.references.get(now.reference) if changed else None)

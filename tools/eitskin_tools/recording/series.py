@@ -1,0 +1,121 @@
+"""Goes on in a new file when one is large or old enough; each of them can be read by itself."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from eitskin_tools.recording.layout import Channel
+from eitskin_tools.recording.writer import RecordingWriter
+
+
+def path_of(first: Path, number: int) -> Path:
+    """Return the path of a file of a series: FILE.mcap, FILE.0002.mcap, FILE.0003.mcap, ..."""
+    return first if number == 1 else first.with_name(f"{first.stem}.{number:04d}{first.suffix}")
+
+
+class Series:
+    """Writes one file after another.
+
+    Args:
+        first: Path of the first.
+        head: Metadata of each.
+        most_bytes: A file that has more is followed by another; None for no bound.
+        most_s: The same for its age.
+        options: Of :class:`RecordingWriter`.
+
+    Raises:
+        RecordingError: The first file is there, or there is no room.
+        OSError: It cannot be made.
+    """
+
+    def __init__(
+        self,
+        first: Path,
+        head: Mapping[str, str],
+        *,
+        most_bytes: int | None = None,
+        most_s: float | None = None,
+        **options: Any,
+    ) -> None:
+        self._first, self._head = first, head
+        self._most_bytes, self._most_s, self._options = most_bytes, most_s, options
+        self._lasting: dict[str, tuple[Channel, bytes, int]] = {}
+        self._attached: tuple[str, str, bytes] | None = None
+        self.files: list[Path] = []
+        """Made so far."""
+        self._before = 0
+        self._writer = self._begin()
+
+    @property
+    def size(self) -> int:
+        """Of all files."""
+        return self._before + self._writer.size
+
+    @property
+    def full(self) -> bool:
+        """Whether the disk is full."""
+        return self._writer.full
+
+    @property
+    def path(self) -> Path:
+        """Of the file in hand."""
+        return self._writer.path
+
+    def _begin(self) -> RecordingWriter:
+        path = path_of(self._first, len(self.files) + 1)
+        writer = RecordingWriter(path, {**self._head, "file": str(len(self.files) + 1)}, **self._options)
+        self.files.append(path)
+        return writer
+
+    def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
+        """Write a file within the file; the last one is in each file that follows."""
+        self._attached = name, media_type, content
+        self._writer.attach(name, media_type, content, log_ns)
+
+    def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
+        """Write a message, into a new file if it is time for one; nothing more once the disk is full.
+
+        Raises:
+            OSError: It cannot be written, for another reason than a full disk.
+        """
+        if self.full:
+            return
+        if channel.lasts:
+            self._lasting[channel.topic] = channel, data, sequence
+        elif self._is_time():
+            self._next(log_ns)
+        if not self.full:
+            self._writer.add(channel, data, log_ns, sequence)
+
+    def begin_anew(self, head: Mapping[str, str]) -> None:
+        """Go on in a new file with another head, of a runtime that was started anew; nothing holds any more."""
+        self._head, self._attached = head, None
+        self._lasting.clear()
+        self._next(0)
+
+    def _is_time(self) -> bool:
+        writer = self._writer
+        if self._most_bytes is not None and writer.size >= self._most_bytes:
+            return True
+        return self._most_s is not None and writer.age_s >= self._most_s
+
+    def _next(self, log_ns: int) -> None:
+        """End the file in hand and begin the next with whatever still holds."""
+        before = self._writer
+        before.close()
+        if before.full:
+            return
+        self._before += before.size
+        self._writer = self._begin()
+        if self._attached is not None:
+            self._writer.attach(*self._attached, log_ns)
+        for channel, data, sequence in self._lasting.values():
+            self._writer.add(channel, data, log_ns, sequence)
+
+    def sync(self) -> None:
+        """Have everything forced onto the disk."""
+        self._writer.sync()
+
+    def close(self) -> None:
+        """End the file in hand; closing twice is fine."""
+        self._writer.close()

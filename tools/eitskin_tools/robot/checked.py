@@ -1,0 +1,66 @@
+"""What of a robot.toml can be wrong before anything is started: files that are missing, bundles of another skin."""
+
+import os
+from pathlib import Path
+
+from eitskin.errors import RobotError
+from eitskin.robot.config import SHIPPED_SKINS, Robot, SkinSettings
+from eitskin_proto.errors import SkinError
+
+
+def check(robot: Robot) -> None:
+    """Look at every file that is named, before any process is started; no port is opened.
+
+    Raises:
+        RobotError: One is missing or cannot be used; the text names the skin.
+    """
+    available = os.sched_getaffinity(0)
+    for one in robot.skins:
+        try:
+            _check_files(one)
+            if missing := sorted(set(one.realtime.affinity) - available):
+                raise RobotError(f"affinity: CPU {missing}, expected some of {sorted(available)}")
+        except (SkinError, ValueError, OSError) as error:
+            raise RobotError(f"skin {one.name}: {error}") from error
+
+
+def _check_files(settings: SkinSettings) -> None:
+    from eitskin.messaging.curve_keys import load_server_keys
+    from eitskin.model.skin_in_use import bundle_and_skin, knowing
+    from eitskin.reference import captured
+    from eitskin_proto.skin import toml
+
+    for key, path in (
+        ("bundle", settings.bundle), ("skin", settings.description), ("reference", settings.reference),
+        ("curve_keys", settings.curve_keys),
+    ):  # fmt: skip
+        if path is not None and not path.exists() and str(path) not in SHIPPED_SKINS:
+            raise RobotError(f"no {key} {str(path)!r}; expected it to exist: check the path")
+    description = None if settings.description is None else toml.load(settings.description)
+    touches = {"lower": "lowering", "raise": "raising"}.get(settings.touches or "")
+    bundle = settings.bundle if touches is None else knowing(touches, settings.bundle)  # type: ignore[arg-type]
+    _, used = bundle_and_skin(bundle, description)
+    captured.taken(settings.reference, used)
+    if settings.curve_keys is not None:
+        load_server_keys(settings.curve_keys)
+
+
+def make_folders(robot: Robot) -> None:
+    """Make the folder of the robot and one for each skin whose sockets lie there, for this user alone.
+
+    Raises:
+        RobotError: One cannot be made, or belongs to somebody else.
+    """
+    endpoints = [where for one in robot.skins for where in (one.skin.publish, one.skin.control)]
+    homes = [Path(where.removeprefix("ipc://")).parent for where in endpoints if where.startswith("ipc://")]
+    for folder in [robot.folder, *dict.fromkeys(path for path in homes if path.parent == robot.folder)]:
+        try:
+            folder.mkdir(mode=0o700, parents=folder == robot.folder, exist_ok=True)
+        except OSError as error:
+            raise RobotError(
+                f"folder {folder} cannot be made: {error.strerror}; state another with folder = ..., or make it for "
+                "this user"
+            ) from error
+        found = folder.stat()
+        if found.st_uid != os.getuid() or found.st_mode & 0o022:
+            raise RobotError(f"folder {folder} is not this user's alone to write; make it so, or state another")

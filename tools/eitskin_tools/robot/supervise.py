@@ -1,0 +1,223 @@
+"""One process that watches over those of the skins: starts them, hears them, starts again who fell, ends them all.
+
+It waits in one place, for whatever comes first: a line that a skin says, the end of a process, a signal, the time of a
+new start, or of a sign of life to systemd. What becomes of one skin touches no other.
+"""
+
+import fcntl
+import os
+import selectors
+import signal
+import socket
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack, suppress
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin.errors import RobotError
+from eitskin.robot.described import FILE, write_states
+from eitskin_tools.robot.child import SkinProcess
+from eitskin_tools.robot.log import RobotLog
+from eitskin_tools.service.supervisor import Supervisor
+
+GRACE_S: Final = 6.0
+"""How long a skin may take to end once it was told to: it ends by itself within 5 s, whatever hangs (the watchdog of
+``eitskin run``), and mostly within some tens of milliseconds."""
+
+LONGEST_WAIT_S: Final = 60.0
+
+
+class Family:
+    """The processes of a robot's skins.
+
+    Args:
+        folder: Where what is known of them is written.
+        skins: Not started.
+        log: Takes what they say.
+        supervisor: Who started us.
+        grace_s: How long ending may take before force is used.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        skins: Sequence[SkinProcess],
+        log: RobotLog,
+        supervisor: Supervisor,
+        grace_s: float = GRACE_S,
+    ) -> None:
+        self._folder, self.skins, self._log, self._supervisor = folder, tuple(skins), log, supervisor
+        self._grace_s = grace_s
+        self._ending = False
+        self._kill_s: float | None = None
+        self._told_ready = False
+        self._sign_s = None if supervisor.interval_s is None else supervisor.interval_s / 2.0
+        self._next_sign_s = 0.0
+        self._selector = selectors.DefaultSelector()
+
+    def run(self) -> int:
+        """Run until told to stop by SIGTERM or SIGINT, or until no skin is left; return the exit status.
+
+        Raises:
+            RobotError: Another process runs skins in the folder.
+        """
+        with ExitStack() as stack:
+            stack.callback(self._selector.close)
+            _lock(self._folder, stack)
+            stack.callback(self._forget)
+            self._hear_signals(stack)
+            stack.callback(self._end_all)
+            for one in self.skins:
+                self._start(one)
+            self._write()
+            self._tell()
+            while any(one.runs or one.due_s is not None for one in self.skins):
+                self._turn()
+        failed = [one for one in self.skins if one.state == "failed"]
+        return 1 if failed and not self._ending else 0
+
+    def stop(self) -> None:
+        """Have every skin end; none is started again."""
+        if self._ending:
+            return
+        self._ending = True
+        self._supervisor.stopping()
+        self._kill_s = time.monotonic() + self._grace_s
+        for one in self.skins:
+            if one.runs:
+                one.signal(signal.SIGTERM)
+                one.signal(signal.SIGCONT)  # whoever was stopped hears the other one only then
+            elif one.due_s is not None:
+                one.due_s, one.state = None, "failed"
+
+    def _turn(self) -> None:
+        for key, _ in self._selector.select(self._wait_s()):
+            key.data(key.fileobj)
+        now_s = time.monotonic()
+        if self._kill_s is not None and now_s >= self._kill_s:
+            self._kill_s = None
+            for one in self.skins:
+                one.signal(signal.SIGKILL)
+        for one in self.skins:
+            if one.due_s is not None and not one.runs and now_s >= one.due_s and not self._ending:
+                self._start(one)
+                self._write()
+        if self._sign_s is not None and now_s >= self._next_sign_s:
+            self._next_sign_s = now_s + self._sign_s
+            self._supervisor.alive()
+
+    def _wait_s(self) -> float:
+        due = [one.due_s for one in self.skins if one.due_s is not None and not one.runs]
+        due += [] if self._kill_s is None else [self._kill_s]
+        due += [] if self._sign_s is None else [self._next_sign_s]
+        return max(0.0, min([at_s - time.monotonic() for at_s in due] + [LONGEST_WAIT_S]))
+
+    def _start(self, one: SkinProcess) -> None:
+        first = one.due_s == 0.0 and not one.seen
+        try:
+            one.start() if first else one.restart()
+        except OSError as error:  # too few processes or descriptors: another time
+            one.due_s = time.monotonic() + LONGEST_WAIT_S
+            self._log.warn(one.settings.name, f"cannot be started: {error.strerror or error}")
+            return
+        assert one.errors is not None
+        assert one.outputs is not None
+        self._selector.register(one.errors.stream, selectors.EVENT_READ, lambda _: self._hear(one))
+        self._selector.register(one.outputs.stream, selectors.EVENT_READ, lambda _: self._hear(one))
+        self._selector.register(one.ended, selectors.EVENT_READ, lambda _: self._ended(one))
+
+    def _hear(self, one: SkinProcess) -> None:
+        if not one.runs:
+            return
+        one.hear_summary()
+        for event in one.events(time.monotonic()):
+            if event["event"] == "ready":
+                self._write()  # before it is said: whoever hears it finds it so
+            self._log.event(one.settings.name, event)
+            if event["event"] == "ready":
+                self._tell()
+        for lines in (one.errors, one.outputs):  # at its end a stream would be readable for ever
+            if lines is not None and lines.ended:
+                with suppress(KeyError):
+                    self._selector.unregister(lines.stream)
+
+    def _ended(self, one: SkinProcess) -> None:
+        if not one.runs:
+            return
+        self._hear(one)
+        self._selector.unregister(one.ended)
+        for lines in (one.errors, one.outputs):
+            with suppress(KeyError):
+                self._selector.unregister(lines.stream if lines is not None else -1)
+        now_s = time.monotonic()
+        one.reap(now_s, ending=self._ending)
+        self._write()
+        if one.state in ("failed", "waiting") and one.why:
+            next_s = "" if one.due_s is None else f"; starts again in {one.due_s - now_s:.3g} s"
+            others = sum(other.runs for other in self.skins)
+            self._log.failed(one.settings.name, f"{one.why}{next_s}; {others} of {len(self.skins)} skins run on")
+        self._tell()
+
+    def _write(self) -> None:
+        """Write down how the skins are; a full disk stops no skin."""
+        try:
+            write_states(self._folder, os.getpid(), [one.described for one in self.skins])
+        except OSError as error:
+            self._log.warn("all", f"{self._folder / FILE} cannot be written: {error.strerror or error}")
+
+    def _tell(self) -> None:
+        """Tell systemd how the skins are, and once that all were ready or have failed."""
+        ready = [one.settings.name for one in self.skins if one.state == "ready"]
+        text = f"{len(ready)} of {len(self.skins)} skins publish"
+        for one in self.skins:
+            if one.state in ("failed", "waiting", "ended"):
+                text += f"; {one.settings.name} {one.state}: {one.why}"
+        self._supervisor.status(text)
+        if not self._told_ready and not self._ending and all(one.seen for one in self.skins):
+            self._told_ready = True
+            self._log.ready(self._folder, ready, len(self.skins))
+            self._supervisor.ready()
+
+    def _hear_signals(self, stack: ExitStack) -> None:
+        """Have SIGTERM and SIGINT end the waiting, and ask for the end."""
+        woken, waker = socket.socketpair()
+        for end in (woken, waker):
+            end.setblocking(False)
+            stack.callback(end.close)
+        stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False))
+        for number in (signal.SIGINT, signal.SIGTERM):
+            stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
+
+        def heard(_: Any) -> None:
+            woken.recv(64)
+            self.stop()
+
+        self._selector.register(woken, selectors.EVENT_READ, heard)
+
+    def _end_all(self) -> None:
+        """Leave nobody behind, whatever happened."""
+        for one in self.skins:
+            if one.runs:
+                one.signal(signal.SIGTERM)
+        until_s = time.monotonic() + self._grace_s
+        for one in self.skins:
+            if one.runs and not one.wait(max(0.0, until_s - time.monotonic())):
+                one.signal(signal.SIGKILL)
+                one.wait(self._grace_s)
+
+    def _forget(self) -> None:
+        with suppress(OSError):
+            (self._folder / FILE).unlink()
+
+
+def _lock(folder: Path, stack: ExitStack) -> None:
+    """Hold the folder for this process; the kernel lets go of it with the process."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    stack.callback(os.close, handle)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise RobotError(
+            f"{folder} is in use: another 'eitskin run --config' runs skins there; stop it, or state another folder"
+        ) from None

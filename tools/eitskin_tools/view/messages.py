@@ -1,0 +1,170 @@
+"""What goes to the page: a JSON head and bytes behind it, each message with its length.
+
+::
+
+0   u32 little-endian   bytes of the rest
+4   u32 little-endian   bytes of the head
+8   head                UTF-8 JSON with a ``kind``
+..  body                of a frame: (rows, columns) u8, the map times 255; of a surface: (3, rows, columns) f32, mm
+"""
+
+import json
+import math
+import struct
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.messaging.frame import STAGES, Frame
+from eitskin.messaging.streams.state import SkinState
+from eitskin.touches.touch import Touch
+from eitskin_proto.skin.skin import Skin
+
+HEAD: Final = struct.Struct("<II")
+
+
+def packed(head: dict[str, Any], body: bytes = b"") -> bytes:
+    """Return a message.
+
+    Args:
+        head: What JSON can say; numbers finite.
+        body: What follows it.
+    """
+    text = json.dumps(head, separators=(",", ":"), allow_nan=False).encode()
+    return HEAD.pack(4 + len(text) + len(body), len(text)) + text + body
+
+
+def unpacked(data: bytes) -> list[tuple[dict[str, Any], bytes]]:
+    """Return the whole messages at the beginning of some bytes: head and body of each."""
+    found, at = [], 0
+    while at + HEAD.size <= len(data):
+        rest, size = HEAD.unpack_from(data, at)
+        end = at + 4 + rest
+        if end > len(data):
+            break
+        found.append((json.loads(data[at + 8 : at + 8 + size]), data[at + 8 + size : end]))
+        at = end
+    return found
+
+
+def frame_message(frame: Frame) -> bytes:
+    """Return the message of a frame: its numbers, its touches, and its map in 256 levels from 0 to 1."""
+    stamps = [frame.host_ns[stage] for stage in STAGES]
+    head = {
+        "kind": "frame",
+        "n": frame.number,
+        "seq": frame.sequence,
+        "t_ms": stamps[-1] / 1e6,
+        "run": frame.run,
+        "serial": frame.serial_number,
+        "configuration": frame.configuration,
+        "bundle": frame.bundle,
+        "touched": frame.touched,
+        "solver": frame.solver,
+        "age_us": frame.age_us,
+        "stages_us": [max(end - begin, 0) / 1000 for begin, end in pairwise(stamps)],
+        "skipped": frame.skipped,
+        "events": frame.events,
+        "electrodes": frame.electrodes,
+        "drift": [frame.drift_percent, frame.drift_sd_percent, frame.drift_uneven_percent],
+        "cloud": frame.cloud,
+        "counts": dict(frame.counts),
+        "shape": frame.map.shape,
+        "touches": [_touch(touch) for touch in frame.touch_list.touches] if frame.touch_list else [],
+        "touch_events": [(e.kind, e.id, e.other) for e in frame.touch_list.events] if frame.touch_list else [],
+        "more": frame.touch_list.more if frame.touch_list else 0,
+    }
+    levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0).astype(np.uint8)
+    return packed(head, levels.tobytes())
+
+
+def _touch(touch: Touch) -> dict[str, Any]:
+    return {
+        "id": touch.id,
+        "parent": touch.parent,
+        "age_s": round(touch.age_s, 3),
+        "centre": _short(touch.centre_mm),
+        "axes": _short(touch.axes_mm),
+        "angle": round(touch.angle_rad, 4),
+        "area": round(touch.area_mm2, 1),
+        "peak": round(touch.peak, 3),
+        "place": _short(touch.place_mm),
+        "normal": [round(value, 4) for value in touch.normal],
+    }
+
+
+def _short(values: Sequence[float]) -> list[float]:
+    return [round(value, 2) for value in values]
+
+
+def skin_message(skin: Skin, palette: npt.NDArray[np.intp], about: dict[str, Any]) -> bytes:
+    """Return the message that says what is drawn: the sheet, its electrodes and the colours.
+
+    Args:
+        skin: The runtime's.
+        palette: (n, 3) red, green and blue from untouched to touched, 0 to 255.
+        about: What else the page is to know, such as the refresh rate.
+    """
+    head = {
+        "kind": "skin",
+        "name": skin.name,
+        "outline": skin.outline.kind,
+        "size_mm": skin.outline.size_mm,
+        "thickness_mm": float(skin.layer.thickness_mm.nominal(1)[0]),
+        "shape": skin.grid.shape,
+        "electrodes": electrode_places_mm(skin).round(2).tolist(),
+        "palette": palette.tolist(),
+        **about,
+    }
+    return packed(head)
+
+
+def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], run: str) -> bytes:
+    """Return the message of a surface.
+
+    Args:
+        revision: As frames name it in ``cloud``.
+        cloud_mm: (3, rows, columns) mm.
+        run: Of the runtime.
+    """
+    body = np.ascontiguousarray(cloud_mm, dtype="<f4")
+    return packed({"kind": "surface", "revision": revision, "shape": body.shape[1:], "run": run}, body.tobytes())
+
+
+def state_message(state: SkinState) -> bytes:
+    """Return the message of what happened since the one before, and who measures."""
+    head = {
+        "kind": "state",
+        "n": state.n,
+        "run": state.run,
+        "t_ms": state.made_ns / 1e6,
+        "events": [text for _, text in state.events],
+        "bundle": state.bundle,
+        "skin": state.skin,
+        "version": state.version,
+        "trouble": str(state.status.get("trouble", "")),
+    }
+    return packed(head)
+
+
+def status_message(state: str, text: str, **more: Any) -> bytes:
+    """Return the message that says how it goes: ``live``, or ``silent`` and why."""
+    return packed({"kind": "status", "state": state, "text": text, **more})
+
+
+def electrode_places_mm(skin: Skin) -> npt.NDArray[np.float64]:
+    """Return (16, 2): x and y of the electrodes' centres on the flat sheet's border."""
+    length, width = skin.outline.size_mm
+    arc = skin.arc_length_mm
+    if skin.outline.kind == "disc":
+        angle = 2.0 * arc / length
+        return np.stack([np.cos(angle) + 1.0, np.sin(angle) + 1.0], axis=1) * (length / 2.0)
+    corners = np.array([0.0, length, length + width, 2.0 * length + width, 2.0 * (length + width)])
+    x = np.interp(arc, corners, [0.0, length, length, 0.0, 0.0])
+    y = np.interp(arc, corners, [0.0, 0.0, width, width, 0.0])
+    if not math.isfinite(float(x.sum() + y.sum())):
+        raise ValueError("electrodes: found places that are not finite")
+    return np.stack([x, y], axis=1)

@@ -1,0 +1,263 @@
+"""The server of the page: the standard library's, with everything bounded.
+
+A request is a head of at most 16 kB that is there within 10 s, of a listed path, and has no body. At most ``MOST``
+connections are open at a time. ``/stream`` is one answer without end, in chunks, of which each has the newest message
+of each kind; who does not read for ``STALL_S`` is left.
+"""
+
+import errno
+import io
+import socket
+import threading
+import time
+from http import HTTPStatus
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from typing import Any, Final, Protocol
+
+from eitskin.errors import SkinError
+from eitskin_tools.view.address import came_from_here, host_allowed, is_loopback, page_address, token_given
+from eitskin_tools.view.board import Board
+from eitskin_tools.view.pages import HEADERS, pages
+
+MOST: Final = 64
+"""Connections at a time."""
+
+LARGEST_HEAD: Final = 16384
+"""Bytes of a request."""
+
+HEAD_S: Final = 10.0
+"""How long a request may take to come; an idle connection ends after it."""
+
+STALL_S: Final = 5.0
+"""How long a page may take to read what it is sent."""
+
+SEND_BYTES: Final = 65536
+"""What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
+
+ACTIONS: Final = ("/record/start", "/record/stop")
+"""What a page may ask for, by POST without a body."""
+
+
+class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
+    """The server cannot be bound; the text says why, and what to do."""
+
+
+class Actions(Protocol):
+    """What starts and stops recordings."""
+
+    def start(self) -> str:
+        """Begin; return "" or why not."""
+        ...
+
+    def stop(self) -> str:
+        """End; return "" or why not."""
+        ...
+
+
+class ViewServer(ThreadingHTTPServer):
+    """Serves one board to any number of pages.
+
+    Args:
+        host: Address to bind to.
+        port: 0 for any that is free.
+        board: What pages show.
+        token: What a page must know, or empty.
+        recorder: What records; None for nothing.
+
+    Raises:
+        PortTaken: The address cannot be bound.
+        ValueError: It can be reached from other machines, and there is no token.
+    """
+
+    daemon_threads = True
+    block_on_close = False
+    request_queue_size = 32
+    allow_reuse_address = True
+
+    def __init__(self, host: str, port: int, board: Board, token: str = "", recorder: Actions | None = None) -> None:
+        if not token and not is_loopback(host):
+            raise ValueError(f"{host} can be reached from other machines; expected a token")
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        self.host, self.board, self.token = host, board, token
+        self.recorder = recorder
+        self.pages = pages()
+        self._room = threading.BoundedSemaphore(MOST)
+        try:
+            super().__init__((host, port), _Request)
+        except OSError as error:
+            raise PortTaken(_why_not(host, port, error)) from error
+        self.port: int = self.server_address[1]
+
+    @property
+    def address(self) -> str:
+        """What to type into a browser."""
+        return page_address(self.host, self.port, self.token)
+
+    def server_bind(self) -> None:
+        """Bind without the look-up of a name, which can take seconds."""
+        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        self.socket.bind(self.server_address)
+        self.server_address = self.socket.getsockname()
+        self.server_name, self.server_port = self.host, self.server_address[1]
+
+    def process_request(self, request: Any, client_address: Any) -> None:
+        """Take a connection, or send it away where there are enough."""
+        if not self._room.acquire(blocking=False):
+            self.shutdown_request(request)
+            return
+        super().process_request(request, client_address)
+
+    def process_request_thread(self, request: Any, client_address: Any) -> None:
+        """Serve a connection to its end."""
+        try:
+            super().process_request_thread(request, client_address)
+        finally:
+            self._room.release()
+
+    def handle_error(self, request: Any, client_address: Any) -> None:
+        """Say nothing: a page that went away is no error."""
+
+
+class _Request(BaseHTTPRequestHandler):
+    """One connection, with one request after another."""
+
+    server: ViewServer
+    protocol_version = "HTTP/1.1"
+    server_version = "eitskin"
+    sys_version = ""
+    wbufsize = 0
+
+    def setup(self) -> None:
+        super().setup()
+        self.connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        self.connection.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, SEND_BYTES)
+        self._rest = b""
+
+    def handle_one_request(self) -> None:
+        """Read a whole head within bounds, then have it answered."""
+        head = self._head()
+        if head is None:
+            self.close_connection = True
+            return
+        self.rfile = io.BytesIO(head)
+        self.connection.settimeout(STALL_S)
+        try:
+            super().handle_one_request()
+        except OSError:
+            self.close_connection = True
+
+    def _head(self) -> bytes | None:
+        """Return the next request up to its empty line; None if it does not come, or is too long."""
+        deadline_s = time.monotonic() + HEAD_S
+        while (end := self._rest.find(b"\r\n\r\n")) < 0:
+            left_s = deadline_s - time.monotonic()
+            if left_s <= 0 or len(self._rest) > LARGEST_HEAD:
+                return None
+            self.connection.settimeout(left_s)
+            try:
+                more = self.connection.recv(4096)
+            except OSError:
+                return None
+            if not more or self.server.board.closed:
+                return None
+            self._rest += more
+        head, self._rest = self._rest[: end + 4], self._rest[end + 4 :]
+        return head if len(head) <= LARGEST_HEAD else None
+
+    def do_GET(self) -> None:
+        """Answer with a file of the page, or with the stream."""
+        if not self._trusted():
+            return
+        if self.path == "/stream":
+            self._stream()
+        elif self.path in self.server.pages:
+            kind, body = self.server.pages[self.path]
+            self._answer(HTTPStatus.OK, body, kind)
+        else:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such page")
+
+    def do_POST(self) -> None:
+        """Start or stop a recording."""
+        if not self._trusted():
+            return
+        recorder = self.server.recorder
+        if self.path not in ACTIONS or recorder is None:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such action")
+        elif not self.headers.get("Origin", "").endswith(f"://{self.headers.get('Host')}"):
+            self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
+        elif not self._has_token():
+            self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
+        else:
+            why_not = recorder.start() if self.path == "/record/start" else recorder.stop()
+            self._answer(HTTPStatus.CONFLICT if why_not else HTTPStatus.OK, why_not.encode(), "text/plain")
+
+    def _trusted(self) -> bool:
+        """Return whether the request may be answered; refuse it if not."""
+        host = self.headers.get("Host", "")
+        if not host_allowed(host, self.server.host, self.server.port):
+            self._refuse(HTTPStatus.MISDIRECTED_REQUEST, f"this is {self.server.address.partition('#')[0]}")
+        elif not came_from_here(self.headers.get("Sec-Fetch-Site", "")):
+            self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
+        elif self.headers.get("Content-Length", "0") != "0" or "Transfer-Encoding" in self.headers:
+            self.close_connection = True
+            self._refuse(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, "requests have no body here")
+        else:
+            return True
+        return False
+
+    def _has_token(self) -> bool:
+        return token_given(self.headers.get("Authorization", ""), self.server.token)
+
+    def _stream(self) -> None:
+        """Send the newest of everything until the page goes."""
+        self.close_connection = True
+        if not self._has_token():
+            self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
+            return
+        board = self.server.board
+        with board.page() as room:
+            if not room:
+                self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as may be look on already; close one")
+                return
+            self._head_of(HTTPStatus.OK, "application/octet-stream", {"Transfer-Encoding": "chunked"})
+            seen = 0
+            while not board.closed:
+                seen, messages = board.newer(seen, 1.0)
+                if messages:
+                    body = b"".join(messages)
+                    self.connection.sendall(b"%x\r\n%b\r\n" % (len(body), body))
+            self.connection.sendall(b"0\r\n\r\n")
+
+    def _answer(self, status: HTTPStatus, body: bytes, kind: str) -> None:
+        self._head_of(status, kind, {"Content-Length": str(len(body))})
+        self.connection.sendall(body)
+
+    def _head_of(self, status: HTTPStatus, kind: str, more: dict[str, str]) -> None:
+        self.send_response(status)
+        for name, value in {"Content-Type": kind, **more, **HEADERS}.items():
+            self.send_header(name, value)
+        if self.close_connection:
+            self.send_header("Connection", "close")
+        self.end_headers()
+
+    def _refuse(self, status: HTTPStatus, text: str) -> None:
+        self.close_connection = True
+        self._answer(status, f"{text}\n".encode(), "text/plain; charset=utf-8")
+
+    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> None:
+        """Refuse what the standard library does not like in one line of plain text, which repeats nothing."""
+        self._refuse(HTTPStatus(code), HTTPStatus(code).phrase.lower())
+
+    def log_message(self, format: str, *args: Any) -> None:
+        """Keep no log."""
+
+
+def _why_not(host: str, port: int, error: OSError) -> str:
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; name another one with --port, "
+            "or --port 0 for any that is free"
+        )
+    if error.errno == errno.EACCES:
+        return f"port {port} of {host} is not yours to take; name one above 1023 with --port"
+    return f"{host} port {port} cannot be bound ({error.strerror or error}); expected an address of this machine"

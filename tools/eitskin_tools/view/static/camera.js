@@ -1,0 +1,94 @@
+// A camera that goes round what it looks at; z is up. Matrices are column by column, as WebGL takes them.
+
+import { cross, unit } from "./surface.js";
+
+const FIELD_RAD = 0.5;
+const VIEWS = { tilted: [-0.42, 0.66], above: [0, 1.5607], front: [0, 0.16] };
+
+export class Camera {
+  constructor(canvas, onChange) {
+    this.zoom = 1;
+    this.centre = null;
+    this.radius = 100;
+    this.view("tilted");
+    this.onChange = onChange;
+    this.listen(canvas);
+  }
+
+  view(name) {
+    [this.yaw, this.pitch] = VIEWS[name];
+    this.zoom = 1;
+    this.onChange?.();
+  }
+
+  turn(dx, dy) {
+    this.yaw -= dx;
+    this.pitch = Math.min(Math.max(this.pitch + dy, -1.5607), 1.5607);
+    this.onChange();
+  }
+
+  closer(factor) {
+    this.zoom = Math.min(Math.max(this.zoom * factor, 0.4), 8);
+    this.onChange();
+  }
+
+  /** Keep what is looked at in the middle; slowly, so that a bending sheet does not jump. */
+  look(surface) {
+    if (!this.centre) {
+      this.centre = [...surface.centre];
+      this.radius = surface.radius;
+    }
+    this.centre = this.centre.map((value, k) => value + 0.2 * (surface.centre[k] - value));
+    this.radius += 0.2 * (surface.radius - this.radius);
+  }
+
+  /** World to clip, for a picture of some width over height. */
+  matrix(aspect) {
+    const { yaw, pitch } = this;
+    const back = [Math.sin(yaw) * Math.cos(pitch), -Math.cos(yaw) * Math.cos(pitch), Math.sin(pitch)];
+    const right = [Math.cos(yaw), Math.sin(yaw), 0], up = cross(back, right);
+    const fit = this.radius * 0.8 * Math.max(1, 1.15 / aspect);
+    const distance = fit / Math.sin(FIELD_RAD / 2) / this.zoom;
+    const eye = this.centre.map((value, k) => value + back[k] * distance);
+    const dot = (axis) => -(axis[0] * eye[0] + axis[1] * eye[1] + axis[2] * eye[2]);
+    const f = 1 / Math.tan(FIELD_RAD / 2), near = distance * 0.05, far = distance + this.radius * 12;
+    const view = [right[0], up[0], back[0], 0, right[1], up[1], back[1], 0,
+      right[2], up[2], back[2], 0, dot(right), dot(up), dot(back), 1];
+    const lens = [f / aspect, 0, 0, 0, 0, f, 0, 0, 0, 0, (far + near) / (near - far),
+      -1, 0, 0, (2 * far * near) / (near - far), 0];
+    const out = new Float32Array(16);
+    for (let c = 0; c < 4; c++) {
+      for (let r = 0; r < 4; r++) for (let k = 0; k < 4; k++) out[4 * c + r] += lens[4 * k + r] * view[4 * c + k];
+    }
+    this.eye = eye;
+    this.light = unit(back.map((value, k) => value + 0.55 * up[k] - 0.45 * right[k]));
+    return out;
+  }
+
+  listen(canvas) {
+    let from = null;
+    canvas.addEventListener("pointerdown", (event) => {
+      from = [event.clientX, event.clientY];
+      canvas.setPointerCapture(event.pointerId);
+    });
+    canvas.addEventListener("pointermove", (event) => {
+      if (!from) return;
+      this.turn((event.clientX - from[0]) * 0.008, (event.clientY - from[1]) * 0.008);
+      from = [event.clientX, event.clientY];
+    });
+    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { from = null; });
+    canvas.addEventListener("dblclick", () => this.view("tilted"));
+    canvas.addEventListener("wheel", (event) => {
+      if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls until the surface was clicked
+      event.preventDefault();
+      this.closer(Math.exp(-event.deltaY * 0.0015));
+    }, { passive: false });
+    canvas.addEventListener("keydown", (event) => {
+      const turns = { ArrowLeft: [-0.08, 0], ArrowRight: [0.08, 0], ArrowUp: [0, 0.08], ArrowDown: [0, -0.08] };
+      if (turns[event.key] && !event.ctrlKey && !event.altKey && !event.metaKey) {
+        this.turn(...turns[event.key]);
+        event.preventDefault();
+      }
+    });
+  }
+}

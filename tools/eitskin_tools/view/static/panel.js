@@ -1,0 +1,119 @@
+// The words beside the pictures. A text is only written where it differs, so that selections and screen readers rest.
+
+import { illOf } from "./canvas.js";
+import { LOSSES, STAGES, areaOf } from "./strips.js";
+import { skippedWords, valueWords } from "./words.js";
+
+const $ = (id) => document.getElementById(id);
+const say = (node, text) => { if (node.textContent !== text) node.textContent = text; };
+
+/** Make a list have these rows of texts. */
+function rows(node, wanted, tag, cell) {
+  while (node.children.length > wanted.length) node.lastElementChild.remove();
+  wanted.forEach((texts, k) => {
+    const row = node.children[k] ?? node.appendChild(document.createElement(tag));
+    while (row.children.length > texts.length) row.lastElementChild.remove();
+    texts.forEach((text, j) => say(row.children[j] ?? row.appendChild(document.createElement(cell)), text));
+  });
+}
+
+export function drawFacts(frame, rate) {
+  const { head } = frame;
+  const facts = [["rate", rate ? `${rate.toFixed(0)} frames/s` : "–"], ["solver", head.solver],
+    ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
+    ["lost", String(head.counts.lost)], ["device", head.serial]];
+  const node = $("facts");
+  while (node.children.length < facts.length) {
+    const pair = node.appendChild(document.createElement("div"));
+    pair.append(document.createElement("dt"), document.createElement("dd"));
+  }
+  facts.forEach(([name, text], k) => {
+    say(node.children[k].children[0], name);
+    say(node.children[k].children[1], text);
+  });
+}
+
+export function drawTouchTable(frame) {
+  const touches = frame?.head.touches ?? [], more = frame?.head.more ?? 0;
+  const words = ({ id, centre: [x, y], area, peak }) => [
+    String(id), `${x.toFixed(1)}, ${y.toFixed(1)}`, area.toFixed(0), peak.toFixed(2),
+  ];
+  rows($("touches"), touches.map(words), "tr", "td");
+  $("no-touches").hidden = touches.length > 0;
+  say($("touches-note"), more ? `and ${more} more` : "");
+  say($("bar-words"), valueWords(frame?.head.solver));
+}
+
+export function drawElectrodes(frame, count) {
+  const ill = Object.entries(illOf(frame));
+  const list = $("electrodes");
+  const words = ill.map(([k, { state, standIn }]) => [`${k} is ${state}`, standIn ?? ""]);
+  rows(list, ill.length ? words : [[`All ${count} are well.`]], "li", "span");
+  for (const row of list.children) row.firstElementChild.className = ill.length ? "ill" : "";
+}
+
+/** What was left out within 5 s before a moment, by share of the frames. */
+export function drawSkipped(history, shown) {
+  const last = history.index(shown.t), counts = new Map();
+  let total = 0;
+  for (let k = last; k >= 0 && shown.t - history.frames[k].t < 5000; k--) {
+    total++;
+    for (const code of history.frames[k].head.skipped) counts.set(code, (counts.get(code) ?? 0) + 1);
+  }
+  const found = [...counts].sort((a, b) => b[1] - a[1]);
+  const list = $("skipped");
+  const words = found.map(([code, n]) => [skippedWords(code), `${Math.round((100 * n) / total)} %`]);
+  rows(list, found.length ? words : [["Nothing."]], "li", "span");
+  found.forEach(([code], k) => { list.children[k].title = code; });
+}
+
+export function drawLog(history, shown) {
+  const now = history.newest.t;
+  const seen = history.log.filter((entry) => entry.t <= shown.t).slice(-40).reverse();
+  const words = seen.map((entry) => [entry.text, ago(now - entry.t)]);
+  rows($("log"), seen.length ? words : [["Nothing yet."]], "li", "span");
+}
+
+export function drawNow(frame) {
+  const { head } = frame, total = head.stages_us.reduce((a, b) => a + b, 0) / 1000;
+  const losses = LOSSES.map(([name, words]) => [head.counts[name], words]).filter(([n]) => n > 0);
+  const n = head.touches.length;
+  say($("touch-now"), `${n} ${n === 1 ? "touch" : "touches"}, ${areaOf(frame).toFixed(0)} mm²`);
+  say($("latency-now"), `${total.toFixed(2)} ms`);
+  const counted = losses.map(([count, words]) => `${count} ${words}`).join(", ");
+  say($("losses-now"), counted || "none since the start");
+  const [drift, sd] = head.drift;
+  say($("drift-now"), drift === null ? "unknown" : `${signed(drift)}${sd === null ? "" : ` ± ${sd.toFixed(1)}`} %`);
+}
+
+export function drawRecord(status) {
+  const button = $("record"), on = Boolean(status?.recording);
+  button.hidden = !status?.can_record;
+  button.setAttribute("aria-pressed", String(on));
+  button.title = on ? `Stop recording ${status.recording} (R)` : "Record what is measured to a file (R)";
+  say($("record-text"), on ? "Stop recording" : "Record");
+}
+
+export function makeStageLegend() {
+  STAGES.forEach((stage, k) => {
+    const entry = $("stages").appendChild(document.createElement("span"));
+    const mark = entry.appendChild(document.createElement("i"));
+    mark.style.background = `var(--s${k + 1})`;
+    entry.append(stage);
+  });
+}
+
+export function drawTime(history) {
+  const { oldest, newest, shown } = history, scrub = $("scrub");
+  const range = Math.round(newest.t - oldest.t), at = Math.round(shown.t - oldest.t);
+  const text = history.mode === "live" ? "now" : ago(newest.t - shown.t);
+  scrub.max = String(range);
+  if (Number(scrub.value) !== at) scrub.value = String(at);
+  if (scrub.getAttribute("aria-valuetext") !== text) scrub.setAttribute("aria-valuetext", text);
+  say($("when"), text);
+  say($("pause"), history.mode === "paused" ? "Play" : "Pause");
+  $("live").disabled = history.mode === "live";
+}
+
+const ago = (ms) => (ms < 50 ? "now" : `${(ms / 1000).toFixed(1)} s ago`);
+const signed = (value) => (value < 0 ? `−${(-value).toFixed(1)}` : `+${value.toFixed(1)}`);

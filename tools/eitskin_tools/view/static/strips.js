@@ -1,0 +1,206 @@
+// Four strips of the last minute: touched area, time by stage, losses, drift. The right border is the newest moment.
+
+import { FONT, inks, paper } from "./canvas.js";
+
+export const WINDOW_MS = 60000;
+export const STAGES = ["decode", "normalise", "gate", "infer", "pack", "publish"];
+export const LOSSES = [["lost", "lost"], ["corrupt", "corrupt"], ["withheld", "withheld"], ["overrun", "late"]];
+const GAP_MS = 1500; // a longer silence is left blank
+const PAD = { left: 34, right: 2, top: 7, bottom: 15 };
+
+/** The frames of a window, thinned to what a strip can show. */
+export function windowOf(history, width) {
+  const end = history.newest?.t ?? 0, begin = end - WINDOW_MS;
+  const first = history.frames.length ? history.index(begin) : 0;
+  const every = Math.max(1, Math.floor((history.frames.length - first) / Math.max(width, 100)));
+  const last = history.frames.length - 1;
+  const frames = history.frames.filter((_, k) => k >= first && (k % every === 0 || k === last));
+  return { begin, end, frames };
+}
+
+export function timeAt(canvas, event, history) {
+  const { left, width } = canvas.getBoundingClientRect();
+  const share = (event.clientX - left - PAD.left) / (width - PAD.left - PAD.right);
+  return (history.newest?.t ?? 0) - WINDOW_MS * (1 - Math.min(Math.max(share, 0), 1));
+}
+
+class Strip {
+  constructor(canvas, history, least, unit, low = 0) {
+    const sheet = paper(canvas);
+    this.ok = Boolean(sheet);
+    if (!sheet) return;
+    Object.assign(this, sheet, windowOf(history, sheet.width));
+    Object.assign(this, { ink: inks(), history, unit, least, lowest: low });
+  }
+
+  scale(high, low = 0) {
+    const over = nice(Math.max(high, this.least));
+    this.low = low < 0 ? -nice(Math.max(-low, this.least)) : 0;
+    this.high = over;
+    const { pen, ink, width, height } = this;
+    pen.font = FONT;
+    pen.fillStyle = ink.muted;
+    pen.textAlign = "right";
+    pen.textBaseline = "middle";
+    pen.strokeStyle = ink.line;
+    pen.lineWidth = 1;
+    pen.beginPath();
+    for (const value of new Set([this.low, 0, this.high])) {
+      const y = Math.round(this.y(value)) + 0.5;
+      pen.moveTo(PAD.left, y);
+      pen.lineTo(width - PAD.right, y);
+      pen.fillText(label(value), PAD.left - 4, y);
+    }
+    pen.stroke();
+    pen.textBaseline = "bottom";
+    pen.textAlign = "left";
+    pen.fillText("−60 s", PAD.left, height + 1);
+    pen.textAlign = "center";
+    pen.fillText("−30", PAD.left + (width - PAD.left - PAD.right) / 2, height + 1);
+    pen.textAlign = "right";
+    pen.fillText("now", width - PAD.right, height + 1);
+  }
+
+  x(t) { return PAD.left + ((t - this.begin) / WINDOW_MS) * (this.width - PAD.left - PAD.right); }
+  y(value) {
+    const share = (Math.min(value, this.high) - this.low) / (this.high - this.low);
+    return this.height - PAD.bottom - share * (this.height - PAD.top - PAD.bottom);
+  }
+
+  /** Fill between two values of each frame; where either is null, or time has a gap, there is nothing. */
+  band(below, above, fill, alpha = 1) {
+    const { pen } = this;
+    pen.fillStyle = fill;
+    pen.globalAlpha = alpha;
+    for (const run of this.runs(above)) {
+      pen.beginPath();
+      for (const frame of run) pen.lineTo(this.x(frame.t), this.y(above(frame)));
+      for (const frame of [...run].reverse()) pen.lineTo(this.x(frame.t), this.y(below(frame)));
+      pen.fill();
+    }
+    pen.globalAlpha = 1;
+  }
+
+  line(value, colour) {
+    const { pen } = this;
+    pen.strokeStyle = colour;
+    pen.lineWidth = 1.5;
+    pen.lineJoin = "round";
+    for (const run of this.runs(value)) {
+      pen.beginPath();
+      for (const frame of run) pen.lineTo(this.x(frame.t), this.y(value(frame)));
+      pen.stroke();
+    }
+  }
+
+  runs(value) {
+    const found = [];
+    let run = [];
+    for (const frame of this.frames) {
+      const ends = run.length && frame.t - run[run.length - 1].t > GAP_MS;
+      if (ends || value(frame) === null) {
+        if (run.length) found.push(run);
+        run = [];
+      }
+      if (value(frame) !== null && frame.t >= this.begin) run.push(frame);
+    }
+    if (run.length) found.push(run);
+    return found;
+  }
+
+  cursor() {
+    if (this.history.mode === "live" || !this.history.shown) return;
+    const { pen, ink } = this, x = this.x(this.history.shown.t);
+    if (x < PAD.left) return;
+    pen.strokeStyle = ink.accent;
+    pen.lineWidth = 1.5;
+    pen.beginPath();
+    pen.moveTo(x, PAD.top - 4);
+    pen.lineTo(x, this.height - PAD.bottom);
+    pen.stroke();
+  }
+}
+
+export const areaOf = (frame) => frame.head.touches.reduce((sum, touch) => sum + touch.area, 0);
+
+export function drawTouches(canvas, history) {
+  const strip = new Strip(canvas, history, 50, "mm²");
+  if (!strip.ok) return;
+  strip.scale(Math.max(0, ...strip.frames.map(areaOf)));
+  strip.band(() => 0, areaOf, strip.ink.s1, 0.25);
+  strip.line(areaOf, strip.ink.s1);
+  strip.cursor();
+}
+
+export function drawLatency(canvas, history) {
+  const strip = new Strip(canvas, history, 0.2, "ms");
+  if (!strip.ok) return;
+  const sums = new Map();
+  for (const frame of strip.frames) {
+    let sum = 0;
+    sums.set(frame, [0, ...frame.head.stages_us.map((us) => (sum += us / 1000))]);
+  }
+  const totals = [...sums.values()].map((stack) => stack[STAGES.length]).sort((a, b) => a - b);
+  strip.scale(1.1 * (totals[Math.floor(0.98 * (totals.length - 1))] ?? 0));
+  STAGES.forEach((_, k) => strip.band((f) => sums.get(f)[k], (f) => sums.get(f)[k + 1], strip.ink[`s${k + 1}`], 0.9));
+  strip.cursor();
+}
+
+/** Losses by the second: {t, name: count}. */
+function lossesBySecond(frames) {
+  const found = new Map();
+  for (let k = 1; k < frames.length; k++) {
+    const [before, now] = [frames[k - 1].head, frames[k].head];
+    if (before.run !== now.run) continue;
+    const second = Math.floor(frames[k].t / 1000), entry = found.get(second) ?? {};
+    for (const [name] of LOSSES) {
+      const more = now.counts[name] - before.counts[name];
+      if (more > 0) entry[name] = (entry[name] ?? 0) + more;
+    }
+    found.set(second, entry);
+  }
+  return found;
+}
+
+export function drawLosses(canvas, history) {
+  const strip = new Strip(canvas, history, 4, "");
+  if (!strip.ok) return;
+  const seconds = lossesBySecond(strip.frames), { pen, ink } = strip;
+  const sum = (entry) => Object.values(entry).reduce((a, b) => a + b, 0);
+  strip.scale(Math.max(0, ...[...seconds.values()].map(sum)));
+  const inksOf = { lost: ink.s4, corrupt: ink.s5, withheld: ink.s1, overrun: ink.s6 };
+  for (const [second, entry] of seconds) {
+    const left = Math.max(strip.x(1000 * second), PAD.left);
+    const wide = Math.max(strip.x(1000 * (second + 1)) - left - 1, 1);
+    let from = 0;
+    for (const [name] of LOSSES) {
+      if (!entry[name]) continue;
+      pen.fillStyle = inksOf[name];
+      pen.fillRect(left, strip.y(from + entry[name]), wide, strip.y(from) - strip.y(from + entry[name]));
+      from += entry[name];
+    }
+  }
+  strip.cursor();
+}
+
+export function drawDrift(canvas, history) {
+  const strip = new Strip(canvas, history, 1, "%");
+  if (!strip.ok) return;
+  const value = (frame) => frame.head.drift[0], sd = (frame) => frame.head.drift[1] ?? 0;
+  const known = strip.frames.filter((frame) => value(frame) !== null);
+  const tops = known.map((f) => value(f) + sd(f)), feet = known.map((f) => value(f) - sd(f));
+  strip.scale(Math.max(0, ...tops), Math.min(-0.01, ...feet));
+  strip.band((f) => value(f) - sd(f), (f) => (value(f) === null ? null : value(f) + sd(f)), strip.ink.s3, 0.25);
+  strip.line(value, strip.ink.s3);
+  strip.cursor();
+}
+
+/** The next of 1, 2, 5 times a power of ten. */
+function nice(value) {
+  const power = 10 ** Math.floor(Math.log10(value));
+  return power * ([1, 2, 5, 10].find((step) => step * power >= value * 0.999) ?? 10);
+}
+
+function label(value) {
+  return String(Number(value.toPrecision(2))).replace("-", "−");
+}

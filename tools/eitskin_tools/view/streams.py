@@ -1,0 +1,52 @@
+"""The surfaces and the state that a runtime tells of on request, handed on to the board from a thread of its own."""
+
+import threading
+from contextlib import suppress
+
+import eitskin
+from eitskin.errors import NoFrame
+from eitskin.messaging.curve_keys import ClientKeys
+from eitskin_tools.view.board import Board
+from eitskin_tools.view.messages import state_message, surface_message
+
+
+class Streams:
+    """Follows clouds and state from when it is entered to when it is left.
+
+    Args:
+        endpoint: Where the runtime publishes.
+        board: Where to post.
+        keys: CURVE keys.
+    """
+
+    def __init__(self, endpoint: str, board: Board, keys: ClientKeys | None) -> None:
+        self._endpoint, self._board, self._keys = endpoint, board, keys
+        self._posted = ("", -1)
+        self._left = threading.Event()
+        self._thread = threading.Thread(target=self._run, name="view-streams", daemon=True)
+
+    def _run(self) -> None:
+        while not self._left.is_set():  # a connection that something else had answered is made anew
+            with (
+                suppress(NoFrame),
+                eitskin.subscribe_streams(
+                    self._endpoint, wire=False, clouds=True, state=True, timeout_s=2.0, keys=self._keys
+                ) as items,
+            ):
+                while not self._left.is_set():
+                    self._post(items.next_item())
+
+    def _post(self, item: object) -> None:
+        if isinstance(item, eitskin.CloudInUse):
+            if self._posted != (which := (item.run, item.revision)):  # it is told again every second
+                self._posted = which
+                self._board.post("surface", surface_message(item.revision, item.cloud, item.run))
+        elif isinstance(item, eitskin.SkinState):
+            self._board.post("state", state_message(item))
+
+    def __enter__(self) -> None:
+        self._thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        self._left.set()
+        self._thread.join()

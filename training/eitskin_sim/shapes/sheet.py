@@ -1,0 +1,128 @@
+"""Voltages of touches on one deformation, and their derivatives by every parameter, by the adjoint method.
+
+The untouched sheet is factorised once a deformation (:mod:`eitskin_sim.freeform.sheet`). Touches change the stiffness
+on the nodes D of the elements that they reach, by dS, so with G the inverse of the untouched sheet and E the electrodes
+
+    X = (1 + G_DD dS)^-1 G_DE          the fields on D of 1 A into each electrode
+    U = G_EE - G_ED dS X
+    dU / dp = - sum over elements of X_e^T (dS_e / dp) X_e
+
+The fields are their own adjoints, since a sheet is reciprocal. So all derivatives together cost some products of small
+blocks beside the one solve on D.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+from scipy.linalg import lapack
+
+from eitskin_sim.fem.mesh import Index
+from eitskin_sim.freeform.mesh import SharedMesh
+from eitskin_sim.freeform.parts import between
+from eitskin_sim.freeform.sheet import InvertedSheet
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.elements import Blocks, Rates, rates, touched
+from eitskin_sim.unit_grid.units import to_voltages
+
+
+@dataclass(frozen=True, slots=True)
+class Solved:
+    """A touch set, solved."""
+
+    pieces: Array
+    """(n, 8)"""
+    base: Blocks
+    """Its elements."""
+    dofs: Index
+    """(m,) D."""
+    fields: Array
+    """(m, 16) X."""
+    response: Array
+    """(16, 16) U, V for 1 A into each electrode."""
+
+    @property
+    def voltages_V(self) -> Array:
+        """(104,) under 1 A."""
+        return np.asarray(to_voltages(self.response[None])[0])
+
+
+class TouchedSheet:
+    """Touches on one deformation.
+
+    Args:
+        sheet: The deformation.
+        grid: Its mesh.
+    """
+
+    def __init__(self, sheet: InvertedSheet, grid: SharedMesh) -> None:
+        self.sheet, self.grid = sheet, grid
+
+    @property
+    def untouched_V(self) -> Array:
+        """(104,) under 1 A with nothing touched."""
+        return self.sheet.untouched_V
+
+    def solve(self, pieces: Array) -> Solved:
+        """Return a touch set's fields and voltages.
+
+        Args:
+            pieces: (n, 8) touches; they may meet and overlap.
+
+        Raises:
+            ValueError: A border cannot be represented, a touch would change nothing, or takes more than there is.
+        """
+        sheet = self.sheet
+        if not len(pieces):
+            none = np.zeros(0, dtype=np.intp)
+            base = Blocks(none, none, np.zeros((0, 9, 9)))
+            return Solved(pieces, base, none, np.zeros((0, 16)), sheet.at_terminals)
+        base = touched(sheet, [pieces])
+        own = self.grid.dofs[base.element]
+        dofs, place = np.unique(own, return_inverse=True)
+        place = place.reshape(own.shape)
+        hidden = int(dofs[0] < 0)  # a column for elements under no electrode
+        change = np.zeros((len(dofs), len(dofs)))
+        np.add.at(change, (place[:, :, None], place[:, None, :]), base.blocks - sheet.before[base.element])
+        dofs, change = dofs[hidden:], change[hidden:, hidden:]
+        seen = sheet.to_terminals[dofs]
+        matrix = between(sheet.inverse, dofs, dofs) @ change
+        matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
+        _, _, fields, failed = lapack.dgesv(matrix, seen)
+        if failed:
+            raise ValueError("touches take away more conductance than the sheet has")
+        response = sheet.at_terminals - seen.T @ (change @ fields)
+        return Solved(pieces, base, dofs, fields, np.asarray((response + response.T) / 2))
+
+    def jacobian(self, solved: Solved, free: npt.NDArray[np.bool_]) -> tuple[Array, Rates]:
+        """Return (104, r) V by mm, rad or 1, in the order of ``np.nonzero(free)``, and the rates of the blocks.
+
+        Args:
+            solved: The touch set.
+            free: (n, 7) bool, by which parameters.
+        """
+        found = rates(self.sheet, solved.pieces, free, solved.base)
+        fields = self.element_fields(solved, found.element)
+        power = np.swapaxes(fields, 1, 2) @ (found.blocks @ fields)
+        total = np.zeros((len(found.touch), 16, 16))
+        np.add.at(total, np.repeat(np.arange(len(found.touch)), np.diff(found.first)), power)
+        return np.asarray(to_voltages(-total).T), found
+
+    def element_fields(self, solved: Solved, element: Index) -> Array:
+        """Return (e, 9, 16) fields on the unknowns of touched elements."""
+        place = np.zeros(len(self.grid.sharing) + 1, dtype=np.intp)
+        place[solved.dofs] = np.arange(len(solved.dofs))
+        own = self.grid.dofs[element]
+        return np.where((own >= 0)[:, :, None], solved.fields[place[own]], 0.0)
+
+    def all_fields(self, solved: Solved) -> Array:
+        """Return (n_dofs, 16) fields on the whole sheet under touches."""
+        sheet = self.sheet
+        if not len(solved.dofs):
+            return sheet.to_terminals
+        change = np.zeros((len(self.grid.sharing) + 1, 16))
+        flow = (solved.base.blocks - sheet.before[solved.base.element]) @ self.element_fields(
+            solved, solved.base.element
+        )
+        np.add.at(change, self.grid.dofs[solved.base.element], flow)
+        return np.asarray(sheet.to_terminals - sheet.inverse[:, solved.dofs] @ change[solved.dofs])

@@ -1,0 +1,228 @@
+"""Touches fitted to one frame: Levenberg and Marquardt's steps on whitened residuals, with a prior on what touches are.
+
+What is minimised is chi-squared, what is unseen of the sheet fitted along within its bounds, and the prior's cost ::
+
+    size        log sqrt(area) about that of touches, log(length / width) about 0
+    contrast    its logarithm: the mean of all touches about what this skin's are, each about that mean
+    border      of those that have a graded one
+
+Every touch costs the logarithm of the places where it might be besides (:mod:`eitskin_sim.verification.prior`).
+"""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.parameters import (
+    ANGLE,
+    BORDER,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    LOG_CONTRAST,
+    X,
+    Y,
+    free,
+    parameters_of,
+    pieces_of,
+)
+from eitskin_sim.shapes.sheet import Solved
+from eitskin_sim.verification.free.model import Model
+from eitskin_sim.verification.prior import Prior
+from eitskin_sim.verification.residual import Whitener
+
+LEAST_HALF_MM: Final = 1.5
+MOST_HALF_MM: Final = 45.0
+CONTRASTS: Final = (0.1, 200.0)
+"""Bounds of a contrast."""
+
+FORBIDDEN: Final = 0.05
+"""A log contrast is at least this far from 0: a touch that changes nothing is none."""
+
+STEPS: Final = np.array([6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5])
+"""The longest step of each parameter."""
+
+ENOUGH: Final = 0.05
+"""A step that gains less of what is minimised is the last."""
+
+
+@dataclass(frozen=True, slots=True)
+class Usual:
+    """What this skin's touches are like."""
+
+    log_contrast: float = float(np.log(40.0))
+    common_sd: float = 0.8
+    """Of the mean log contrast."""
+    own_sd: float = 0.3
+    """Of each touch about it."""
+    aspect_sd: float = 0.8
+    border_mm: float = 3.0
+    border_sd: float = 2.0
+    touches: Prior = field(default_factory=lambda: Prior(places=60, expected=3.0))
+
+
+def usual_of(kind: TouchKind) -> Usual:
+    """Return what is usual of a skin whose touches go one way, or both."""
+    if kind == "lowering":
+        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6)
+    return Usual() if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """One frame, against one model."""
+
+    model: Model
+    white: Whitener
+    change: Array
+    """(104,) dV"""
+    usual: Usual
+    expected: Array
+    """(104,) dV beside the touches."""
+
+    def at(self, pieces: Array, turning: bool = False) -> "Fit":
+        """Return touches as they stand.
+
+        Raises:
+            ValueError: They cannot be.
+        """
+        solved, change = self.model.solve(pieces)
+        residual = self.white.whiten(self.change - self.expected - change)
+        cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
+        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Touches and how well they explain a frame."""
+
+    pieces: Array
+    """(n, 8)"""
+    turning: bool
+    """Whether angles are fitted."""
+    solved: Solved
+    residual: Array
+    """(rows,) whitened."""
+    prior: float
+    per_touch: float
+
+    @property
+    def chi_squared(self) -> float:
+        """Of the residual."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def cost(self) -> float:
+        """What is minimised."""
+        return self.chi_squared + self.prior + self.per_touch * len(self.pieces) + 3.0 * self.turning
+
+
+def _free(pieces: Array, turning: bool) -> npt.NDArray[np.bool_]:
+    found = free(pieces)
+    found[:, ANGLE] &= turning
+    return found
+
+
+def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Array, Array]:
+    """Return (p,) residuals of the prior and (p, r) their derivatives by the free parameters."""
+    n = len(pieces)
+    if not n:
+        return np.zeros(0), np.zeros((0, 0))
+    values = parameters_of(pieces)
+    length, width = values[:, HALF_LENGTH], values[:, HALF_WIDTH]
+    mean = values[:, LOG_CONTRAST].mean()
+    number = np.full(own.shape, -1)
+    number[own] = np.arange(own.sum())
+    cost, by = [], []
+
+    def add(value: float, *rates: tuple[int, float]) -> None:
+        row = np.zeros(int(own.sum()))
+        for at, rate in rates:
+            if at >= 0:
+                row[at] += rate
+        cost.append(value)
+        by.append(row)
+
+    for i in range(n):
+        sd = usual.touches.size_log_sd
+        size = 0.5 * np.log(4.0 * length[i] * width[i] / usual.touches.size_mm**2) / sd
+        at_length, at_width = number[i, HALF_LENGTH], number[i, HALF_WIDTH]
+        add(size, (at_length, 0.5 / length[i] / sd), (at_width, 0.5 / width[i] / sd))
+        aspect = np.log(length[i] / width[i]) / usual.aspect_sd
+        add(aspect, (at_length, 1.0 / length[i] / usual.aspect_sd), (at_width, -1.0 / width[i] / usual.aspect_sd))
+        rates = [(number[j, LOG_CONTRAST], ((i == j) - 1.0 / n) / usual.own_sd) for j in range(n)]
+        add((values[i, LOG_CONTRAST] - mean) / usual.own_sd, *rates)
+        if own[i, BORDER]:
+            off = (values[i, BORDER] - usual.border_mm) / usual.border_sd
+            add(off, (number[i, BORDER], 1.0 / usual.border_sd))
+    all_of_them = [(number[j, LOG_CONTRAST], 1.0 / n / usual.common_sd) for j in range(n)]
+    add((mean - usual.log_contrast) / usual.common_sd, *all_of_them)
+    return np.array(cost), np.array(by)
+
+
+def linearised(frame: Frame, fit: Fit) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
+    """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
+    own = _free(fit.pieces, fit.turning)
+    by = -frame.white.whiten(frame.model.jacobian(fit.solved, own).T).T
+    cost, rate = _prior(fit.pieces, own, frame.usual)
+    return np.concatenate([fit.residual, cost]), np.concatenate([by, rate]), own
+
+
+def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
+    """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
+
+    Args:
+        frame: The frame.
+        fit: Where to start.
+        steps: The most derivatives.
+    """
+    damping = 1e-2
+    for _ in range(steps):
+        if not len(fit.pieces):
+            return fit
+        residual, by, own = linearised(frame, fit)
+        gradient, square = by.T @ residual, by.T @ by
+        scale = np.diag(square) + 1e-9
+        best = None
+        for _ in range(4):
+            step = np.asarray(-np.linalg.solve(square + damping * np.diag(scale), gradient), dtype=np.float64)
+            moved = bounded(frame, fit.pieces, own, step)
+            try:
+                best = frame.at(moved, fit.turning)
+            except (ValueError, np.linalg.LinAlgError):
+                best = None
+            if best is not None and best.cost < fit.cost:
+                break
+            damping *= 8.0
+            best = None
+        if best is None:
+            return fit
+        gained = fit.cost - best.cost
+        fit = best
+        damping = max(damping / 5.0, 1e-4)
+        if gained < ENOUGH:
+            return fit
+    return fit
+
+
+def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array) -> Array:
+    """Return touches after a step, shortened and held within what touches may be."""
+    values = parameters_of(pieces)
+    move = np.zeros(own.shape)
+    move[own] = step
+    before = values[:, LOG_CONTRAST].copy()
+    values += np.clip(move, -STEPS, STEPS)
+    size = np.array(frame.model.skin.outline.size_mm)
+    values[:, [X, Y]] = np.clip(values[:, [X, Y]], 0.5, size - 0.5)
+    halves = [HALF_LENGTH, HALF_WIDTH]
+    values[:, halves] = np.clip(values[:, halves], LEAST_HALF_MM, MOST_HALF_MM)
+    log = np.clip(values[:, LOG_CONTRAST], *np.log(CONTRASTS))
+    values[:, LOG_CONTRAST] = np.where(np.abs(log) < FORBIDDEN, np.where(before < 0.0, -FORBIDDEN, FORBIDDEN), log)
+    graded = pieces[:, 7] > 0.0
+    narrow = 2.0 * values[:, halves].min(axis=1)
+    values[graded, BORDER] = np.clip(values[graded, BORDER], LEAST_BORDER_MM, np.minimum(narrow[graded] - 0.01, 8.0))
+    return pieces_of(pieces[:, 0], values)

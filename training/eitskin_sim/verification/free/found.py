@@ -1,0 +1,125 @@
+"""What a fit says of every touch: where, how large, how strong, how sure; and the map of all.
+
+Size and contrast answer nearly alike: a smaller touch that conducts better reads like a larger one that does not. What
+is known well is their product, the strength: log contrast times area. So a touch says the correlation of the two, and
+how far area and contrast may go along each other while the fit stays within two standard deviations.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.scene.gap import gap_mm
+from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
+from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
+from eitskin_sim.verification.free.fit import Fit, Frame, linearised
+
+WITHIN: Final = 2.0
+"""Standard deviations of the ranges."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeTouch:
+    """One touch off the unit grid; errors are standard errors, of the present fit and the prior together."""
+
+    shape: str
+    """"rectangle" or "ellipse"."""
+    centre_mm: tuple[float, float]
+    centre_error_mm: tuple[float, float]
+    size_mm: tuple[float, float]
+    """Length and width."""
+    size_error_mm: tuple[float, float]
+    angle_deg: float
+    area_mm2: float
+    area_error_mm2: float
+    contrast: float
+    contrast_range: tuple[float, float]
+    """Two standard errors of its logarithm either way."""
+    border_mm: float
+    """Width of the graded border; 0 is sharp."""
+    strength_mm2: float
+    """Log contrast times area; below 0 where a press lowers conductance."""
+    strength_error_mm2: float
+    size_contrast_correlation: float
+    """Of log area and log contrast: near -1, the data tell only their product."""
+    area_range_mm2: tuple[float, float]
+    """Two standard errors of its logarithm either way, contrast changing along."""
+
+
+def touches_of(frame: Frame, fit: Fit) -> tuple[FreeTouch, ...]:
+    """Return what a fit says of every touch."""
+    if not len(fit.pieces):
+        return ()
+    _, by, own = linearised(frame, fit)
+    covariance = np.linalg.pinv(by.T @ by, hermitian=True)
+    number = np.full(own.shape, -1)
+    number[own] = np.arange(own.sum())
+    areas, strengths = areas_mm2(fit.pieces), strengths_mm2(fit.pieces)
+    found = []
+    for row, piece in enumerate(fit.pieces):
+        at = number[row]
+        sd = np.sqrt(np.diag(covariance))
+        log_area = np.zeros(len(covariance))
+        log_area[at[HALF_LENGTH]], log_area[at[HALF_WIDTH]] = 2.0 / piece[3], 2.0 / piece[4]
+        log_contrast = np.zeros(len(covariance))
+        log_contrast[at[LOG_CONTRAST]] = 1.0
+        strength = areas[row] * (np.log(piece[6]) * log_area + log_contrast)
+        area_sd, contrast_sd, strength_sd = (
+            float(np.sqrt(max(one @ covariance @ one, 0.0))) for one in (log_area, log_contrast, strength)
+        )
+        both = float(log_area @ covariance @ log_contrast) / max(area_sd * contrast_sd, 1e-300)
+        found.append(
+            FreeTouch(
+                shape="rectangle" if piece[0] == RECTANGLE else "ellipse",
+                centre_mm=(float(piece[1]), float(piece[2])),
+                centre_error_mm=(float(sd[at[X]]), float(sd[at[Y]])),
+                size_mm=(float(piece[3]), float(piece[4])),
+                size_error_mm=(2.0 * float(sd[at[HALF_LENGTH]]), 2.0 * float(sd[at[HALF_WIDTH]])),
+                angle_deg=float(piece[5]) % 180.0,
+                area_mm2=float(areas[row]),
+                area_error_mm2=float(areas[row] * area_sd),
+                contrast=float(piece[6]),
+                contrast_range=_range(float(piece[6]), contrast_sd),
+                border_mm=float(piece[7]),
+                strength_mm2=float(strengths[row]),
+                strength_error_mm2=strength_sd,
+                size_contrast_correlation=both,
+                area_range_mm2=_range(float(areas[row]), area_sd),
+            )
+        )
+    return tuple(found)
+
+
+def _range(value: float, sd: float) -> tuple[float, float]:
+    factor = float(np.exp(min(WITHIN * sd, 30.0)))
+    return value / factor, value * factor
+
+
+def degrees_of_freedom(frame: Frame, fit: Fit) -> int:
+    """Return how many of the frame's rows are left once what is free has been fitted, the prior counted."""
+    rows = len(fit.residual)
+    if not len(fit.pieces):
+        return rows
+    _, by, _ = linearised(frame, fit)
+    whole, data = by.T @ by, by[:rows].T @ by[:rows]
+    return rows - round(float(np.trace(np.linalg.solve(whole + 1e-9 * np.diag(np.diag(whole) + 1e-9), data))))
+
+
+def map_of(pieces: Array, grid: Grid = PAPER.grid) -> Array:
+    """Return the (rows, columns) touched share of every pixel; what touches share counts once, as nearly as it can."""
+    lines = pixel_lines(grid)
+    total = np.zeros(grid.shape)
+    for number, piece in enumerate(pieces):
+        rows, columns, share = cover(piece, *lines)
+        shared = 1.0 if _overlaps(pieces, number) else 0.0
+        total[rows, columns] += share * (1.0 - shared * total[rows, columns])
+    return np.asarray(np.clip(total, 0.0, 1.0))
+
+
+def _overlaps(pieces: Array, number: int) -> bool:
+    """Return whether a touch meets one before it by more than a border."""
+    before = pieces[:number]
+    return bool(len(before)) and bool((gap_mm(np.tile(pieces[number], (number, 1)), before) < -0.5).any())

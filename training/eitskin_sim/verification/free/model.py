@@ -1,0 +1,128 @@
+"""What touches off the unit grid should read on one scanned deformation, and what the model does not know of it.
+
+dV is against the flat reference, as the runtime's: V over the model's own flat sheet on the same mesh, less 1, so that
+the mesh's error and the current drop out. Where a frame says that the sheet is stretched otherwise than the scan shows,
+by more than a derivative is good for, the model is made again about that: :meth:`Model.about`.
+"""
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.fem.mesh import Metric
+from eitskin_sim.freeform.mesh import shared_mesh
+from eitskin_sim.freeform.sheet import inverted_metric
+from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.sheet import Solved, TouchedSheet
+from eitskin_sim.surface.predict import FittedSurface, fit_cloud
+from eitskin_sim.verification.free.unseen import Doubts, Unseen, unseen
+from eitskin_sim.verification.residual import Noise, Whitener
+
+ELEMENT_MM: Final = 4.5
+"""The largest element: fitted centres are off by up to 0.1 mm by it, sizes by 0.2 mm."""
+
+FLOOR: Final = 1e-3
+"""Of V over V0: what is left of the mesh's error."""
+
+RATIO: Final = (0.3, 3.0)
+"""Bounds of a frame's V over the untouched model's, by which what is unseen is scaled row by row."""
+
+
+@lru_cache(maxsize=4)
+def flat_model_V(skin: Skin, size_mm: float) -> Array:
+    """Return the (104,) V of the flat sheet on the model's mesh."""
+    return inverted_metric(flat_metric_of(skin), size_mm, skin=skin).untouched_V
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """One deformation, ready for touches."""
+
+    touched: TouchedSheet
+    metric: Metric
+    surface: FittedSurface
+    unseen: Unseen
+    flat_V: Array
+    """(104,) of the model's flat sheet."""
+    doubts: Doubts
+    skin: Skin
+    size_mm: float
+    held: Array
+    """(k,) amplitudes of the first columns that the metric has already."""
+
+    @property
+    def untouched(self) -> Array:
+        """(104,) dV with nothing touched."""
+        return np.asarray(self.touched.untouched_V / self.flat_V - 1.0)
+
+    def solve(self, pieces: Array) -> tuple[Solved, Array]:
+        """Return a touch set solved, and its (104,) dV."""
+        solved = self.touched.solve(pieces)
+        return solved, np.asarray(solved.voltages_V / self.flat_V - 1.0)
+
+    def jacobian(self, solved: Solved, free: npt.NDArray[np.bool_]) -> Array:
+        """Return (104, r) dV by the free parameters."""
+        return np.asarray(self.touched.jacobian(solved, free)[0] / self.flat_V[:, None])
+
+    def whitener(self, change: Array, reference: Array, noise: Noise) -> Whitener:
+        """Return the whitener of a frame (104,) dV against a reference (104,) V."""
+        columns = self.unseen.columns / self.flat_V[:, None] * self.ratio(change)[:, None]
+        return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=FLOOR)
+
+    def expected(self, ratio: Array) -> Array:
+        """Return (104,) dV that is expected of a frame beside the touches: the waves that the metric has are unlikely.
+
+        What the metric has already was believed of one frame; before any it is none.
+
+        Args:
+            ratio: (104,) of the frame's voltages over the untouched sheet's.
+        """
+        held = self.unseen.columns[:, : len(self.held)] @ self.held
+        return np.asarray(-held / self.flat_V * ratio)
+
+    def ratio(self, change: Array) -> Array:
+        """Return (104,) a frame's voltages over the untouched sheet's, within bounds."""
+        return np.clip(np.abs((1.0 + change) / (1.0 + self.untouched)), *RATIO)
+
+    def beyond(self, amplitudes: Array) -> Array:
+        """Return (w,) the waves that amplitudes of all columns say, less those that the metric has."""
+        own = amplitudes[: len(self.held)] - self.held
+        return np.asarray(self.unseen.mixed @ own)
+
+    def about(self, amplitudes: Array) -> "Model":
+        """Return the model of the sheet with the waves of some amplitudes of all columns."""
+        held = amplitudes[: len(self.held)]
+        moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held)
+        return _model(moved, self.surface, self.doubts, self.skin, self.size_mm, held)
+
+
+def model_of_cloud(
+    cloud_mm: npt.ArrayLike, skin: Skin = PAPER, doubts: Doubts | None = None, size_mm: float = ELEMENT_MM
+) -> Model:
+    """Return the model of a scanned deformation.
+
+    Args:
+        cloud_mm: (3, rows, columns) mm.
+        skin: Whose sheet.
+        doubts: What may differ; None is the usual.
+        size_mm: The largest element.
+
+    Raises:
+        ValueError: The cloud is malformed, or folds in its own plane.
+    """
+    surface = fit_cloud(cloud_mm, skin.grid)
+    return _model(surface.metric, surface, doubts or Doubts(), skin, size_mm, None)
+
+
+def _model(
+    metric: Metric, surface: FittedSurface, doubts: Doubts, skin: Skin, size_mm: float, held: Array | None
+) -> Model:
+    sheet = TouchedSheet(inverted_metric(metric, size_mm, skin=skin), shared_mesh(size_mm, None, skin))
+    found = unseen(sheet, metric, surface, doubts, skin)
+    own = np.zeros(found.mixed.shape[1]) if held is None else held
+    return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), doubts, skin, size_mm, own)

@@ -1,0 +1,249 @@
+"""The search: from the network's touches, or the last frame's, to touches that physics can explain.
+
+::
+
+    starts -> fit -> explained? -> moves, one after the other, the first that pays is taken -> fit -> ... until
+    nothing pays, or the time is over
+
+What is minimised never rises, so more time gives no worse answer. Where the fit wants a stretch of the sheet that is
+too large for a derivative, the model is made again about it, once or twice a deformation; the next frames of the same
+deformation have it already.
+"""
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.verification.chi_squared import LEVEL, p_value
+from eitskin_sim.verification.free.fit import Fit, Frame, refine, usual_of
+from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
+from eitskin_sim.verification.free.model import Model, model_of_cloud
+from eitskin_sim.verification.free.moves import Move, moves
+from eitskin_sim.verification.free.starts import starts_of
+from eitskin_sim.verification.free.unseen import Doubts
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.verdict import Verdict
+
+TRUSTED: Final = 0.02
+"""Stretch up to which a derivative is good enough."""
+
+ANEW: Final = 4
+"""Times that a deformation's model is made again, at most."""
+
+BUDGET_S: Final = 2.0
+"""What a frame may take; most take a thirtieth of it."""
+
+ALMOST: Final = 3
+"""Derivatives taken of a move before it is judged."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeVerdict(Verdict[FreeTouch]):
+    """One frame, explained by shapes off the unit grid."""
+
+    pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
+    """(n, 8) the touches as a table: the next frame's first start."""
+    trail: tuple[str, ...] = ()
+    """Which moves were taken."""
+
+
+class FreeVerifier:
+    """Verifies frames of one deformation after another.
+
+    Args:
+        reference_V: (104,) flat and untouched, as measured.
+        noise: Of a frame.
+        touches: Which way this skin's touches change conductance.
+        skin: Whose frames.
+        doubts: What may differ between the sheet and its model.
+    """
+
+    def __init__(
+        self,
+        reference_V: Array,
+        noise: Noise,
+        touches: TouchKind = "raising",
+        skin: Skin = PAPER,
+        doubts: Doubts | None = None,
+    ) -> None:
+        self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches)
+        self._skin, self._doubts = skin, doubts
+        self._model: Model | None = None
+        self._anew = 0
+        self._fits = 0
+        self.setup_s = 0.0
+        """What the present deformation's models took so far, by the clock."""
+        self.setup_cpu_s = 0.0
+        """The same by the processor."""
+
+    def deform(self, cloud_mm: npt.ArrayLike) -> None:
+        """Take a scanned deformation for the frames that follow.
+
+        Raises:
+            ValueError: The cloud is malformed, or folds in its own plane.
+        """
+        self.setup_s = self.setup_cpu_s = 0.0
+        self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._doubts))
+        self._anew = 0
+
+    def _make(self, make: Callable[[], Model]) -> None:
+        """Make a model, and count what it takes."""
+        clock, processor = time.perf_counter(), time.process_time()
+        self._model = make()
+        self.setup_s += time.perf_counter() - clock
+        self.setup_cpu_s += time.process_time() - processor
+
+    def verify(
+        self, voltages_V: Array, shares: Array, last: Array | None = None, budget_s: float = BUDGET_S
+    ) -> FreeVerdict:
+        """Return the touches that explain a frame best.
+
+        Args:
+            voltages_V: (104,) of the frame.
+            shares: (n, rows, columns) of the network's map, what each of its touches has of every pixel.
+            last: (m, 8) the last frame's, tried first.
+            budget_s: Time; what is underway is ended.
+
+        Raises:
+            ValueError: There is no deformation yet, or no time.
+        """
+        if self._model is None:
+            raise ValueError("no deformation to verify on; give its cloud first")
+        if not budget_s > 0.0:
+            raise ValueError(f"a budget of {budget_s:g} s: it must be above 0")
+        begin, setup = time.perf_counter(), self.setup_s
+        change = voltages_V / self._reference - 1.0
+
+        def left() -> float:
+            return budget_s - (time.perf_counter() - begin - (self.setup_s - setup))
+
+        self._fits = 0
+        frame = self._frame(change)
+        frame, fit = self._start(frame, shares, last)
+        trail: list[str] = []
+        while left() > 0.0 and not self._explained(frame, fit):
+            name, better = self._moved(frame, fit, left)
+            if better is None:
+                break
+            frame, fit = self._settled(frame, better)
+            trail.append(name)
+        if left() > 0.0:
+            fit = self._usually(frame, fit)
+        freedom = max(degrees_of_freedom(frame, fit), 1)
+        seconds = time.perf_counter() - begin - (self.setup_s - setup)
+        p = p_value(fit.chi_squared, freedom)
+        return FreeVerdict(
+            touches_of(frame, fit),
+            fit.chi_squared,
+            freedom,
+            p,
+            LEVEL,
+            self._fits,
+            seconds,
+            (),
+            fit.pieces,
+            tuple(trail),
+        )
+
+    def _frame(self, change: Array) -> Frame:
+        model = self._model
+        assert model is not None
+        white = model.whitener(change, self._reference, self._noise)
+        return Frame(model, white, change, self._usual, model.expected(model.ratio(change)))
+
+    def _start(self, frame: Frame, shares: Array, last: Array | None) -> tuple[Frame, Fit]:
+        """Return the first start that explains the frame once it is fitted, or the best of them."""
+        rectangles = starts_of(shares, self._skin.grid)
+        tries: list[Array] = [] if last is None else [last]
+        for log in _contrasts(self._usual.log_contrast) if len(rectangles) else ():
+            tries.append(rectangles.copy())
+            tries[-1][:, 6] = np.exp(log)
+        tries.append(np.zeros((0, 8)))
+        best = None
+        for one in tries:
+            frame, fit = self._settled(frame, self._refined(frame, self._at(frame, one, False)))
+            if best is None or fit.cost < best.cost:
+                best = fit
+            if self._explained(frame, best):
+                break
+        assert best is not None
+        return frame, self._at(frame, best.pieces, False)
+
+    def _at(self, frame: Frame, pieces: Array, turning: bool) -> Fit:
+        self._fits += 1
+        return frame.at(pieces, turning)
+
+    def _refined(self, frame: Frame, fit: Fit, steps: int = 10) -> Fit:
+        self._fits += 1
+        return refine(frame, fit, steps)
+
+    def _settled(self, frame: Frame, fit: Fit) -> tuple[Frame, Fit]:
+        """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
+        while self._anew < ANEW:
+            model = frame.model
+            residual = frame.change - frame.expected - model.solve(fit.pieces)[1]
+            amplitudes, _ = frame.white.amplitudes(residual)
+            if np.abs(model.beyond(amplitudes)).max(initial=0.0) < TRUSTED:
+                break
+            self._make(partial(model.about, amplitudes))
+            self._anew += 1
+            frame = self._frame(frame.change)
+            fit = self._refined(frame, self._at(frame, fit.pieces, fit.turning))
+        return frame, fit
+
+    def _usually(self, frame: Frame, fit: Fit) -> Fit:
+        """Return the fit, or one from touches of usual contrast that are as strong, if that is likelier.
+
+        Size and contrast lie in a long valley, in which steps are short.
+        """
+        usual = self._usual.log_contrast
+        log = np.log(fit.pieces[:, 6])
+        if not len(log) or usual * log.mean() <= 0.0 or abs(usual - log.mean()) < 0.5:
+            return fit
+        pieces = fit.pieces.copy()
+        pieces[:, 3:5] *= np.sqrt(np.clip(np.tanh(log / 2.0) / np.tanh(usual / 2.0), 0.3, 3.0))[:, None]
+        pieces[:, 6] = np.exp(usual)
+        pieces[:, 7] = np.minimum(pieces[:, 7], pieces[:, 3:5].min(axis=1) - 0.01)
+        try:
+            other = self._refined(frame, self._at(frame, pieces, fit.turning))
+        except (ValueError, np.linalg.LinAlgError):
+            return fit
+        return other if other.cost < fit.cost else fit
+
+    def _explained(self, frame: Frame, fit: Fit) -> bool:
+        return p_value(fit.chi_squared, max(degrees_of_freedom(frame, fit), 1)) > 5.0 * LEVEL
+
+    def _moved(self, frame: Frame, fit: Fit, left: Callable[[], float]) -> tuple[str, Fit | None]:
+        """Return the move that pays, or none."""
+        tried: list[tuple[Fit, Move]] = []
+        for move in moves(frame, fit):
+            if left() <= 0.0:
+                break
+            try:
+                start = self._at(frame, move[1], move[2])
+            except (ValueError, np.linalg.LinAlgError):
+                continue
+            found = self._refined(frame, start, ALMOST)
+            tried.append((found, move))
+            if found.cost < fit.cost - 0.3 * (fit.chi_squared - len(fit.residual)) - 10.0:
+                break  # a good part of what is unexplained: no need to look at the others
+        tried.sort(key=lambda one: one[0].cost)
+        for found, move in tried[:2]:
+            whole = self._refined(frame, found)
+            if whole.cost < fit.cost - 1.0:
+                return move[0], whole
+        return "", None
+
+
+def _contrasts(usual: float) -> tuple[float, ...]:
+    if usual > 0.0:
+        return (usual, np.log(8.0), np.log(2.0))
+    return (usual, 2.0 * usual) if usual < 0.0 else (np.log(40.0), np.log(4.0), np.log(0.5))

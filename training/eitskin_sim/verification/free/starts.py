@@ -1,0 +1,91 @@
+"""Where a search starts: the touches of the network's map as upright rectangles, one each, or two of one that is an L.
+
+A touch is what the stream says it is: pixels and the share that it has of each. A rectangle has the moments of its
+shares. Where two rectangles, cut apart along a row or a column of pixels, draw the map much better than one, the touch
+starts as two.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.mesh import Index
+from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
+
+BETTER: Final = 0.45
+"""Two rectangles leave less than this share of what one leaves."""
+
+PIXELS: Final = 2.5
+"""What one rectangle leaves, in squares of whole pixels, before two are thought of."""
+
+LEAST_MM: Final = 3.0
+"""The shortest side of a start."""
+
+
+def starts_of(shares: Array, grid: Grid = PAPER.grid) -> Array:
+    """Return (m, 8) rectangles of contrast 1 that draw a map's touches.
+
+    Args:
+        shares: (n, rows, columns) of the map, what each touch has of every pixel; ``shares_of`` of the stream's.
+        grid: Of the map.
+    """
+    found = [_one_or_two(np.maximum(share, 0.0), grid) for share in shares]
+    return np.concatenate([np.zeros((0, 8)), *found])
+
+
+def shares_of(pixels: Index, touch: Index, weights: Array, count: int, grid: Grid = PAPER.grid) -> Array:
+    """Return (n, rows, columns) shares from the stream's lists of pixels, touches and weights.
+
+    Args:
+        pixels: (m,) numbers in the map with its border of one pixel.
+        touch: (m,) the touch of each.
+        weights: (m,) its share.
+        count: Of touches, n.
+        grid: Of the map.
+    """
+    rows, columns = grid.shape
+    found = np.zeros((count, rows + 2, columns + 2))
+    found.reshape(count, -1)[touch, pixels] = weights
+    return found[:, 1:-1, 1:-1]
+
+
+def rectangle(share: Array, grid: Grid) -> Array:
+    """Return the (8,) upright rectangle with the area and the moments of (rows, columns) shares."""
+    at = grid.pixel_centres_mm()
+    total = max(float(share.sum()), 1e-9)
+    middle = np.einsum("rc,rca->a", share, at) / total
+    spread = np.einsum("rc,rca->a", share, (at - middle) ** 2) / total - np.square(grid.pixel_mm) / 12.0
+    sides = np.maximum(np.sqrt(12.0 * np.maximum(spread, 0.0)), LEAST_MM)
+    area = max(total * grid.pixel_mm2, LEAST_MM**2)
+    sides *= np.clip(np.sqrt(area / sides.prod()), 0.7, 1.3)
+    return np.array([RECTANGLE, *middle, *sides, 0.0, 1.0, 0.0])
+
+
+def _drawn(pieces: list[Array], grid: Grid) -> Array:
+    found, lines = np.zeros(grid.shape), pixel_lines(grid)
+    for piece in pieces:
+        rows, columns, share = cover(piece, *lines)
+        found[rows, columns] += share
+    return np.minimum(found, 1.0)
+
+
+def _one_or_two(share: Array, grid: Grid) -> Array:
+    one = rectangle(share, grid)
+    left = float(np.sum((_drawn([one], grid) - share) ** 2))
+    best, two = left, [one]
+    if left > PIXELS:
+        for axis in (0, 1):
+            there = np.flatnonzero((share > 0.3).any(axis=1 - axis))
+            for cut in there[1:]:
+                parts = [share.copy(), share.copy()]
+                if axis == 0:
+                    parts[0][cut:], parts[1][:cut] = 0.0, 0.0
+                else:
+                    parts[0][:, cut:], parts[1][:, :cut] = 0.0, 0.0
+                pieces = [rectangle(part, grid) for part in parts]
+                error = float(np.sum((_drawn(pieces, grid) - share) ** 2))
+                if error < best:
+                    best, two = error, pieces
+    return np.array(two if best < BETTER * left else [one])

@@ -1,0 +1,148 @@
+"""What may differ between the sheet and the model of its scan, all linear, on one deformation, from one factorisation.
+
+The model has the metric of a smooth surface through the scanned points. A scan without marks divides rows and columns
+by arc length, so it misses how stretch is distributed along them; and its noise bends the fitted surface a little. Both
+change the conductance tensor K = sigma t0 g^-1 of every element, and so do conductivities that drifted. With the fields
+X of the untouched sheet every such change answers as
+
+    dU = - sum over elements of X_e^T dS_e X_e,      dS_e = dK_xx S_xx + dK_xy S_xy + dK_yy S_yy
+
+so the three powers of every element are made once, and a change costs one small product. ::
+
+    stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
+    scan        random noise of the scanner, through the same fit
+    drift, tilt x, tilt y, gauge       of the conductivity, as in eitskin_sim.verification.nuisance
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.fem.borders.cut_blocks import PRODUCTS
+from eitskin_sim.fem.mesh import MM, Metric
+from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.sheet import TouchedSheet
+from eitskin_sim.surface.predict import FittedSurface, fit_cloud
+from eitskin_sim.unit_grid.units import to_voltages
+from eitskin_sim.verification.free.usual_waves import usual_waves
+from eitskin_sim.verification.free.waves import Waves, waves_of
+
+DRAWS: Final = 24
+"""Scans whose noise is looked at: its columns are as many."""
+
+SEED: Final = 44_113
+"""Of their noise."""
+
+
+@dataclass(frozen=True, slots=True)
+class Doubts:
+    """Standard deviations of what may differ."""
+
+    scan_mm: float = 0.1
+    drift: float = 0.05
+    tilt: float = 0.01
+    gauge: float = 0.5
+    stretch: float = 1.0
+    """Of all waves, over what is usual; 0 for a sheet whose stretch is known."""
+
+
+@dataclass(frozen=True, slots=True)
+class Unseen:
+    """All changes of one deformation."""
+
+    names: tuple[str, ...]
+    """Of those after the waves; the scans' come last and have no names."""
+    columns: Array
+    """(104, m) V for one standard deviation of each, under 1 A, untouched."""
+    waves: Waves
+    mixed: Array
+    """(w, k) amplitudes of the waves by the first k columns."""
+    by_log_sigma: Array
+    """(n_elements, 104) V by log conductivity of each element, untouched."""
+
+
+def powers(touched: TouchedSheet) -> Array:
+    """Return (3, n_elements, 104): - X_e^T S_c X_e for the xx, xy and yy parts, untouched."""
+    sheet, grid = touched.sheet, touched.grid
+    elements = np.arange(len(sheet.before))
+    contacts = sheet.system.contacts
+    density = contacts.density(np.full(len(contacts.element), sheet.system.background))
+    whole = with_contacts(sheet.system.background * sheet.system.stiffness, elements, density, contacts)
+    padded = np.concatenate([sheet.to_terminals, np.zeros((1, 16))])
+    outer = padded[grid.dofs]  # (e, 9, 16), the electrode last
+    middle = -(whole[:, MIDDLE, KEPT][:, None, :] @ outer) / whole[:, MIDDLE, MIDDLE][:, None, None]
+    fields = np.insert(outer[:, :8], MIDDLE, middle[:, 0], axis=1)
+    tables = PRODUCTS.sum(axis=0).reshape(3, 9, 9)
+    flipped = np.swapaxes(fields, 1, 2)
+    return np.array([-to_voltages(flipped @ (table @ fields)) for table in tables])
+
+
+def unseen(
+    touched: TouchedSheet,
+    metric: Metric,
+    surface: FittedSurface | None,
+    doubts: Doubts,
+    skin: Skin = PAPER,
+) -> Unseen:
+    """Return what may differ on a deformation.
+
+    Args:
+        touched: Its sheet.
+        metric: The sheet's.
+        surface: The fitted one, for what noise does to it; None for a metric that no scan gave.
+        doubts: How much may differ.
+        skin: Whose sheet.
+    """
+    sheet = touched.sheet
+    mesh = sheet.system.mesh
+    at = mesh.centres_mm
+    E, F, G = metric(at).T
+    ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
+    sigma = sheet.system.background * sheet.system.relative
+    scale = sigma * sheet.system.thickness_mm * MM / (E * G - F**2)
+    power = powers(touched)
+    tensor = scale * np.array([G * ratio, -F, E / ratio])  # (3, e)
+
+    def answer(dE: Array, dF: Array, dG: Array) -> Array:
+        """Return (104, m) V for changes (e, m) of the metric."""
+        shrink = -(dE * G[:, None] + E[:, None] * dG - 2.0 * F[:, None] * dF) / (E * G - F**2)[:, None]
+        parts = (
+            scale[:, None] * ratio[:, None] * dG + tensor[0][:, None] * shrink,
+            -scale[:, None] * dF + tensor[1][:, None] * shrink,
+            scale[:, None] / ratio[:, None] * dE + tensor[2][:, None] * shrink,
+        )
+        return np.asarray(power[0].T @ parts[0] + power[1].T @ parts[1] + power[2].T @ parts[2])
+
+    by_log_sigma = np.einsum("ce,cer->er", tensor, power)
+    waves = waves_of(skin)
+    mixed = doubts.stretch * usual_waves(skin)
+    stretch = answer(*waves.rates(metric, at)) @ mixed
+    length, width = skin.outline.size_mm
+    x, y = at.T
+    fields = {
+        "drift": (np.ones(len(at)), doubts.drift),
+        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), doubts.tilt),
+        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), doubts.tilt),
+        "gauge": (-0.5 * np.log(E * G - F**2), doubts.gauge),
+    }
+    layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
+    parts = [stretch, layer]
+    if surface is not None and doubts.scan_mm > 0.0:
+        parts.append(answer(*_scans(surface, at, doubts.scan_mm, skin)))
+    return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
+
+
+def _scans(surface: FittedSurface, at: Array, noise_mm: float, skin: Skin) -> tuple[Array, Array, Array]:
+    """Return (e, draws) changes of E, F and G by a scanner's noise, over the root of their number."""
+    rng = np.random.default_rng(SEED)
+    by_x, by_y = surface.tangents(at)
+    found = []
+    for _ in range(DRAWS):
+        noise = noise_mm * rng.standard_normal((3, *skin.grid.shape))
+        dx, dy = fit_cloud(noise, skin.grid).tangents(at)
+        found.append([2.0 * np.sum(by_x * dx, 1), np.sum(by_x * dy + by_y * dx, 1), 2.0 * np.sum(by_y * dy, 1)])
+    dE, dF, dG = np.moveaxis(np.array(found), 0, -1) / np.sqrt(DRAWS)
+    return dE, dF, dG

@@ -1,0 +1,118 @@
+"""What else may have changed the voltages, fitted along with touches so that it is not taken for one.
+
+::
+
+    drift       of the whole layer's conductivity since the reference            part of it
+    tilt x, y   drift that differs from end to end, a plane of rms 1             part of it
+    gauge       conductivity goes with (local area stretch)^-k                   k
+    stretch     along x, by cos(2 pi x / L)                                      part of the local stretch
+    shift x, y  along x and along y, by (2 x / L - 1)(2 y / W - 1)               part of the local stretch
+
+The last three are material that lies elsewhere on the surface than a scan without marks can tell
+(:mod:`eitskin_sim.verification.material`). A mode is d log V per unit of its nuisance, of the untouched sheet at its
+present shape; times V it serves the touched one too, but for what the two do to each other. Conductivities are answered
+by adjoint fields, of one factorisation.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.fem.forward import Factor, assemble
+from eitskin_sim.fem.jacobian import jacobian
+from eitskin_sim.fem.mesh import Metric
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.nominal import nominal_electrodes, nominal_scene, nominal_sheet
+from eitskin_sim.verification.material import MATERIAL, moved, spreads_of
+
+Array = npt.NDArray[np.float64]
+ELEMENT_MM: Final = 4.5
+"""Of the mesh that modes are solved on: they need two digits."""
+
+STEP: Final = 0.05
+"""Amplitudes of material between whose ends the derivative is taken."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spreads:
+    """Standard deviations of nuisances, before anything is measured; 0 leaves one out."""
+
+    drift: float = 0.05
+    tilt: float = 0.02
+    gauge: float = 0.5
+    material: float = 1.0
+    """Of material that lies elsewhere: over what the skin's deformations say."""
+
+
+USUAL: Final = Spreads()
+"""What a verifier assumes that is told nothing of the device."""
+
+
+@dataclass(frozen=True, slots=True)
+class Modes:
+    """Nuisances of one shape of the sheet."""
+
+    names: tuple[str, ...]
+    logs: Array
+    """(rows, m) d log V per unit of each."""
+    sd: Array
+    """(m,) how large each is expected to be, in its own unit."""
+
+    @property
+    def columns(self) -> Array:
+        """Return (rows, m) log V for one standard deviation of each."""
+        return self.logs * self.sd
+
+    def of(self, name: str) -> int:
+        """Return the number of a nuisance, -1 if it is left out."""
+        return self.names.index(name) if name in self.names else -1
+
+
+def factor_of(metric: Metric, skin: Skin = PAPER) -> Factor:
+    """Return the untouched sheet of a metric, factorised on the modes' mesh."""
+    mesh = scene_mesh(nominal_scene(skin, element_size_mm=ELEMENT_MM))
+    return assemble(mesh, nominal_sheet(skin), nominal_electrodes(skin), metric).factorise()
+
+
+def modes_of(metric: Metric, skin: Skin = PAPER, spreads: Spreads = USUAL) -> Modes:
+    """Return the nuisances of an untouched sheet of some metric, those of no spread left out.
+
+    Args:
+        metric: Of the sheet as it is scanned.
+        skin: Whose sheet.
+        spreads: How large they are expected to be.
+    """
+    factor = factor_of(metric, skin)
+    system, volts = factor.system, factor.voltages()
+    sigma = np.full(system.mesh.n_elements, system.background)
+    cells = np.arange(system.mesh.n_elements)
+    by_element = jacobian(factor, sigma, cells, len(cells)) * (system.background / volts[:, None])
+    length, width = skin.outline.size_mm
+    x, y = system.mesh.centres_mm.T
+    E, F, G = system.metric.T
+    fields = {
+        "drift": np.ones(len(cells)),
+        "tilt x": np.sqrt(12.0) * (x / length - 0.5),
+        "tilt y": np.sqrt(12.0) * (y / width - 0.5),
+        "gauge": -0.5 * np.log(E * G - F**2),
+    }
+    sizes = {"drift": spreads.drift, "tilt x": spreads.tilt, "tilt y": spreads.tilt, "gauge": spreads.gauge}
+    logs = {name: by_element @ field for name, field in fields.items()}
+    for number, (name, spread) in enumerate(spreads_of(skin).items()):
+        sizes[name] = spreads.material * spread
+        if sizes[name] > 0.0:
+            low, high = (
+                np.log(np.abs(factor_of(moved(metric, _only(number, at), skin), skin).voltages()))
+                for at in (-STEP, STEP)
+            )
+            logs[name] = (high - low) / (2.0 * STEP)
+    names = tuple(name for name in logs if sizes[name] > 0.0)
+    columns = np.array([logs[name] for name in names]).reshape(len(names), len(volts)).T
+    return Modes(names, columns, np.array([sizes[name] for name in names]))
+
+
+def _only(number: int, amplitude: float) -> tuple[float, ...]:
+    return tuple(amplitude if one == number else 0.0 for one in range(len(MATERIAL)))

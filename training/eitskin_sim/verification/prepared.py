@@ -1,0 +1,54 @@
+"""Everything that verifying needs of one cloud, made once when it comes."""
+
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.reduced.exact import exact_sheet
+from eitskin_sim.reduced.model import ReducedModel, cloud_digest, reduced, rows_of
+from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.surface.predict import fit_cloud
+from eitskin_sim.verification.frame import Doubts
+from eitskin_sim.verification.material import moved
+from eitskin_sim.verification.model_error import scan_columns
+from eitskin_sim.verification.nuisance import USUAL, Spreads, modes_of
+from eitskin_sim.verification.residual import Array
+from eitskin_sim.verification.units import UnitVerifier
+
+SCAN_NOISE_MM: Final = 0.1
+"""Of a scanner, where the skin does not say."""
+
+
+def prepared(
+    cloud_mm: npt.ArrayLike,
+    skin: Skin = PAPER,
+    spreads: Spreads = USUAL,
+    model: ReducedModel | None = None,
+    material: tuple[float, ...] = (0.0, 0.0, 0.0),
+) -> UnitVerifier:
+    """Return the verifier of units on the sheet of a cloud.
+
+    Args:
+        cloud_mm: (3, rows, columns) mm.
+        skin: Whose.
+        spreads: How large nuisances are expected to be.
+        model: The cloud's, where it is there already.
+        material: Amplitudes by which frames of this shape have shown material to lie elsewhere; the model has them.
+
+    Raises:
+        ValueError: The cloud is malformed, or folds in its own plane.
+    """
+    metric = moved(fit_cloud(cloud_mm, skin.grid).metric, material, skin)
+    made = model or reduced(exact_sheet(metric, skin), skin, cloud_digest=cloud_digest(np.asarray(cloud_mm)))
+    modes = modes_of(metric, skin, spreads)
+    noise_mm = float(np.mean(skin.may_be_off.scan_noise_mm)) or SCAN_NOISE_MM
+    return UnitVerifier(made, flat_of(skin), Doubts(modes, scan_columns(noise_mm, skin)))
+
+
+@lru_cache(maxsize=4)
+def flat_of(skin: Skin = PAPER) -> Array:
+    """Return the (104,) V of the reduced models' flat, untouched sheet, under 1 A at 1 S/m."""
+    return rows_of(exact_sheet(flat_metric_of(skin), skin).untouched)

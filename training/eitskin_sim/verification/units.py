@@ -1,0 +1,141 @@
+"""Touched units that physics has checked: from a network's map to a set that explains the frame, or says it does not.
+
+Each start is modelled once. Where one explains the frame, that is all: the network is usually right. Otherwise units
+are added, removed and moved, and contrasts fitted, whichever lowers the cost most::
+
+    cost = chi-squared / inflation  +  what the prior takes for each touch
+    inflation = chi-squared of the set in hand / degrees of freedom, at least 1
+
+so that a sheet that is not the model's is not filled with touches. While the residual stays unexplained the search
+widens: contrasts of either sign, a set built from nothing, two units changed at once. It ends with its time, and
+returns the best that it has seen.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_sim.reduced.model import ReducedModel
+from eitskin_sim.reduced.state import State
+from eitskin_sim.verification.chi_squared import LEVEL, p_value
+from eitskin_sim.verification.frame import Doubts, Frame
+from eitskin_sim.verification.prior import Prior
+from eitskin_sim.verification.residual import Array, Noise, Rows
+from eitskin_sim.verification.unit_search import Search
+from eitskin_sim.verification.verdict import Verdict
+
+CONTRAST: Final = 50.0
+"""Of a touched unit, where nothing else is known."""
+
+BUDGET_S: Final = 0.02
+"""What a frame may take."""
+
+
+@dataclass(frozen=True, slots=True)
+class UnitTouch:
+    """One touched unit."""
+
+    unit: int
+    contrast: float
+    """Conductivity over the sheet's."""
+
+
+class UnitVerifier:
+    """Explains frames of one shape of the sheet.
+
+    Args:
+        model: The sheet at its present shape.
+        flat_V: (rows,) V under 1 A of the same model's flat, untouched sheet.
+        doubts: How model and sheet may differ; None is not at all.
+        contrast: Of touches, at first.
+        prior: What touches are like.
+        level: Below which p is flagged.
+    """
+
+    def __init__(
+        self,
+        model: ReducedModel,
+        flat_V: Array,
+        doubts: Doubts | None = None,
+        contrast: float = CONTRAST,
+        prior: Prior | None = None,
+        level: float = LEVEL,
+    ) -> None:
+        self._model, self._flat, self._doubts, self._level = model, flat_V, doubts, level
+        self._contrast, self._prior = contrast, prior or Prior(places=model.n_units)
+
+    def verify(
+        self,
+        change: npt.ArrayLike,
+        reference: npt.ArrayLike,
+        starts: Sequence[npt.ArrayLike],
+        noise: Noise,
+        *,
+        rows: Rows | None = None,
+        budget_s: float = BUDGET_S,
+        before: Sequence[UnitTouch] = (),
+        clock: Callable[[], float] = time.perf_counter,
+    ) -> Verdict[UnitTouch]:
+        """Return the set of touched units that explains a frame best.
+
+        Args:
+            change: (104,) dV of the frame.
+            reference: (104,) V of the flat, untouched sheet.
+            starts: (units,) truth values each: what a network's map shows, at one threshold or several.
+            noise: Of the frame.
+            rows: (104,) which rows there are; None is all.
+            budget_s: The search ends after it; 0 only judges the starts.
+            before: The last frame's touches, another start.
+            clock: What the budget is counted by, in seconds; ``time.process_time`` on a machine that is shared.
+
+        Raises:
+            ValueError: The budget is below 0, or shapes differ.
+        """
+        begin = time.perf_counter()
+        if not budget_s >= 0.0:
+            raise ValueError(f"a budget of {budget_s:g} s; expected 0 or more")
+        dv, held = np.asarray(change, dtype=np.float64), np.asarray(reference, dtype=np.float64)
+        sets = [self._start(one) for one in starts]
+        if before:
+            sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
+        frame = Frame(dv, held, noise, self._doubts, rows)
+        search = Search(self._model, self._flat, frame, self._prior, self._contrast, clock() + budget_s, clock)
+        best = search.best_of(sets)
+        if self._doubts is not None:
+            frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))
+            search = search.on(frame)
+        best = search.run(best)
+        ratio = best.volts / self._flat
+        if self._doubts is not None:
+            frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))
+        chi = float(frame.chi_squared(ratio))
+        degrees = max(len(frame.white) - search.fitted(best), 1)
+        order = np.argsort(best.units)
+        return Verdict(
+            touches=tuple(
+                UnitTouch(int(unit), float(contrast))
+                for unit, contrast in zip(best.units[order], best.contrasts[order], strict=True)
+            ),
+            chi_squared=chi,
+            degrees_of_freedom=degrees,
+            p_value=p_value(chi, degrees),
+            level=self._level,
+            evaluations=search.evaluations,
+            seconds=time.perf_counter() - begin,
+            nuisances=frame.nuisances(ratio),
+        )
+
+    def _start(self, bits: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], Array]:
+        found = np.asarray(bits, dtype=np.bool_)
+        if found.shape != (self._model.n_units,):
+            raise ValueError(f"a start of shape {found.shape}; expected ({self._model.n_units},) truth values")
+        units = np.flatnonzero(found)
+        return units, np.full(len(units), self._contrast)
+
+    def _signal(self, state: State) -> Array:
+        """Return (rows,) dV that a set of touches makes."""
+        return np.asarray((state.volts - self._model.untouched_V) / self._flat)
