@@ -22,6 +22,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.fit import Fit, Frame, refine, usual_of
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
@@ -137,6 +138,8 @@ class FreeVerifier:
             trail.append(name)
         if left() > 0.0:
             fit = self._usually(frame, fit)
+        if trail and left() > 0.0:
+            fit = self._fewer(frame, fit)
         freedom = max(degrees_of_freedom(frame, fit), 1)
         seconds = time.perf_counter() - begin - (self.setup_s - setup)
         p = p_value(fit.chi_squared, freedom)
@@ -198,6 +201,15 @@ class FreeVerifier:
             frame = self._frame(frame.change)
             fit = self._refined(frame, self._at(frame, fit.pieces, fit.turning))
         return frame, fit
+
+    def _fewer(self, frame: Frame, fit: Fit) -> Fit:
+        """Return the fit, or one without the smallest of the touches, if that is likelier."""
+        for number in np.argsort(areas_mm2(fit.pieces))[:2] if len(fit.pieces) > 1 else ():
+            without = np.delete(fit.pieces, number, axis=0)
+            other = self._refined(frame, self._at(frame, without, fit.turning))
+            if other.cost < fit.cost:
+                return other
+        return fit
 
     def _usually(self, frame: Frame, fit: Fit) -> Fit:
         """Return the fit, or one from touches of usual contrast that are as strong, if that is likelier.

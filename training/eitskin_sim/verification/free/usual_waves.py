@@ -28,7 +28,7 @@ DRAWS: Final = 32
 DIRECTIONS: Final = 8
 """Of them that are kept."""
 
-ALONE: Final = 0.2
+ALONE: Final = 0.35
 """Share of its spread that every wave has for itself."""
 
 ROUNDS: Final = 3
