@@ -20,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 from eitskin_tools.command_line import touches
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
+from eitskin_tools.console.run_report import closing, report
 from eitskin_tools.errors import UsageError
 
 if TYPE_CHECKING:
@@ -140,7 +141,7 @@ def run(arguments: argparse.Namespace) -> int:
         )
         for number in (signal.SIGINT, signal.SIGTERM):
             signal.signal(number, lambda *_: skin.stop())
-        _report(skin, log)
+        report(skin, log)
         log.say(open_files)
         if arguments.sched_fifo is not None:
             log.say(realtime.schedule_fifo(arguments.sched_fifo))
@@ -153,7 +154,7 @@ def run(arguments: argparse.Namespace) -> int:
         if arguments.json:
             print(json.dumps(skin.summary()))
         else:
-            log.say(_closing(skin.summary()))
+            log.say(closing(skin.summary()))
     _leave_unfinished_work()
     return 0
 
@@ -260,45 +261,3 @@ def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":
         if (endpoint := getattr(arguments, option)) is not None:
             endpoints.needs_keys(endpoint, control=option == "control")
     return None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
-
-
-def _report(skin: Any, log: RunLog) -> None:
-    from eitskin_proto.skin.skin import PAPER
-    from eitskin_proto.skin.touch_kind import knows
-
-    hello = skin.device.hello
-    for line in skin.transport.report():
-        log.say(line)
-    version = ".".join(map(str, hello.firmware_version))
-    log.say(
-        f"device: {hello.serial_number}, firmware {version}, protocol {hello.protocol_major}.{hello.protocol_minor}, "
-        f"configuration {skin.device.configuration}, {hello.rate_mHz / 1000:g} frames/s of {hello.rows} rows"
-    )
-    solvers = ", ".join(f"{name} {span / 1000:.0f} us" for name, span in skin.pipeline.maps.engine_ns.items())
-    bundle = skin.bundle
-    log.say(f"bundle: {bundle.path.name} {bundle.id}, {bundle.labels} labels, {bundle.touch_kind} touches; {solvers}")
-    rows, columns = skin.description.grid.shape
-    log.say(f"skin: {skin.description.name} {skin.description.digest}, map of {rows} x {columns} pixels")
-    touches = skin.description.touch_kind
-    if skin.description is not bundle.skin and not knows(bundle.touch_kind, touches):
-        log.warn(
-            f"{skin.description.name} has {touches} touches, the bundle knows {bundle.touch_kind} ones: see --touches"
-        )
-    if not hello.skin_digest and skin.description.grid_id != PAPER.grid_id:
-        log.warn(
-            f'the device does not say which skin it is wired to: state skin = "{skin.description.grid_id}" in its '
-            "configuration, and 'eitskin flash write'"
-        )
-    gate = skin.bundle.manifest.get("gate") or {}
-    log.say(
-        f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle"
-    )
-
-
-def _closing(summary: dict[str, Any]) -> str:
-    latency = summary["latency_us"]
-    return (
-        f"{summary['frames']} frames at {summary['rate_hz']:.1f}/s, {summary['lost']} lost, "
-        f"{summary['corrupt']} corrupt, {summary['withheld']} withheld, read to publish {latency['p50']:.0f} us p50, "
-        f"{latency['p99']:.0f} p99, {latency['max']:.0f} max"
-    )

@@ -184,6 +184,7 @@ def _tank(arguments: argparse.Namespace) -> int:
 def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     from eitskin_sim.scene.scene import load_phantoms
     from eitskin_tools.evaluation.paper_tables import comparison
+    from eitskin_tools.evaluation.printed import print_report
     from eitskin_tools.evaluation.solvers import evaluate_requests
 
     phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS), conditions.skin)
@@ -206,35 +207,13 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     if arguments.json:
         print(json.dumps(found))
     else:
-        _print_report(found)
+        print_report(found)
     return 0
-
-
-def _print_report(found: dict[str, Any]) -> None:
-    from eitskin_tools.evaluation.paper import PHANTOMS, TABLE_2
-
-    besides = {"scan": " and V_pred", "true": " and the true untouched voltages"}.get(found["prediction"], "")
-    print(f"{found['solver']}, {found['noise']} at {found['snr_db']:g} dB, reference: {found['reference']}{besides}")
-    paper = TABLE_2["cc"].get(found["solver"].split("-")[0]) if len(found["phantoms"]) == PHANTOMS else None
-    print(
-        "phantom      CC  PSNR dB      RIE  localisation mm  exact  touches  of  two-point mm      DE"
-        + ("  paper's CC" if paper else "")
-    )
-    rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
-    papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
-    for row, theirs in zip(rows, papers, strict=True):
-        line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{_cell(row['rie'], 9, 4)}"
-        line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
-        line += f"{_cell(row['two_point_mm'], 14, 1)}{_cell(row['distance_error'], 8, 4)}"
-        print(line if theirs is None else f"{line}{theirs:12.4f}")
-
-
-def _cell(value: float | None, width: int, digits: int) -> str:
-    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
 
 
 def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     from eitskin_sim.evaluation import trials
+    from eitskin_tools.evaluation.printed import print_trial
     from eitskin_tools.evaluation.trial_runs import touched_trial, untouched_trial
 
     family, deformations, each = arguments.family, arguments.deformations, arguments.each
@@ -245,7 +224,7 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     softness = _softness(arguments)
     if arguments.untouched:
         found = untouched_trial(deformations, family, labels, request, conditions, _progress())
-        return _print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
+        return print_trial({"trial": {"kind": "untouched", **trial, "each": 1}, **found}, arguments.json)
     if arguments.single is not None:
         trial = {"kind": "single", "size_mm": arguments.single, **asdict(softness), **trial}
         phantoms = trials.single(arguments.single, deformations, each, family, softness, conditions.skin)
@@ -257,7 +236,7 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
         trial = {"kind": "random", "touches": list(counts), **trial}
         phantoms = trials.random(counts, deformations, each, family, labels, conditions.skin)
     found = touched_trial(phantoms, each, request, conditions, _progress())
-    return _print_trial({"trial": trial, **found}, arguments.json)
+    return print_trial({"trial": trial, **found}, arguments.json)
 
 
 def _softness(arguments: argparse.Namespace) -> Any:
@@ -275,16 +254,6 @@ def _counts(text: str) -> tuple[int, int]:
     if not (low.isdecimal() and (high or low).isdecimal()):
         raise UsageError(f"--random {text!r}: expected a number of touches or a range, such as 2-4")
     return int(low), int(high or low)
-
-
-def _print_trial(found: dict[str, Any], as_json: bool) -> int:
-    if as_json:
-        print(json.dumps(found))
-        return 0
-    for name, value in found.items():
-        if name != "deformations":
-            print(f"{name:24} {value:.4f}" if isinstance(value, float) else f"{name:24} {value}")
-    return 0
 
 
 def _progress() -> Any:

@@ -1,0 +1,39 @@
+"""What ``eitskin evaluate`` prints for people."""
+
+import json
+from typing import Any
+
+from eitskin_tools.evaluation.paper import PHANTOMS, TABLE_2
+
+
+def print_report(found: dict[str, Any]) -> None:
+    """Print the scores of phantoms, beside the paper's where they are the paper's."""
+    besides = {"scan": " and V_pred", "true": " and the true untouched voltages"}.get(found["prediction"], "")
+    print(f"{found['solver']}, {found['noise']} at {found['snr_db']:g} dB, reference: {found['reference']}{besides}")
+    paper = TABLE_2["cc"].get(found["solver"].split("-")[0]) if len(found["phantoms"]) == PHANTOMS else None
+    print(
+        "phantom      CC  PSNR dB      RIE  localisation mm  exact  touches  of  two-point mm      DE"
+        + ("  paper's CC" if paper else "")
+    )
+    rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
+    papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
+    for row, theirs in zip(rows, papers, strict=True):
+        line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{_cell(row['rie'], 9, 4)}"
+        line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
+        line += f"{_cell(row['two_point_mm'], 14, 1)}{_cell(row['distance_error'], 8, 4)}"
+        print(line if theirs is None else f"{line}{theirs:12.4f}")
+
+
+def _cell(value: float | None, width: int, digits: int) -> str:
+    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+
+
+def print_trial(found: dict[str, Any], as_json: bool) -> int:
+    """Print what a trial gave, as an object or a line each, and return 0."""
+    if as_json:
+        print(json.dumps(found))
+        return 0
+    for name, value in found.items():
+        if name != "deformations":
+            print(f"{name:24} {value:.4f}" if isinstance(value, float) else f"{name:24} {value}")
+    return 0
