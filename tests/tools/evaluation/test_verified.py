@@ -1,5 +1,7 @@
 """``evaluate --solver verified``: what a report gains, what is refused, and a phantom that is mended."""
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -18,7 +20,7 @@ from eitskin_tools.evaluation.verified import Checked, Verified, add_verdicts
 from eitskin_tools.evaluation.verified_free import VerifiedFree
 
 
-def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked:
+def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked[Verdict[UnitTouch]]:
     verdict = Verdict((UnitTouch(3, 50.0),), 100.0, 104, p, 0.01, 5, 1e-3 * extra_ms)
     return Checked(verdict, extra_ms, extra_ms, setup_ms, np.zeros(126, dtype=np.bool_))
 
@@ -36,7 +38,7 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
         id(first): [checked(0.4, 1.0, 500.0), checked(0.005, 3.0)],
         id(second): [checked(1e-9, 5.0, 700.0), checked(0.6, 7.0)],
     }
-    found = {"phantoms": [{"name": "1"}, {"name": "2"}]}
+    found: dict[str, Any] = {"phantoms": [{"name": "1"}, {"name": "2"}]}
     add_verdicts(found, results, verdicts)
     assert found["phantoms"][0] == {"name": "1", "p_value": pytest.approx(0.2025), "flagged": 0.5, "extra_ms": 2.0}
     assert found["phantoms"][1]["flagged"] == 0.5

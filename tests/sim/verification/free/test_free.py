@@ -24,7 +24,7 @@ SQUARE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
 
 
 def moved(by: list[float]) -> Array:
-    return SQUARE + np.array(by)
+    return np.asarray(SQUARE + np.array(by), dtype=np.float64)
 
 
 def flat_metric(xy_mm: Array) -> Array:
