@@ -16,8 +16,8 @@ from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.bench.verify.conditions import Condition, conditions
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.verified import Checked, Verified, add_verdicts
-from eitskin_tools.evaluation.verified_free import VerifiedFree
+from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts
 
 
 def checked(p: float, extra_ms: float, setup_ms: float = 0.0) -> Checked[Verdict[UnitTouch]]:

@@ -35,8 +35,8 @@ from eitskin_sim.surface.predict import flat_voltages
 
 if TYPE_CHECKING:
     from eitskin.model.bundle import Bundle
-    from eitskin_tools.evaluation.verified import Checked, Verified
-    from eitskin_tools.evaluation.verified_free import VerifiedFree
+    from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+    from eitskin_tools.evaluation.verified.units import Checked, Verified
 
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
@@ -173,8 +173,8 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
 
 def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, conditions: Conditions) -> Named:
     from eitskin_sim.verification.residual import Noise
-    from eitskin_tools.evaluation.verified import Verified
-    from eitskin_tools.evaluation.verified_free import VerifiedFree
+    from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+    from eitskin_tools.evaluation.verified.units import Verified
 
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
     noise = Noise(conditions.noise, conditions.snr_db)
@@ -249,7 +249,7 @@ def evaluate_requests(
         }
         found.append({**report(request.name, conditions.noise, results), **extra})
         if (checked := verdicts_of(phantoms, by_group, conditions.seeds)) is not None:
-            from eitskin_tools.evaluation.verified import add_verdicts
+            from eitskin_tools.evaluation.verified.units import add_verdicts
 
             add_verdicts(found[-1], results, checked)
     return found

@@ -22,7 +22,7 @@ from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitVerifier
 from eitskin_tools.bench.verify.conditions import Condition
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
-from eitskin_tools.evaluation.verified import Checked, Verified
+from eitskin_tools.evaluation.verified.units import Checked, Verified
 
 ELEMENT_MM: Final = 2.0
 """Of the true sheets' mesh, whose lines are not those of the model's."""

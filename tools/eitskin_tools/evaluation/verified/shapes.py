@@ -22,7 +22,7 @@ from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
-from eitskin_tools.evaluation.verified import Checked
+from eitskin_tools.evaluation.verified.units import Checked
 
 
 class VerifiedFree:

@@ -1,0 +1,1 @@
+"""A solver that checks the network's answer against physics, plugged into ``eitskin evaluate``."""
