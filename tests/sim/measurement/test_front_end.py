@@ -86,7 +86,7 @@ def test_every_drive_obeys_kirchhoffs_law(ratio: float) -> None:
     admittance, stray = random_sheet(), np.array(UNEVEN)
     found = FrontEnd(stray_S=UNEVEN, sink_share=ratio).potentials(response(admittance))
     for k in range(16):
-        np.testing.assert_allclose(found[k], naive(admittance, stray, ratio, k), rtol=1e-10)
+        np.testing.assert_allclose(found[k], naive(admittance, stray, ratio, k), rtol=1e-10, atol=1e-12)
 
 
 def test_a_capacitance_answers_in_phase_from_its_square_on() -> None:

@@ -30,7 +30,7 @@ def said(capsys: pytest.CaptureFixture[str], *words: str) -> str:
         (["subscribe", "a", "b"], "eitskin subscribe: found 'b', expected nothing more"),
         (["flash", "wirte", "paper"], "did you mean 'write'?"),
         (["demo", "--noise", "n2"], "--noise is 'n2', expected one of N1, N2, N3, none; did you mean 'N2'?"),
-        (["run"], "eitskin run: the following arguments are required: --port"),
+        (["run"], "eitskin run: expected --port PORT for one skin, or --config FILE.toml for several"),
         (["run", "--port", "p", "--solver", "tikonov"], "did you mean 'tikhonov'?"),
         (["demo", "--solver", "vdt2"], "did you mean 'vd2t'?"),
         (["evaluate", "--random", "2-4", "--solver", "tikhonv"], "did you mean 'tikhonov'?"),
