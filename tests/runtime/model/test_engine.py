@@ -226,3 +226,20 @@ def test_a_bundle_without_an_int8_head_falls_back_to_what_it_has(tiny):
     assert default_solver(replace(tiny, manifest=manifest, files=plain)) == "vd2t"
     bare = {name: plain[name] for name in plain if name != "head.onnx"}
     assert default_solver(replace(tiny, manifest=manifest, files=bare)) == "tikhonov"
+
+
+def test_a_graph_that_fails_while_it_is_computed_is_one_line(tiny, tmp_path):
+    onnx = pytest.importorskip("onnx")
+    graph = onnx.load_model_from_string(tiny.files["head.onnx"])
+    beyond = onnx.numpy_helper.from_array(np.array([10**6], dtype=np.int64), "beyond")
+    graph.graph.initializer.append(beyond)
+    gather = onnx.helper.make_node("Gather", ["dv", "beyond"], ["nothing"], axis=1)
+    product = onnx.helper.make_node("Mul", ["was", "nothing"], ["map"])
+    for node in graph.graph.node:
+        node.output[:] = ["was" if name == "map" else name for name in node.output]
+    graph.graph.node.extend([gather, product])
+    broken = replace(tiny, files={**tiny.files, "head.onnx": graph.SerializeToString()})
+    engine = HeadEngine(broken, "head.onnx", "vd2t", Buffers(broken))
+    with pytest.raises(BundleError, match="vd2t cannot be computed") as caught:
+        engine.infer()
+    assert "\n" not in str(caught.value)
