@@ -1,5 +1,6 @@
 """Recorded maps, computed once more: bit by bit what was published; of other solvers, how far they are from it."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +11,13 @@ from eitskin import Frame, WireFrame
 from eitskin.model.bundle import load_bundle
 from eitskin_proto.errors import MismatchError
 from eitskin_tools.recording.bundles import bundle_of
+from eitskin_tools.recording.codec import digest_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer.choice import others
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.reinfer.results import draw, write
 from eitskin_tools.recording.reinfer.session import Span, reinfer
-from eitskin_tools.recording.reinfer.tally import Agreement, centre_mm
+from eitskin_tools.recording.reinfer.tally import Agreement, Equality, centre_mm
 from eitskin_tools.recording.script import Script
 
 from .conftest import TINY, measured, recorded
@@ -35,6 +37,16 @@ def test_they_do_by_whatever_solver_and_options(tmp_path: Path, options: dict[st
     recorded(tmp_path / "a.mcap", measured(90, **options))
     found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
     assert (found["equal"], found["differing"]) == (90, {})
+
+
+def test_a_recording_that_begins_while_an_earlier_untouched_map_is_published_on(file: Path) -> None:
+    frame = next(step.frame for step in Script(file).steps() if step.frame.frame is not None)
+    before = replace(frame, solver="none", map_seq=0)
+    nothing, equality = np.zeros((30, 45), dtype=np.float32), Equality()
+    equality.published_as(before, digest_of(nothing), Computed(nothing, False, "none"))
+    assert (equality.equal, equality.published) == (1, 1)
+    equality.published_as(replace(before, solver="vd2t"), digest_of(nothing), Computed(nothing, True, "vd2t"))
+    assert (equality.equal, equality.unknown) == (1, 1), "a map from before the recording is not known"
 
 
 def test_a_map_that_was_published_otherwise_is_found(tmp_path: Path, items: list[Any]) -> None:

@@ -41,8 +41,7 @@ class Equality:
 
     def computed(self, sequence: int, found: Computed) -> None:
         """Take what a frame came to."""
-        if not self._zero:
-            self._zero = digest_of(np.zeros_like(found.map))
+        self._know_zero(found)
         self._digests[sequence] = self._zero if found.solver == NOTHING else digest_of(found.map)
         if len(self._digests) > REMEMBERED:
             self._digests.popitem(last=False)
@@ -56,6 +55,8 @@ class Equality:
             found: What the frame came to; None where nothing could be computed.
         """
         self.published += 1
+        if found is not None:
+            self._know_zero(found)
         ours = (
             self._zero if frame.solver == NOTHING else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
         )
@@ -67,6 +68,9 @@ class Equality:
             self.equal += 1
         else:
             self._differs("map", frame)
+
+    def _know_zero(self, found: Computed) -> None:
+        self._zero = self._zero or digest_of(np.zeros_like(found.map))
 
     def _differs(self, why: str, frame: WireFrame) -> None:
         self.differing[why] += 1
