@@ -7,8 +7,8 @@ within the surface, by u(x, y) along x and v(x, y) along y, which keep the borde
     shift x   d u / d x = b (2 x / L - 1)(2 y / W - 1)            what twist and skew leave, mostly
     shift y   d v / d y = c (2 x / L - 1)(2 y / W - 1)
 
-and the metric is J^T g J with J = 1 + grad (u, v), g taken to vary little over the move. Over family A the last two are 0.023 and 0.064 (rms),
-and leave a quarter of the unseen stretch.
+and the metric is J^T g J with J = 1 + grad (u, v), g taken to vary little over the move. Over family A the last two
+are 0.023 and 0.064 (rms), and leave a quarter of the unseen stretch.
 """
 
 from typing import Final
