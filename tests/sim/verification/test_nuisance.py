@@ -60,23 +60,9 @@ def test_stretching_an_even_sheet_is_what_a_bend_s_nonuniformity_does() -> None:
     assert np.allclose(moved(bend_metric(even, Sheet()), (0.1, 0.0, 0.0))(points), own, rtol=1e-12)
 
 
-def test_moving_material_is_a_map_of_the_surface_onto_itself() -> None:
-    # Lengths of curves do not depend on who describes them: along a moved line, new metric and old one agree.
-    metric, amplitudes = bend_metric(BEND, Sheet()), (0.1, 0.05, -0.08)
-    t = np.linspace(0.0, 1.0, 4001)
-    line = np.stack([20.0 + 100.0 * t, 15.0 + 60.0 * t], axis=-1)
-    x, y = 2.0 * line[:, 0] / 150.0 - 1.0, 2.0 * line[:, 1] / 100.0 - 1.0
-    along = 0.1 * 150.0 / (2.0 * np.pi) * np.sin(2.0 * np.pi * line[:, 0] / 150.0) + 0.05 * 37.5 * (x**2 - 1.0) * y
-    there = line + np.stack([along, -0.08 * 25.0 * (y**2 - 1.0) * x], axis=-1)
-
-    def length(path: np.ndarray, form: np.ndarray) -> float:
-        dx, dy = np.gradient(path, t, axis=0).T
-        E, F, G = form.T
-        return float(np.trapezoid(np.sqrt(E * dx**2 + 2.0 * F * dx * dy + G * dy**2), t))
-
-    assert length(line, moved(metric, amplitudes)(line)) == pytest.approx(length(there, metric(there)), rel=1e-5)
+def test_material_turned_inside_out_is_refused() -> None:
     with pytest.raises(ValueError, match=r"expected amplitudes below 0\.9"):
-        moved(metric, (0.95, 0.0, 0.0))
+        moved(bend_metric(BEND, Sheet()), (0.95, 0.0, 0.0))
 
 
 def test_shifts_are_found_again() -> None:
