@@ -1,7 +1,7 @@
 # make demo    a virtual skin, the runtime and a subscriber, drawn live (installs no torch)
-# make test    lint, types, Python and C tests, the runtime from its wheel; minutes
+# make test    lint, types, Python and C tests; ten minutes on two cores
 # make test-quick | test-all    without processes and heavy sums, under a minute; with all that is slow
-# make check   lint, types and tests, without the wheel
+# make check   the same
 # make docs    the documentation as HTML in .build/docs; a warning is an error
 # make bench   the benchmarks, each as one JSON object
 # make firmware | qemu                     the device's C for the emulated board; run it
@@ -55,10 +55,10 @@ docs: $(VENV)/.docs
 	$(BIN)/python -m sphinx -W --keep-going -q -b html -d .build/doctrees docs .build/docs
 	@echo "open .build/docs/index.html"
 
-test: check wheel-test
+test: check
 
 # The rest: what `make test` leaves out, so that both together are everything.
-test-rest: slow wheel-test-others wheel-test-lowest wheel-test-newest docs
+test-rest: wheel-test slow wheel-test-others wheel-test-lowest wheel-test-newest docs
 
 test-all: test test-rest
 
