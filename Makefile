@@ -78,6 +78,7 @@ unit: $(VENV)/.dev system-packages
 	$(PYTEST) -m "not slow"
 
 slow: $(VENV)/.dev system-packages
+	@tools/system-packages.sh chromium
 	$(PYTEST) -m slow
 
 firmware-test: $(VENV)/.dev system-packages

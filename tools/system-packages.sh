@@ -1,15 +1,14 @@
 #!/bin/sh
 # Installs the Debian packages for the C tests, the emulated board, the mocked USB bus, the look at system calls, the
-# certificates, the client in C++, and the page in a browser. Only root can; anyone else is told what will be skipped.
-# Tests that need a missing tool skip themselves and say which.
+# certificates and the client in C++, or those that are named: `make slow` names the browser. Only root can; anyone else
+# is told what will be skipped. Tests that need a missing tool skip themselves and say which.
 set -u
 board="gcc libc6-dev make gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm cppcheck"
 bus="libusb-1.0-0 umockdev gir1.2-umockdev-1.0 python3-gi"
 calls="strace"
 certificates="openssl"
 client="g++ libzmq3-dev cppzmq-dev libmsgpack-cxx-dev"
-browser="chromium"
-wanted=${*:-"$board $bus $calls $certificates $client $browser"}
+wanted=${*:-"$board $bus $calls $certificates $client"}
 missing=""
 for package in $wanted; do
     dpkg-query -W -f='${Status}' "$package" 2>/dev/null | grep -q "install ok installed" || missing="$missing $package"
