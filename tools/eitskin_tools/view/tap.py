@@ -15,8 +15,8 @@ from eitskin.errors import EndpointError, FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.frame import FIRST_BYTE, Frame, unpack_frame
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.received.subscriber import LARGEST_TAKEN
 from eitskin.messaging.regions import ALWAYS, TOUCHES, WHOLE
-from eitskin.messaging.subscription import LARGEST_TAKEN
 
 
 class Tap:
