@@ -2,13 +2,14 @@
 
 ::
 
-    read -> accept -> capture -> compute -> mode -> pack -> publish -> finish
+    read -> accept -> capture -> compute -> mode -> pack -> publish -> tell -> finish
      ^       |  withheld                |  withheld
      |<------+--------------------------+            and on with the next
 
 The loop blocks in the transport's ``read`` and nowhere else; silence and resets are the business of
 :mod:`eitskin.frame_source`. Each step is somebody else's: the source reads, the pipeline accepts and computes, messages
-are packed and handed to a taker. Between them goes one :class:`eitskin.messaging.frame_record.FrameRecord`.
+are packed and handed to a taker, and then streams are told what was measured. Between them goes one
+:class:`eitskin.messaging.frame_record.FrameRecord`.
 """
 
 import time
@@ -111,14 +112,19 @@ class FrameLoop:
                 wanted = taker.wanted
                 if pipeline.compute(wanted):
                     self._choose_mode(whole=recapture is not None)
-                    if streams.asked:
+                    asked, first = streams.asked, streams.first
+                    if asked and first:
                         teller.frame(self.source.payload, self.published + 1 if wanted else None)
                     if wanted:
                         self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
+                    record.stamps[PUBLISH] = time.perf_counter_ns()
+                    if asked and not first:
+                        teller.frame(self.source.payload, self.published if wanted else None)
                     self._finish()
                     yield record
+                    self.statistics.ready(time.perf_counter_ns())
                 elif streams.asked:
                     teller.withheld(self.source.payload, record.stamps[READ])
         finally:
@@ -185,10 +191,9 @@ class FrameLoop:
         return self._messages.finish(record)
 
     def _finish(self) -> None:
-        """Take note of the frame, after it was handed over."""
-        record = self._pipeline.record
-        record.stamps[PUBLISH] = time.perf_counter_ns()
-        self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
+        """Take note of the frame, after it was handed over and told of."""
+        record, told_ns = self._pipeline.record, time.perf_counter_ns()
+        self.statistics.add(record.stamps, told_ns, record.solver, record.touched, record.skipped, record.events)
         self._pipeline.note_health()
 
     # -- reference -----------------------------------------------------------------------------------------------------

@@ -1,7 +1,7 @@
 """What was measured, from the frame loop to a publisher's streams.
 
-Called for each frame while somebody asks, behind the computing and before the packing: what is sent here comes before
-the frame's own message, so that a subscriber who keeps one message only keeps the frame. For the same reason what is
+Called for each frame while somebody asks, when the frame's own message has gone out, so that it waits for none of this.
+Only where somebody takes all that is sent is it told before, so that who keeps one message keeps the frame; so what is
 told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
 
     conditions, cloud, state     when they change, when somebody comes, and once a second
@@ -84,7 +84,7 @@ class StreamSource:
 
         Args:
             payload: As it came.
-            number: Of the frame that is published next; None if none is.
+            number: Of its published frame; None if there is none.
         """
         record, desk = self._pipeline.record, self._desk
         self._send_waiting()

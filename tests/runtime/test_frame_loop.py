@@ -1,8 +1,14 @@
 """The order of a frame's way: who does what before what, and one record for all frames."""
 
+import time
+
 import pytest
 
 from eitskin.messaging.frame import STAGES, unpack_frame
+from eitskin.messaging.streams.desk import StreamDesk
+from eitskin.messaging.streams.envelope import FIRST_BYTE, opened
+from eitskin.messaging.streams.measured import WireFrame
+from eitskin.pipeline.stats import Statistics
 from eitskin.skin import Skin
 
 
@@ -56,3 +62,63 @@ def test_what_nobody_wants_is_counted_and_neither_computed_nor_packed(streaming)
     taker.wanted, taker.skin = True, streaming
     next(iter(streaming.publish(taker)))
     assert unpack_frame(taker.got[0][0], 0).number == 1
+
+
+class Both(Taker):
+    """Takes frames and streams, and notes in which order they come: a frame's number, or what is told of the wire."""
+
+    def __init__(self, topics):
+        super().__init__()
+        self.streams = StreamDesk(self.told)
+        self.streams.judge(topics)
+
+    def send(self, message):
+        self.got.append(unpack_frame(bytes(message), 0).number)
+
+    def told(self, message):
+        found = opened(message)
+        if found.name == "wire":
+            self.got.append(WireFrame.of(found.body))
+
+
+@pytest.mark.parametrize(("topics", "late"), [([FIRST_BYTE], 1), ([b"", FIRST_BYTE], 0)])
+def test_a_frame_goes_out_before_all_that_is_told_of_it_unless_somebody_takes_everything(streaming, topics, late):
+    taker = Both(topics)
+    for record in streaming.publish(taker):
+        frame, told = taker.got[-1 - late], taker.got[late - 2]
+        assert (frame, told.frame, told.seq) == (streaming.published, frame, record.sequence)
+        if frame == 10:
+            break
+    assert len(taker.got) == 20
+
+
+def test_what_comes_behind_publishing_is_told_apart_from_the_stages(streaming):
+    taker, handled_ns = Both([FIRST_BYTE]), 20_000_000
+
+    def slow(message):
+        end = time.perf_counter_ns() + handled_ns
+        while time.perf_counter_ns() < end:
+            pass
+
+    taker.streams._send = slow
+    for _ in streaming.publish(taker):
+        if streaming.published == 5:
+            break
+    summary = streaming.statistics.summary()
+    assert summary["behind_us"]["streams"]["p50"] >= handled_ns / 1000 > summary["stages_us"]["publish"]["p50"]
+    assert set(summary["left_us"]) == {"p50", "p1", "min"}
+
+
+def test_what_is_left_of_a_period_is_from_ready_to_read():
+    statistics = Statistics(capacity=4)
+    for frame in range(7):  # more than are kept: the oldest is overwritten first
+        read_ns = 5_000_000 * frame
+        stamps = [read_ns + 1000 * stage for stage in range(len(STAGES))]
+        statistics.add(stamps, read_ns + 10_000, "none", False, (), ())
+        if frame < 6:  # the last one was handed over, and nobody came back
+            statistics.ready(read_ns + 2_000_000 + 1000 * frame)
+    found = statistics.summary()
+    assert found["behind_us"]["streams"] == {"p50": 4.0, "p99": 4.0, "p999": 4.0, "max": 4.0}
+    assert found["behind_us"]["rest"]["max"] == 1995.0
+    assert found["left_us"] == {"p50": 2996.0, "p1": 2995.0, "min": 2995.0}
+    assert found["latency_us"]["max"] == 6.0

@@ -55,6 +55,9 @@ LARGEST_MAP: Final = 4 * MOST_PIXELS[0] * MOST_PIXELS[1]
 FIRST_BYTE: Final = b"\xde"
 """A frame's message begins with it: a MessagePack map of more than 15 keys."""
 
+EVERY_FRAME: Final = FIRST_BYTE + b"\x00"
+"""Topic of every frame with its whole map, and of nothing else: a frame has fewer than 256 keys."""
+
 LARGEST_MESSAGE: Final = 68608
 """Bytes; a frame of the paper's skin has about 6000, of the largest map about 58,200."""
 

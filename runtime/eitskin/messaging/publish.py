@@ -3,11 +3,13 @@ r"""Publishes frames: one part a message, to whoever subscribed, waiting for nob
 The socket is an XPUB: it tells who subscribes, so that a frame nobody wants costs no inference. Every subscriber has a
 bounded queue; a slow one loses frames there, and neither the loop nor its neighbours notice.
 
-Topics say what a subscriber needs. The empty one, which any program in any language may use, gets every frame with its
-whole map. A subscriber that subscribes to the first byte of a frame instead declares by topics of its own that it needs
-a region only (:mod:`eitskin.messaging.regions`), or that it does without a map that has not changed. ::
+Topics say what a subscriber needs. Who takes the first two bytes of a frame gets every frame with its whole map; so
+does the empty topic, with all that others ask for besides. A subscriber that takes the first byte alone declares by
+topics of its own that it needs a region only (:mod:`eitskin.messaging.regions`), or that it does without a map that has
+not changed. ::
 
-    b""                            everything, always
+    b"\xde\x00"                    every frame with its map, always
+    b""                            all that is sent
     b"\xde"                        every frame, and then one of each:
     b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
     b"eitskin/unchanged"           ... or b"eitskin/always"
@@ -15,9 +17,8 @@ a region only (:mod:`eitskin.messaging.regions`), or that it does without a map 
     b"\xdf"                        touches without maps, alone
     b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
 
-While somebody takes touches without maps, those with the empty topic get the touch messages too, and leave them alone
-for their version; they are sent first, so that who keeps one message keeps the frame. Streams of what was measured are
-alike.
+Those with the empty topic get touch messages and streams too, and leave them alone for their version. Touch messages
+are sent first, so that who keeps one message keeps the frame; streams go behind the frame, unless there is such a one.
 
 Subscribers are not trusted. All that they can send is subscriptions, which libzmq keeps in memory for them: messages
 are limited to a few bytes, few of them wait, and who sends more than any honest subscriber would is ended, as is who

@@ -14,17 +14,17 @@ Nobody waits for ever on an address where nobody is: unless told otherwise, the 
 import math
 import time
 from contextlib import suppress
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import zmq
 
-from eitskin.errors import EndpointError, FrameError, NoFrame, StaleFrame
+from eitskin.errors import FrameError, NoFrame, StaleFrame
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import Frame, MapMissing
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.received.wishes import NotAsked, Wishes
 from eitskin.messaging.regions import other_skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -35,9 +35,6 @@ _POLLIN: Final = int(zmq.POLLIN)
 
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
-
-LARGEST_TAKEN: Final = 73728
-"""Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
 
 PATIENCE_S: Final = 1.0
 """Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
@@ -50,7 +47,7 @@ FIRST_FRAME_S: Final = 5.0
 """How long the first frame may take where no time was named; a runtime that is there sends one within 0.1 s."""
 
 
-class Subscription:
+class Subscription(Subscriber):
     """An open subscription: iterate it, or call ``next_frame``; leave it with ``close`` or as a context manager.
 
     Args:
@@ -97,7 +94,6 @@ class Subscription:
         self._waits_ms = -1
         """What the socket waits at most, as it was told last. It waits by itself: a ``poll`` would delay frames."""
         self._max_age_s = max_age_s
-        self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
         """Frames taken so far."""
         self.lost = 0
@@ -109,7 +105,7 @@ class Subscription:
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
         self.passed_over = 0
-        """Touch messages where frames were asked for, and frames without the touches that were."""
+        """Frames without the touches that were asked for."""
         self._known: Frame | None = None
         self._newest_only = mode == "latest" and len(wishes.topics) > 1
         self._connection: Connection | None = None
@@ -118,26 +114,10 @@ class Subscription:
         self._heard_ns = time.perf_counter_ns()
         self._run = ""
         self._number = 0
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket: Any = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
-        self._socket.setsockopt(zmq.RCVHWM, QUEUE_FRAMES)
-        if mode == "latest" and not self._newest_only:
-            self._socket.setsockopt(zmq.CONFLATE, 1)
-        if keys is not None:
-            keys.apply(self._socket)
-        # Before it connects: CONFLATE holds for what is sent as well, and a subscription that is written in the instant
-        # in which libzmq's own thread looks for one is lost without a word (dbuffer.hpp): 4 of 300,000.
-        for topic in wishes.topics:
-            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
-        try:
-            self._socket.connect(self.endpoint)
-        except zmq.ZMQError as error:
-            self.close()
-            raise EndpointError(
-                f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
-            ) from error
+        super().__init__(
+            default_publish() if endpoint is None else endpoint, wishes.topics, QUEUE_FRAMES,
+            newest=mode == "latest" and not self._newest_only, keys=keys,
+        )  # fmt: skip
 
     def next_frame(self) -> Frame:
         """Return the next frame, waiting for it.
@@ -233,19 +213,6 @@ class Subscription:
 
     def __iter__(self) -> Self:
         return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Give the socket back; closing twice is fine."""
-        self._socket.close(0)
-        self._context.term()
 
 
 def _milliseconds(timeout_s: float) -> int:

@@ -2,6 +2,8 @@
 
 import time
 
+from eitskin.messaging.frame import EVERY_FRAME
+
 
 def send(publisher, packer, number, age_us=100):
     packer.put("n", number)
@@ -13,13 +15,13 @@ def send(publisher, packer, number, age_us=100):
 
 
 def wait_until_wanted(publisher, subscribers=1):
-    """Wait for subscribers to everything."""
+    """Wait for subscribers to every frame."""
     end = time.perf_counter() + 60
-    while publisher.topics.get(b"", 0) < subscribers and time.perf_counter() < end:
+    while publisher.topics.get(EVERY_FRAME, 0) < subscribers and time.perf_counter() < end:
         publisher.look()
         time.sleep(0.005)
     assert publisher.wanted
-    assert publisher.topics[b""] >= subscribers
+    assert publisher.topics[EVERY_FRAME] >= subscribers
 
 
 def wait_for(publisher, condition):

@@ -14,6 +14,7 @@ from eitskin.errors import EndpointError, NoFrame, StaleFrame
 from eitskin.messaging import publish
 from eitskin.messaging.admission import connections, door
 from eitskin.messaging.admission.topics import Topics
+from eitskin.messaging.frame import EVERY_FRAME
 
 from .publishing import send, wait_until_wanted
 
@@ -98,8 +99,10 @@ def test_a_hostile_publisher_cannot_stop_a_subscriber(tmp_path, packer):
     rng = np.random.default_rng(0)
     good = bytes(packer.message())
     nan = msgpack.packb(msgpack.unpackb(good) | {"map": np.full(1350, np.nan, "<f4").tobytes()})
-    bad = [b"", b"\x91" * 3000, b"\xdf\xff\xff\xff\xff", nan, good[:-1], bytes(15000)]
-    bad += [rng.integers(0, 256, 100, dtype=np.uint8).tobytes() for _ in range(200)]
+    bad = [EVERY_FRAME + rest for rest in (b"", b"\x91" * 3000, b"\xff\xff\xff\xff", bytes(15000))]
+    bad += [EVERY_FRAME + rng.integers(0, 256, 100, dtype=np.uint8).tobytes() for _ in range(200)]
+    bad += [nan, good[:-1]]
+    assert all(message.startswith(EVERY_FRAME) for message in bad)  # else it would not even be received
     with zmq.Context() as context, context.socket(zmq.XPUB) as hostile:
         hostile.bind(endpoint)
         with eitskin.subscribe(endpoint, mode="all", timeout_s=60) as frames:
@@ -148,11 +151,11 @@ def test_a_topic_is_taken_back_by_nobody_but_who_has_it(publisher, packer):
             peer.send(b"\x00", b"\x00mine", b"\x01seen")
             while b"seen" not in publisher.topics and time.perf_counter() < end:
                 publisher.look()
-        assert publisher.topics == {b"": 1, b"mine": 1, b"seen": 1}
+        assert publisher.topics == {EVERY_FRAME: 1, b"mine": 1, b"seen": 1}
         peer.stream.close()
         while len(publisher.topics) > 1 and time.perf_counter() < end:
             publisher.look()
-        assert publisher.topics == {b"": 1}
+        assert publisher.topics == {EVERY_FRAME: 1}
         assert publisher.wanted
 
 

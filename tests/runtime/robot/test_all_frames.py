@@ -8,6 +8,7 @@ import pytest
 
 import eitskin
 from eitskin.errors import RobotError, SilentSkin, StaleFrame
+from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
 from eitskin.touches.surface import Surface
@@ -51,7 +52,7 @@ def robot(tmp_path):
         one.publisher.close()
 
 
-def wait_for(skins, topic=b""):
+def wait_for(skins, topic=EVERY_FRAME):
     """Wait until each skin has a subscriber."""
     end = time.monotonic() + PATIENCE_S
     while not all(one.publisher.topics.get(topic) for one in skins.values()) and time.monotonic() < end:

@@ -68,6 +68,8 @@ class Runtime:
     def __init__(self, endpoint, scene=None, rate_hz=60.0, run="one"):
         self.endpoint, self.scene, self._every_s, self._run_id = endpoint, scene or Scene(), 1 / rate_hz, run
         self.sent = 0
+        self.topics: dict[bytes, int] = {}
+        self.touches_asked = False
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -84,6 +86,7 @@ class Runtime:
                 due_s = max(due_s + self._every_s, time.perf_counter())
                 scene = self.scene
                 publisher.look()
+                self.topics, self.touches_asked = publisher.topics, publisher.asked.touches
                 self.sent += 1
                 if made_of is not scene.cloud_mm:
                     surface, made_of = Surface(scene.cloud_mm, PAPER.grid), scene.cloud_mm

@@ -1,14 +1,19 @@
-"""The viewer's subscriber: it asks for touches, takes the newest, and rests while nobody looks on."""
+"""The viewer's subscriber: it takes the newest, lists its touches, and rests while nobody looks on."""
 
+import numpy as np
 import pytest
 
 import eitskin
+from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.frame_packer import FramePacker
+from eitskin.touches.surface import Surface
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
+from eitskin_tools.view.own_touches import OwnTouches
 
-from .scripted import Runtime, Scene, disc
+from .scripted import Runtime, Scene, cylinder, disc
 
 
 @pytest.fixture
@@ -45,16 +50,67 @@ def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
     board = Board()
     feed = Feed(endpoint, board, PAPER)
     feed.start()
-    with Runtime(endpoint, Scene(disc(50.0, 40.0))):
+    with Runtime(endpoint, Scene(disc(50.0, 40.0))) as runtime:
         with eitskin.subscribe(endpoint, timeout_s=60.0) as other:
-            assert all(other.next_frame().touch_list is None for _ in range(20))
+            for _ in range(20):
+                other.next_frame()
+            assert sum(runtime.topics.values()) == 1
             with board.page():
-                while other.next_frame().touch_list is None:
-                    pass
-            while other.next_frame().touch_list is not None:
-                pass
+                while sum(runtime.topics.values()) == 1:
+                    other.next_frame()
+            while sum(runtime.topics.values()) > 1:
+                other.next_frame()
         assert feed.taken > 0
     feed.close()
+
+
+def test_a_page_has_the_runtime_list_no_touches_and_shows_those_that_others_ask_for(endpoint):
+    """Its own ones lie on the surface in use as well."""
+    board = Board()
+    feed = Feed(endpoint, board, PAPER)
+    scene = Scene(disc(50.0, 40.0), cloud=1, cloud_mm=cylinder())
+    with Runtime(endpoint, scene) as runtime, board.page():
+        feed.start()
+        (own,) = heads(board, "frame", 3)[-1]["touches"]
+        assert not runtime.touches_asked
+        with eitskin.subscribe(endpoint, touches=True, timeout_s=60.0) as other:
+            (touch,) = other.next_frame().touches
+            (shown,) = heads(board, "frame", 30)[-1]["touches"]
+        feed.close()
+    assert shown["centre"] == own["centre"] == pytest.approx(touch.centre_mm, abs=0.01)
+    assert shown["place"] == pytest.approx(touch.place_mm, abs=0.01)
+
+
+def frame(values, cloud=0, number=1, run="r"):
+    """Return a frame of a map, as a subscriber without touches gets it."""
+    packer = FramePacker(configuration="p/1", bundle="b", serial_number="S", run=run, shape=PAPER.grid.shape)
+    packer.put_map(memoryview(values.astype("<f4").tobytes()))
+    packer.put_texts("vd2t", (), ())
+    for name, value in (("n", number), ("map_seq", number), ("cloud", cloud), ("device_us", 5000 * number)):
+        packer.put(name, value)
+    return unpack_frame(bytes(packer.message()), 0)
+
+
+def test_own_touches_lie_on_the_surface_that_the_frame_was_computed_with():
+    touches = OwnTouches(PAPER.grid)
+    flat, bent = disc(50.0, 40.0), Surface(cylinder(), PAPER.grid)
+    (touch,) = touches.listed(frame(flat)).touches
+    assert touch.place_mm == pytest.approx((*touch.centre_mm, 0.0), abs=1e-3)
+    touches.use("r", 1, cylinder())
+    (again,) = touches.listed(frame(flat, cloud=1, number=2)).touches
+    expected = bent.at(np.array([touch.centre_mm[0]]), np.array([touch.centre_mm[1]]))[0]
+    assert (*again.place_mm, *again.normal) == pytest.approx(tuple(expected), abs=1e-3)
+    assert (again.id, again.age_s) == (touch.id, pytest.approx(0.005))
+    assert touches.listed(frame(np.zeros((30, 45)), number=3)).touches == ()
+    (other,) = touches.listed(frame(flat, run="another")).touches
+    assert other.age_s == 0.0
+
+
+def test_a_map_of_another_skin_is_left_as_it_is():
+    packer = FramePacker(configuration="p/1", bundle="b", serial_number="S", run="r", shape=(5, 7))
+    packer.put_texts("vd2t", (), ())
+    found = unpack_frame(bytes(packer.message()), 0)
+    assert OwnTouches(PAPER.grid).listed(found) is found
 
 
 def test_silence_is_told_with_its_reason(endpoint):

@@ -33,6 +33,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
     "bench memory": ("scipy",),
+    "bench recording": ("scipy", "mcap"),
     "bench skins": ("scipy",),
     "bench skip": ("scipy", "torch"),
     "bench tradeoff": ("scipy",),

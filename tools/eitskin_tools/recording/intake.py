@@ -1,10 +1,12 @@
 """Two subscriptions into one queue: what was measured, and what was published of it.
 
 Each has a thread of its own that does nothing but take messages from its socket; whoever writes them may be held up by
-the disk for a while.
+the disk for a while. All of them rest between whiles and then take what has come: a recording is in no hurry, and each
+waking of a thread takes time from the frame loop where cores are few.
 """
 
 import threading
+import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
 from queue import Empty, SimpleQueue
@@ -15,6 +17,10 @@ from eitskin_proto.errors import SkinError
 
 MOST_WAITING: Final = 20_000
 """Messages that wait for the disk: half a minute at 200 frames/s; more would be memory without end."""
+
+
+REST_S: Final = 0.02
+"""How long threads rest where they have taken what there was: 4 messages come meanwhile at 200 frames/s."""
 
 
 class Intake:
@@ -44,6 +50,7 @@ class Intake:
         except Exception as error:
             self._queue.put(error)
             return
+        rest_s = time.monotonic()
         try:
             while not self._closing.is_set():
                 try:
@@ -53,6 +60,9 @@ class Intake:
                             self._queue.put(found)
                         else:
                             self.dropped += 1
+                        if (now_s := time.monotonic()) >= rest_s:
+                            rest_s = now_s + 2.0 * REST_S
+                            self._closing.wait(REST_S)
                         if self._closing.is_set():
                             return
                 except NoFrame as error:
@@ -68,6 +78,8 @@ class Intake:
         Raises:
             SkinError: A subscription failed.
         """
+        if self._queue.empty():
+            time.sleep(min(REST_S, timeout_s))
         with suppress(Empty):
             found = self._queue.get(timeout=timeout_s)
             if isinstance(found, Exception):

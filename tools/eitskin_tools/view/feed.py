@@ -1,7 +1,8 @@
 """The viewer's own subscriber: takes the newest frame, 30 times a second at most, and only while somebody looks on.
 
-Frames in between are dropped by libzmq and never decoded (:mod:`eitskin_tools.view.tap`); surfaces and what happened
-come by streams of their own (:mod:`eitskin_tools.view.streams`).
+Frames in between are dropped by libzmq and never decoded; surfaces and what happened come by streams of their own
+(:mod:`eitskin_tools.view.streams`), and touches are listed here (:mod:`eitskin_tools.view.own_touches`): what the frame
+loop has to do does not depend on who looks on.
 """
 
 import threading
@@ -15,8 +16,8 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import frame_message, status_message
+from eitskin_tools.view.own_touches import OwnTouches
 from eitskin_tools.view.streams import Streams
-from eitskin_tools.view.tap import Tap
 
 REFRESH_HZ: Final = 30.0
 """Pictures a second at most."""
@@ -79,12 +80,16 @@ class Feed:
 
     def _follow(self) -> None:
         """Post frames until nobody looks on."""
-        with Tap(self.endpoint, self._keys) as tap, Streams(self.endpoint, self._board, self._keys):
+        touches = OwnTouches(self._skin.grid)
+        with (
+            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=self._keys) as frames,
+            Streams(self.endpoint, self._board, self._keys, touches),
+        ):
             status_s, seen_s = 0.0, time.monotonic()
             while not self._left.is_set():
                 due_s = time.monotonic() + 1.0 / REFRESH_HZ
                 try:
-                    frame = tap.newest(SILENCE_S)
+                    frame = touches.listed(frames.next_frame())
                 except NoFrame as error:
                     self._say("silent", str(error))
                 else:

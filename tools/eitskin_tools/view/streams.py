@@ -8,6 +8,7 @@ from eitskin.errors import NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import state_message, surface_message
+from eitskin_tools.view.own_touches import OwnTouches
 
 
 class Streams:
@@ -17,10 +18,11 @@ class Streams:
         endpoint: Where the runtime publishes.
         board: Where to post.
         keys: CURVE keys.
+        touches: Lists them, and is told of surfaces too.
     """
 
-    def __init__(self, endpoint: str, board: Board, keys: ClientKeys | None) -> None:
-        self._endpoint, self._board, self._keys = endpoint, board, keys
+    def __init__(self, endpoint: str, board: Board, keys: ClientKeys | None, touches: OwnTouches) -> None:
+        self._endpoint, self._board, self._keys, self._touches = endpoint, board, keys, touches
         self._posted = ("", -1)
         self._left = threading.Event()
         self._thread = threading.Thread(target=self._run, name="view-streams", daemon=True)
@@ -40,6 +42,7 @@ class Streams:
         if isinstance(item, eitskin.CloudInUse):
             if self._posted != (which := (item.run, item.revision)):  # it is told again every second
                 self._posted = which
+                self._touches.use(item.run, item.revision, item.cloud)
                 self._board.post("surface", surface_message(item.revision, item.cloud, item.run))
         elif isinstance(item, eitskin.SkinState):
             self._board.post("state", state_message(item))

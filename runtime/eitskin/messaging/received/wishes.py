@@ -1,20 +1,16 @@
 """What a subscriber asks for, as topics (:mod:`eitskin.messaging.publish` has the list), and what a message is then."""
 
-import struct
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
-from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, TOUCH_VERSION, Frame, unpack_frame
+from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, TOUCH_FIRST_BYTE, Frame, unpack_frame
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 
-TOUCH_HEAD: Final = struct.pack(">cI3s", TOUCH_FIRST_BYTE, 0, b"\xa1v" + bytes([TOUCH_VERSION]))
-"""How a touch message begins; its fifth byte is the number of its keys."""
-
 
 class NotAsked(Exception):  # noqa: N818 -- nothing went wrong
-    """Not what was asked for: a touch message instead of a frame, or a frame without the touches."""
+    """A frame without the touches that were asked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +46,7 @@ class Wishes:
             raise ValueError("maps=False takes no maps at all: leave region_mm and skip_unchanged out")
         grid = None if region_mm is None else (skin or PAPER).grid
         region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
-        topics = [b""] if maps else [TOUCH_FIRST_BYTE]
+        topics = [EVERY_FRAME] if maps else [TOUCH_FIRST_BYTE]
         if maps and (grid is not None or skip_unchanged or touches):
             topics = [WHOLE if grid is None else region.topic, UNCHANGED if skip_unchanged else ALWAYS]
             topics += [TOUCHES, FIRST_BYTE] if touches else [FIRST_BYTE]
@@ -60,11 +56,9 @@ class Wishes:
         """Return the frame of a message; arguments as of :func:`eitskin.messaging.frame.unpack_frame`.
 
         Raises:
-            NotAsked: It is a touch message, and frames were asked for; or it has no touches, and they were.
+            NotAsked: It has no touches, and they were asked for.
             FrameError: As of ``unpack_frame``.
         """
-        if self.maps and message[:4] == TOUCH_HEAD[:4] and message[5:8] == TOUCH_HEAD[5:8]:
-            raise NotAsked
         frame = unpack_frame(message, received_ns, known)
         if self.touches and frame.touch_list is None:
             raise NotAsked

@@ -3,9 +3,9 @@
 Nobody packs anything for a stream that nobody asks for; whether somebody does is a look at an attribute.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection
 
-from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, NAMES, STATE, WIRE, asked_for, packed
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, NAMES, STATE, WIRE, asked_for, packed
 
 
 class StreamDesk:
@@ -15,7 +15,7 @@ class StreamDesk:
         send: Takes one message, to whoever subscribed to it.
     """
 
-    __slots__ = ("_send", "asked", "cloud", "conditions", "joined", "numbers", "run", "state", "wire")
+    __slots__ = ("_send", "asked", "cloud", "conditions", "first", "joined", "numbers", "run", "state", "wire")
 
     def __init__(self, send: Callable[[bytes], None]) -> None:
         self._send = send
@@ -25,12 +25,15 @@ class StreamDesk:
         """Differs after each start of the runtime; who hands in bodies sets it."""
         self.asked = self.wire = self.cloud = self.conditions = self.state = False
         """Whether somebody asks for any stream, and for each."""
+        self.first = False
+        """Streams go before the frame: somebody takes all that is sent, and may keep one message only."""
         self.joined = False
         """Somebody came since this was last set to False: what is only told when it changes must be told again."""
 
-    def judge(self, topics: Iterable[bytes]) -> None:
+    def judge(self, topics: Collection[bytes]) -> None:
         """Take note of what is subscribed to."""
-        streams = [topic for topic in topics if topic[:1] == b"\x86"]
+        streams = [topic for topic in topics if topic[:1] == FIRST_BYTE]
+        self.first = b"" in topics
         if not streams and not self.asked:
             return
         for name in (WIRE, CLOUD, CONDITIONS, STATE):

@@ -8,24 +8,19 @@ it: ``lost`` counts them, stream by stream, by their numbers.
 import math
 import time
 from dataclasses import replace
-from types import TracebackType
 from typing import Any, Final, Self
 
-import zmq
-
-from eitskin.errors import EndpointError, FrameError, NoFrame
+from eitskin.errors import FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, NAMES, STATE, TOPICS, WIRE, Joiner, opened
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
 
 QUEUE: Final = 4000
 """Messages that wait on this side: 20 s of the wire at 200 frames/s."""
-
-LARGEST_TAKEN: Final = 73728
-"""Bytes of a message; whoever sends a larger one is left."""
 
 FIRST_S: Final = 5.0
 """How long the first message may take where no time was named."""
@@ -34,7 +29,7 @@ Item = WireFrame | CloudInUse | Conditions | SkinState
 """What a subscription yields."""
 
 
-class StreamSubscription:
+class StreamSubscription(Subscriber):
     """An open subscription: iterate it, or call ``next_item``; leave it with ``close`` or as a context manager.
 
     Args:
@@ -70,7 +65,6 @@ class StreamSubscription:
             raise ValueError(f"timeout_s is {timeout_s}, expected more than 0")
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._first_s = FIRST_S if timeout_s is None else timeout_s
-        self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
         """Items taken so far."""
         self.lost = dict.fromkeys(NAMES, 0)
@@ -80,23 +74,12 @@ class StreamSubscription:
         self._joiner = Joiner()
         self._numbers: dict[str, tuple[str, int]] = {}
         self._reference: tuple[str, bytes | None] = ("", None)
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket: Any = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
-        self._socket.setsockopt(zmq.RCVHWM, QUEUE)
-        if keys is not None:
-            keys.apply(self._socket)
-        for name, is_asked in asked.items():  # before it connects, as for frames
-            if is_asked:
-                self._socket.setsockopt(zmq.SUBSCRIBE, TOPICS[name])
-        try:
-            self._socket.connect(self.endpoint)
-        except zmq.ZMQError as error:
-            self.close()
-            raise EndpointError(
-                f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
-            ) from error
+        super().__init__(
+            default_publish() if endpoint is None else endpoint,
+            [TOPICS[name] for name, is_asked in asked.items() if is_asked],
+            QUEUE,
+            keys=keys,
+        )
 
     def next_item(self, timeout_s: float | None = None) -> Item:
         """Return the next item, waiting for it.
@@ -153,19 +136,6 @@ class StreamSubscription:
 
     def __iter__(self) -> Self:
         return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Give the socket back; closing twice is fine."""
-        self._socket.close(0)
-        self._context.term()
 
 
 def subscribe_streams(

@@ -12,7 +12,7 @@ class Teller(Protocol):
         """Tell this desk from now on."""
 
     def frame(self, payload: bytes, number: int | None) -> None:
-        """Tell of the frame in hand, which is computed, and published next with this number, if with any."""
+        """Tell of the frame in hand, which is computed, and published with this number, if with any."""
 
     def withheld(self, payload: bytes, read_ns: int) -> None:
         """Tell of a frame that was withheld just now."""

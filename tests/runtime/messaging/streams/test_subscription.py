@@ -8,6 +8,7 @@ import zmq
 
 import eitskin
 from eitskin.errors import EndpointError, NoFrame
+from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.streams.envelope import NAMES, TOPICS
 
 from ..publishing import send, wait_for
@@ -91,20 +92,20 @@ def test_a_subscriber_that_does_not_read_loses_messages_and_sees_how_many(publis
         assert streams.lost["wire"] == numbers[-1] - len(numbers) > 0
 
 
-def test_frames_go_on_for_who_has_the_empty_prefix(publisher, desk, packer):
-    """Also one that keeps a single message: what was measured is sent before the frame."""
+def test_frames_go_on_and_who_takes_them_gets_nothing_of_a_stream(publisher, desk, packer):
     with (
         eitskin.subscribe(publisher.endpoint, timeout_s=60) as newest,
         eitskin.subscribe(publisher.endpoint, "all", timeout_s=60) as frames,
         eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams,
     ):
-        wait_for(publisher, lambda: publisher.topics.get(b"", 0) == 2 and desk.state)
+        wait_for(publisher, lambda: publisher.topics.get(EVERY_FRAME, 0) == 2 and desk.state)
         for number in range(1, 31):
             desk.send("wire", WIRE.body())
             desk.send("cloud", CLOUD.body())
             send(publisher, packer, number)
+        assert not desk.first
         assert [next(frames).number for _ in range(30)] == list(range(1, 31))
-        assert frames.lost == 0
+        assert frames.lost == frames.rejected == 0
         assert newest.next_frame().number <= 30
         items = list(itertools.islice(streams, 60))
         assert [item.n for item in items[::2]] == list(range(1, 31))
@@ -119,6 +120,7 @@ def test_one_message_that_is_kept_is_the_frame(publisher, desk, packer):
         socket.connect(publisher.endpoint)
         with eitskin.subscribe_streams(publisher.endpoint, timeout_s=60) as streams:
             wait_for(publisher, lambda: publisher.wanted and desk.wire)
+            assert desk.first
             for number in range(1, 11):
                 desk.send("wire", WIRE.body())
                 send(publisher, packer, number)

@@ -103,7 +103,8 @@ def stream(
     seconds = frames / rate_hz
     result = streamed(Options(seconds, rate_hz, bundle, solver, clouds=False, affinity=core, streams=streams))
     bare.append(floor_ns(rate_hz, min(frames, LINE_FRAMES), core))
-    runtime = {name: result.runtime.get(name) for name in ("cpu_us_per_frame", "skipped", "solvers", "withheld")}
+    names = ("cpu_us_per_frame", "behind_us", "left_us", "skipped", "solvers", "withheld")
+    runtime = {name: result.runtime.get(name) for name in names}
     found = timing(result.record, result.wire_ns)
     line = percentiles_us(np.concatenate(bare))
     over = {name: round(found["latency_us"][name] - line[name], 1) for name in ("p50", "p99")}
@@ -212,6 +213,10 @@ def _print(found: dict[str, Any]) -> None:
         line = "  ".join(f"{name} {value:.0f}" for name, value in result["line_us"].items())
         print(f"  the bare line and socket, us: {line}; beyond it p50 {result['over_line_us']['p50']:.0f}")
         print(f"  stages, us p50/p99: {stages}")
+        behind, left = (result["runtime"][name] for name in ("behind_us", "left_us"))
+        told, rest = (f"{behind[name]['p50']:.0f}/{behind[name]['p99']:.0f}" for name in ("streams", "rest"))
+        print(f"  behind publishing, us p50/p99: streams {told}, rest {rest}; left before the next frame: "
+              f"p50 {left['p50']:.0f}, p1 {left['p1']:.0f}")  # fmt: skip
         print(f"  CPU of the runtime, us a frame: {result['runtime']['cpu_us_per_frame']}")
     print(f"{'inference, us':24}{'paced p50':>10}{'p99':>9}{'warm p50':>10}{'its CPU':>9}{'times ours':>12}")
     for name, times in found["inference_us"].items():

@@ -6,19 +6,14 @@ turns, round by round.
 """
 
 import argparse
-import http.client
 import json
-import os
-import socket
 import sys
 import tempfile
-import threading
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
-from urllib.parse import urlsplit
 
+from eitskin_tools.bench.skins.bench import cpu_s
+from eitskin_tools.bench.view.pages import readers
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.processes.children import Child, process_group
 
@@ -79,17 +74,18 @@ def _measure(pages: int | None, seconds: float, rate_hz: float) -> dict[str, Any
             words = ["view", f"--endpoint={publish}", "--port=0", "--no-open"]
             viewer = _started(children, "view", words, folder)
             address = viewer.line(viewer.out, "viewing ", READY_S, children).split()[3]
-        with _readers(address, pages or 0) as counts:
+        with readers(address, pages or 0) as counts:
             capacity = int(seconds * rate_hz * 1.5) + 1000
             words = [publish, str(record), f"--seconds={seconds:g}", f"--capacity={capacity}"]
             taker = Child("subscriber", "eitskin_tools.demo.recorder", words, folder)
             children.append(taker)
             taker.line(taker.out, "first", READY_S, children)
-            before_s, shown = _cpu_s(viewer), sum(counts)
+            watched = [] if viewer is None else [viewer.pid]
+            before_s, shown = cpu_s(watched), sum(counts)
             while taker.wait(1.0) is None:
                 for child in children[:-1]:
                     child.check()
-            used_s, shown = _cpu_s(viewer) - before_s, sum(counts) - shown
+            used_s, shown = cpu_s(watched) - before_s, sum(counts) - shown
             if taker.status:
                 taker.check()
         found = Record.load(record)
@@ -109,45 +105,3 @@ def _started(children: list[Child], name: str, words: list[str], folder: Path) -
     child = Child(name, "eitskin_tools.cli", words, folder)
     children.append(child)
     return child
-
-
-def _cpu_s(child: Child | None) -> float:
-    """Return the CPU time that a process has used; 0 for none."""
-    if child is None:
-        return 0.0
-    fields = Path(f"/proc/{child.pid}/stat").read_text(encoding="ascii").rpartition(")")[2].split()
-    return (int(fields[11]) + int(fields[12])) / os.sysconf("SC_CLK_TCK")
-
-
-@contextmanager
-def _readers(address: str, pages: int) -> Iterator[list[int]]:
-    """Read the viewer's stream as so many pages would; give how many frames each has taken."""
-    counts, lines, threads = [0] * pages, [], []
-    for page in range(pages):
-        connection = http.client.HTTPConnection(urlsplit(address).netloc, timeout=60)
-        connection.request("GET", "/stream")
-        lines.append(connection.sock)  # the answer takes it over
-        threads.append(threading.Thread(target=_read, args=(connection.getresponse(), counts, page), daemon=True))
-        threads[-1].start()
-    try:
-        yield counts
-    finally:
-        for line in lines:
-            with suppress(OSError):
-                line.shutdown(socket.SHUT_RDWR)
-        for thread in threads:
-            thread.join(30)
-
-
-def _read(answer: http.client.HTTPResponse, counts: list[int], page: int) -> None:
-    from eitskin_tools.view.messages import packed, unpacked
-
-    waiting = b""
-    try:
-        while data := answer.read1(65536):
-            waiting += data
-            for head, body in unpacked(waiting):
-                waiting = waiting[len(packed(head, body)) :]
-                counts[page] += head["kind"] == "frame"
-    except (OSError, http.client.HTTPException, ValueError, AttributeError):
-        return  # the other end has gone, or this one was closed

@@ -19,6 +19,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "skip": "what each skipped stage saves",
     "touches": "what the list of touches takes for a frame, and how far off it is",
     "view": "what the live page costs, with 0, 1 and 3 pages open, and that the stream loses nothing by it",
+    "recording": "what recorder and viewer cost the stream, with and without them, and that the file is whole",
     "verify": "what the verifier of touches survives, and whether its p-values keep their word",
     "tradeoff": "accuracy against latency: networks, int8, classical solvers",
     "physics": "the sheet model against closed forms, convergence and an independent 3-D slab",

@@ -1,0 +1,1 @@
+"""``eitskin bench recording``: the benchmark in ``bench``, its stream in ``stream``."""
