@@ -8,6 +8,7 @@ counted by the letters' numbers. What the verifier has answered meanwhile goes t
 """
 
 import math
+import socket
 from collections import deque
 from typing import Any, Final
 
@@ -51,10 +52,12 @@ class Handover:
         self._candidate: bytes | None = None
         self._key: tuple[object, Reference | None] = (None, None)
         self._setup = 0
-        self._answers: object = None
+        self._answers: socket.socket | None = None
         self._child = STARTING, ""
         self._told = "", ""
-        self._told_ns = self._number = self._answered = 0
+        self._told_ns = self._number = 0
+        self._posted = self._answered = self._withdrawn = 0
+        self._blank: list[int] = []
         self._asked = False
         self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
         self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
@@ -70,14 +73,15 @@ class Handover:
         """Take the frame that has just gone out."""
         keeper, buffers = self._keeper, self._pipeline.buffers
         if keeper.answers is not self._answers:  # another process: it knows nothing
+            if self._answers is not None:
+                self._answers.close()  # in the thread that reads it
             self._answers, self._child = keeper.answers, (STARTING, "")
             self._stillness.forget()
         if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
             self._tell_setup(record)
         if self._publisher.verified != self._asked:
             self._asked, self._told_ns = self._publisher.verified, 0
-            self._stillness.forget()
-            self._drop()
+            self._forget()
         if self._asked:
             self._take(record)
         self._hear()
@@ -85,9 +89,8 @@ class Handover:
 
     def _take(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
-            self._drop()
-            self._stillness.forget()
-        elif record.inferred and not self._stillness.still(self._pipeline.buffers.change[0]):
+            self._forget()
+        elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
             self._drop()
             self._candidate = self._letter(record)
@@ -95,6 +98,19 @@ class Handover:
                 self._post()
         elif self._candidate is not None:
             self._post()
+
+    def _is_known(self) -> bool:
+        """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
+        self._stillness.age = 0
+        return self._stillness.still(self._pipeline.buffers.change[0])
+
+    def _forget(self) -> None:
+        """Take back what waits: it is touched no more, or otherwise known."""
+        self._drop()
+        self._stillness.forget()
+        if self._posted > max(self._answered, self._withdrawn):
+            self._posted = self._withdrawn = self._keeper.mailbox.put(FRAME)
+            self._blank.append(self._posted)
 
     def _letter(self, record: FrameRecord) -> bytes:
         buffers, health = self._pipeline.buffers, self._pipeline.health
@@ -106,7 +122,7 @@ class Handover:
 
     def _post(self) -> None:
         assert self._candidate is not None
-        self._keeper.mailbox.put(FRAME, self._candidate)
+        self._posted = self._keeper.mailbox.put(FRAME, self._candidate)
         self._candidate = None
         self._keeper.ring()
 
@@ -134,18 +150,18 @@ class Handover:
         self._setup = self._keeper.mailbox.put(SETUP, setup.packed())
         self._keeper.ring()
         self._stillness.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
-        self._drop()
+        self._forget()
         if self._child[0] != STARTING:
             self._child = PREPARING, ""
 
     def _hear(self) -> None:
         """Take what the verifier has answered."""
-        socket = self._keeper.answers
-        if socket is None:
+        answers = self._answers
+        if answers is None:
             return
         while True:
             try:
-                answer = socket.recv(LARGEST_ANSWER)
+                answer = answers.recv(LARGEST_ANSWER)
             except (BlockingIOError, ConnectionResetError):
                 return
             if not answer:
@@ -160,7 +176,9 @@ class Handover:
                 self._setup_ms = setup_ms or self._setup_ms
             return
         _, letter, told, flagged, spent_ms = answer
-        self.counts["skipped"] += max(0, letter - self._answered - 1) + (flagged is None)
+        between = letter - self._answered - 1 - sum(number < letter for number in self._blank)
+        self._blank = [number for number in self._blank if number > letter]
+        self.counts["skipped"] += max(0, between) + (flagged is None)
         self._answered = letter
         if flagged is not None:
             self.counts["checked"] += 1

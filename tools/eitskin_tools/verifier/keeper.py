@@ -40,7 +40,7 @@ class Place:
     """None of them: those of this process."""
     idle: bool = False
     """Only while nothing else wants the core."""
-    module: str = "eitskin_tools.verifier.process"
+    program: tuple[str, ...] = (sys.executable, "-m", "eitskin_tools.verifier.process")
     """What runs; a test gives its own."""
 
 
@@ -123,7 +123,7 @@ class Keeper(Lookout):
         self._hung = False
         try:
             self._process = subprocess.Popen(
-                [sys.executable, "-m", self.place.module, json.dumps(told)],
+                [*self.place.program, json.dumps(told)],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 stderr=self._errors,
@@ -173,5 +173,7 @@ class Keeper(Lookout):
 
     def __exit__(self, *_: object) -> None:
         super().__exit__()
+        if self.answers is not None:
+            self.answers.close()
         self.mailbox.close()
         os.close(self.bell)

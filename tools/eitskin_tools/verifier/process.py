@@ -108,6 +108,8 @@ class Worker:
         from eitskin.messaging.verified.message import PREPARING, READY, rest
         from eitskin_tools.verifier.letters import FrameLetter, state_answer, verdict_answer
 
+        if not letter:
+            return  # the one before was taken back
         frame = FrameLetter.of(letter)
         if frame.setup != self._setup and (setup := self._mailbox.take(SETUP)) is not None:
             self._prepare(*setup)  # it came between the two looks
