@@ -120,11 +120,6 @@ class Skin:
         return self.loop.reference
 
     @property
-    def run_id(self) -> str:
-        """Differs after each start; ``run`` of every message."""
-        return self.loop.run_id
-
-    @property
     def recoveries(self) -> int:
         """How often the device was greeted anew after silence or a reset."""
         return self.loop.source.recoveries

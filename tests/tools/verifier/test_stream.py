@@ -1,12 +1,14 @@
 """Verdicts behind frames: which frames are verified, what is said meanwhile, and what a verifier's end costs."""
 
 import itertools
+import json
 import os
 import signal
 
 import pytest
 
 import eitskin
+from eitskin_tools import cli
 
 from .conftest import TOUCHED, until
 
@@ -176,3 +178,22 @@ def test_a_subscriber_to_verdicts_alone_has_frames_computed(streaming):
     with streaming() as stream, stream.subscribed(frames=False) as verdicts:
         first(verdicts, lambda one: one.verified)
         assert not stream.publisher.asked.frames
+
+
+def test_subscribe_prints_verdicts_and_counts_them(streaming, capsys):
+    with streaming(touches=MOVING) as stream:
+        words = ["subscribe", stream.publisher.endpoint, "--verified", "--mode", "all", "--timeout-s", "60"]
+        assert cli.main([*words, "--frames", "2"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert cli.main([*words, "--frames", "2", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+    assert sum("explained, p 0.25, chi-squared 0." in line for line in lines) == 2
+    assert any("behind the frame; 1 checked, 0 flagged" in line for line in lines)
+    assert (found["checked"], found["flagged"], found["lost"], found["rejected"]) == (2, 0, 0, 0)
+    assert found["extra_us"]["p50"] > 0
+
+
+@pytest.mark.parametrize("words", [["--touches"], ["--region", "0", "0", "10", "10"], ["--max-age-ms", "5"]])
+def test_verdicts_take_no_frames(words, capsys):
+    assert cli.main(["subscribe", "--verified", *words]) == 2
+    assert "--verified takes no frames" in capsys.readouterr().err

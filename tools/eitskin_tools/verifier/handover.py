@@ -200,7 +200,7 @@ class Handover:
 
     def _send(self, told: bytes) -> None:
         self._number += 1
-        self._publisher.send_beside(head(self._number, self._skin.run_id, self.counts) + told)
+        self._publisher.send_beside(head(self._number, self._skin.loop.run_id, self.counts) + told)
 
     def status(self) -> dict[str, Any]:
         """Return how verifying goes; may be called from any thread."""
