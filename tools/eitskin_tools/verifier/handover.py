@@ -28,6 +28,9 @@ from eitskin_tools.verifier.mailbox import FRAME, SETUP
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
 
+HEAR_NS: Final = 50_000_000
+"""Between two looks for what a verifier says of itself, while no verdict is waited for."""
+
 REMEMBERED: Final = 2000
 """Verdicts whose times are kept."""
 
@@ -55,7 +58,7 @@ class Handover:
         self._answers: socket.socket | None = None
         self._child = STARTING, ""
         self._told = "", ""
-        self._told_ns = self._number = 0
+        self._told_ns = self._hear_ns = self._number = 0
         self._posted = self._answered = self._withdrawn = 0
         self._blank: list[int] = []
         self._asked = False
@@ -80,12 +83,20 @@ class Handover:
         if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
             self._tell_setup(record)
         if self._publisher.verified != self._asked:
-            self._asked, self._told_ns = self._publisher.verified, 0
+            self._asked, self._told_ns, self._hear_ns = self._publisher.verified, 0, 0
             self._forget()
         if self._asked:
             self._take(record)
-        self._hear()
-        self._say(record)
+        now_ns = record.stamps[PUBLISH]
+        if self._waits or now_ns >= self._hear_ns:
+            self._hear_ns = now_ns + HEAR_NS
+            self._hear()
+            self._say(record)
+
+    @property
+    def _waits(self) -> bool:
+        """Whether a letter has gone out that was neither answered nor taken back."""
+        return self._posted > max(self._answered, self._withdrawn)
 
     def _take(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
@@ -108,7 +119,7 @@ class Handover:
         """Take back what waits: it is touched no more, or otherwise known."""
         self._drop()
         self._stillness.forget()
-        if self._posted > max(self._answered, self._withdrawn):
+        if self._waits:
             self._posted = self._withdrawn = self._keeper.mailbox.put(FRAME)
             self._blank.append(self._posted)
 
