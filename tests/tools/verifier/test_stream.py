@@ -4,13 +4,14 @@ import itertools
 import json
 import os
 import signal
+import time
 
 import pytest
 
 import eitskin
 from eitskin_tools import cli
 
-from .conftest import TOUCHED, until
+from .conftest import PATIENCE_S, TOUCHED, until
 
 pytestmark = pytest.mark.process
 
@@ -18,10 +19,14 @@ MOVING = [[0.5 + step / 10, 0.6 + step / 10, 0.2 + 0.002 * (step % 50)] for step
 """A touch that changes every 0.1 s, ten times its frames' noise."""
 
 
-def first(items, condition, most=4000):
-    found = next((item for item in itertools.islice(items, most) if condition(item)), None)
-    assert found is not None
-    return found
+def first(items, condition):
+    """Return the first item for which a condition holds; they come for ever."""
+    end = time.monotonic() + PATIENCE_S
+    for item in items:
+        if condition(item):
+            return item
+        assert time.monotonic() < end, f"it did not come; last {item}"
+    raise AssertionError("it did not come")
 
 
 def test_a_frame_is_followed_by_its_verdict(streaming):

@@ -78,10 +78,11 @@ class Handover:
         if keeper.answers is not self._answers:  # another process: it knows nothing
             if self._answers is not None:
                 self._answers.close()  # in the thread that reads it
-            self._answers, self._child = keeper.answers, (STARTING, "")
+            self._answers, self._child, self._hear_ns = keeper.answers, (STARTING, ""), 0
             self._stillness.forget()
         if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
             self._tell_setup(record)
+            self._say(record)  # before the answer, which may be quick
         if self._publisher.verified != self._asked:
             self._asked, self._told_ns, self._hear_ns = self._publisher.verified, 0, 0
             self._forget()

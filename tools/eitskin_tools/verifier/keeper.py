@@ -24,6 +24,9 @@ LOOK_S: Final = 0.1
 STILL_S: Final = 10.0
 """Without a beat for so long it hangs; a busy machine may keep its core for a second."""
 
+IDLE_STILL_S: Final = 30.0
+"""The same of one that runs only while nothing else wants the core."""
+
 MOST_FAILURES: Final = 5
 """In a row, after which it is given up."""
 

@@ -100,11 +100,11 @@ def verifying(
         yield None
         return
     from eitskin_tools.verifier.handover import Handover
-    from eitskin_tools.verifier.keeper import Keeper, Place
+    from eitskin_tools.verifier.keeper import IDLE_STILL_S, STILL_S, Keeper, Place
 
     nice = NICE if arguments.verify_nice is None else arguments.verify_nice
     place = Place(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
-    with Keeper(place) as keeper:
+    with Keeper(place, still_s=IDLE_STILL_S if place.idle else STILL_S) as keeper:
         handover = Handover(skin, publisher, keeper, arguments.verify, (arguments.verify_budget_ms or 0.0) * 1e-3)
         skin.loop.verifier_status = handover.status
         yield handover.behind
