@@ -114,6 +114,7 @@ ROOMS: dict[str, Arrows] = {
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
+        "verifier": {"command_line", "errors", "evaluation", "processes"},
         "view": {"pictures", "processes"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
@@ -128,7 +129,7 @@ ROOMS: dict[str, Arrows] = {
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",
-            "service", "stages", "view", "virtual_skin",
+            "service", "stages", "verifier", "view", "virtual_skin",
         },
         "cli": {"command_line", "console", "errors"},
     },

@@ -46,6 +46,9 @@ if TYPE_CHECKING:
     from eitskin.messaging.streams.state import SkinState
     from eitskin.messaging.streams.subscription import StreamSubscription, subscribe_streams
     from eitskin.messaging.subscription import Subscription, subscribe
+    from eitskin.messaging.verified.message import VerifiedFrame
+    from eitskin.messaging.verified.subscription import VerifiedSubscription, subscribe_verified
+    from eitskin.messaging.verified.touch import VerifiedTouch
     from eitskin.model.bundle import Bundle, load_bundle
     from eitskin.reference.captured import Reference
     from eitskin.robot.all_frames import RobotSubscription, SkinFrame, subscribe_all
@@ -104,6 +107,9 @@ __all__ = [
     "TouchList",
     "Transport",
     "TransportError",
+    "VerifiedFrame",
+    "VerifiedSubscription",
+    "VerifiedTouch",
     "WireFrame",
     "__version__",
     "load_bundle",
@@ -118,6 +124,7 @@ __all__ = [
     "subscribe",
     "subscribe_all",
     "subscribe_streams",
+    "subscribe_verified",
 ]
 
 _HOMES: Final = {
@@ -143,6 +150,9 @@ _HOMES: Final = {
     "TouchEvent": "eitskin.touches.touch",
     "TouchList": "eitskin.touches.touch",
     "Transport": "eitskin.acquisition.transport",
+    "VerifiedFrame": "eitskin.messaging.verified.message",
+    "VerifiedSubscription": "eitskin.messaging.verified.subscription",
+    "VerifiedTouch": "eitskin.messaging.verified.touch",
     "WireFrame": "eitskin.messaging.streams.measured",
     "load_bundle": "eitskin.model.bundle",
     "load_client_keys": "eitskin.messaging.curve_keys",
@@ -156,6 +166,7 @@ _HOMES: Final = {
     "subscribe": "eitskin.messaging.subscription",
     "subscribe_all": "eitskin.robot.all_frames",
     "subscribe_streams": "eitskin.messaging.streams.subscription",
+    "subscribe_verified": "eitskin.messaging.verified.subscription",
 }
 """Where each public name lives; the errors live in ``eitskin.errors``."""
 

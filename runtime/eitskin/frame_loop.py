@@ -13,8 +13,8 @@ are packed and handed to a taker, and then streams are told what was measured. B
 """
 
 import time
-from collections.abc import Iterator
-from typing import Final, Protocol
+from collections.abc import Callable, Iterator
+from typing import Any, Final, Protocol
 
 from eitskin.acquisition.device import Device
 from eitskin.errors import BadReference, HandshakeError, SkinError, TransportError
@@ -78,6 +78,13 @@ class FrameLoop:
         self._recapture: Recapture | None = None
         self.teller: Teller | None = None
         """Of what was measured, where a taker has streams."""
+        self.verifier_status: Callable[[], dict[str, Any]] = dict
+        """What who verifies frames says of itself; from any thread. Nothing where nobody does."""
+
+    @property
+    def run_id(self) -> str:
+        """Differs after each start; ``run`` of every message."""
+        return self._messages.run
 
     @property
     def published(self) -> int:

@@ -1,9 +1,10 @@
 """The publishing loop: a skin's frames to whoever subscribed, until told to stop."""
 
 import time
+from collections.abc import Callable
 from typing import Final
 
-from eitskin.messaging.frame_record import READ
+from eitskin.messaging.frame_record import READ, FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.skin import Skin
 
@@ -14,7 +15,14 @@ JOIN_NS: Final = 10_000_000
 """How often it is asked who subscribes: so long a newcomer waits, at most, for what nobody else wanted."""
 
 
-def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_ns: int | None = None) -> None:
+def serve(
+    skin: Skin,
+    publisher: Publisher,
+    *,
+    frames: int | None = None,
+    until_ns: int | None = None,
+    behind: Callable[[FrameRecord], None] | None = None,
+) -> None:
     """Publish frames until ``skin.stop()``, a number of frames, or a time.
 
     A frame that nobody subscribed to is read, decoded and judged by the gate, but neither computed nor packed.
@@ -24,6 +32,7 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
         publisher: Bound.
         frames: How many to go through; None for no limit.
         until_ns: When to end, on ``perf_counter_ns``; None for no limit.
+        behind: Called with each frame's record when it has gone out; the next frame waits for it.
 
     Raises:
         PortLost: The port vanished.
@@ -33,6 +42,8 @@ def serve(skin: Skin, publisher: Publisher, *, frames: int | None = None, until_
     regions = publisher.regions
     publisher.look()
     for record in skin.publish(publisher, until_ns):
+        if behind is not None:
+            behind(record)
         if frames is not None and skin.statistics.frames >= frames:
             return
         now_ns = record.stamps[READ]

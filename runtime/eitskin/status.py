@@ -43,4 +43,5 @@ def status_of(device: Device, pipeline: Pipeline, loop: FrameLoop) -> dict[str, 
         "weak_rows": found.weak.tolist() if found else [],
         "electrodes": [] if health is None else list(health.electrodes.texts),
         "drift": {} if health is None else health.drift.summary(),
+        "verifier": loop.verifier_status(),
     }

@@ -2,6 +2,7 @@
 
 import socket
 import threading
+import time
 from contextlib import contextmanager, suppress
 
 import numpy as np
@@ -9,6 +10,9 @@ import pytest
 
 from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import TransportError
+from eitskin.messaging.publish import Publisher
+from eitskin.messaging.verified.message import head, rest
+from eitskin.messaging.verified.touch import VerifiedTouch
 from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.scene.bend import surface
@@ -67,6 +71,34 @@ def test_a_robot_without_a_runtime_is_blind_and_stops(example, tmp_path):
     with example("react.py", f"ipc://{tmp_path}/nobody") as robot:
         robot.until("blind")
         robot.until("stop")
+
+
+def test_a_robot_acts_on_verified_touches_alone(example, tmp_path):
+    touch = VerifiedTouch(
+        shape="unit", unit=63, centre_mm=(80.0, 50.0), centre_error_mm=None, size_mm=(10.0, 11.0), size_error_mm=None,
+        angle_rad=0.0, area_mm2=110.0, area_error_mm2=None, contrast=50.0, strength_mm2=430.0, strength_error_mm2=None,
+        border_mm=0.0, place_mm=(80.0, 50.0, 7.5), normal=(0.0, 0.0, 1.0),
+    )  # fmt: skip
+    said = [
+        ("preparing", None, (), "wait: preparing"),
+        ("ready", (900.0, 104, 1e-9, True), (touch,), "wait: frame 2 is not explained, p 1e-09"),
+        ("ready", (101.0, 104, 0.5, False), (touch,), "act at 80.0 50.0 7.5 mm, strength 430 mm2"),
+        ("waiting", None, (), "wait: waiting it ended"),
+    ]
+    publisher = Publisher(f"ipc://{tmp_path}/frames")
+    try:
+        with example("verified.py", publisher.endpoint) as robot:
+            while not publisher.verified:
+                publisher.look()
+                time.sleep(0.01)
+            for number, (state, verdict, touches, expected) in enumerate(said, 1):
+                why = "it ended" if state == "waiting" else ""
+                counts = {"checked": 0, "flagged": 0, "skipped": 0}
+                told = rest(number, 0, 0, state, why, (1, 2, 3, 4), verdict, touches)
+                publisher.send_beside(head(number, "run", counts) + told)
+                robot.until(expected)
+    finally:
+        publisher.close()
 
 
 def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime, tmp_path):

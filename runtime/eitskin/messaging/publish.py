@@ -16,6 +16,7 @@ not changed. ::
     b"eitskin/touches"             besides: the list of touches, in every frame
     b"\xdf"                        touches without maps, alone
     b"\x86\xa4wire"                what was measured (:mod:`eitskin.messaging.streams.envelope` has the list)
+    b"\x8f\xa8verified"            what physics says of frames (:mod:`eitskin.messaging.verified.message`)
 
 Those with the empty topic get touch messages and streams too, and leave them alone for their version. Touch messages
 are sent first, so that who keeps one message keeps the frame; streams go behind the frame, unless there is such a one.
@@ -39,6 +40,7 @@ from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
 from eitskin.messaging.frame_message import Asked
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED, Region, Regions, union, whole
 from eitskin.messaging.streams.desk import StreamDesk
+from eitskin.messaging.verified.message import asked_for
 from eitskin_proto.skin.skin import PAPER
 
 QUEUE_FRAMES: Final = 400
@@ -90,13 +92,15 @@ class Publisher:
         """Whether anybody subscribes, as of the last ``look``."""
         self.asked = Asked()
         """What else is asked for."""
+        self.verified = False
+        """Whether anybody asks for what physics says of frames."""
         self.regions: Regions = whole(shape)
         """What of the map all subscribers together need."""
         self.takes_short = False
         """Whether every subscriber does without a map that has not changed."""
         self.joined = True
         """Somebody came or went since the last frame was sent: the next one must carry its map."""
-        self.streams = StreamDesk(self._send_stream)
+        self.streams = StreamDesk(self.send_beside)
         """Where messages of what was measured are handed in."""
         self._talkative = self._greedy = 0
         try:
@@ -160,8 +164,10 @@ class Publisher:
         declared = [region for region in found if region is not None]
         frames, alone = plain or FIRST_BYTE in topics, any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Asked(frames, alone or TOUCHES in topics, alone)
-        self.wanted = frames or alone
-        everywhere = plain or self.asked.touches  # a touch that a region's border cuts would lie elsewhere
+        self.verified = any(map(asked_for, topics))
+        self.wanted = frames or alone or self.verified
+        # A touch that a region's border cuts would lie elsewhere, and physics explains all of a frame or nothing.
+        everywhere = plain or self.asked.touches or self.verified
         self.regions = whole(self._shape) if everywhere else union(declared, self._shape)
         self.takes_short = UNCHANGED in topics and ALWAYS not in topics and not plain
         self.streams.judge(topics)
@@ -206,7 +212,8 @@ class Publisher:
             self.dropped += 1
         self.joined = False
 
-    def _send_stream(self, message: bytes) -> None:
+    def send_beside(self, message: bytes) -> None:
+        """Hand on one message that is no frame."""
         try:
             self._send(message, _NOBLOCK, True)
         except zmq.Again:

@@ -175,10 +175,13 @@ class Intake:
         self.withheld[reason] += 1
         self.withheld_total += 1
         self.last_reason = reason
-        event = WITHHELD[reason]
+        self.tell_next(WITHHELD[reason])
+        return False
+
+    def tell_next(self, event: str) -> None:
+        """Let the next published frame say that something happened; in the frame loop's thread."""
         if event not in self._since:
             self._since += (event,)
-        return False
 
     def name_withheld(self) -> None:
         """Let the frame in hand say what was withheld before it, and put the totals into it."""

@@ -68,6 +68,16 @@ class Realtime:
 
 
 @dataclass(frozen=True, slots=True)
+class Verify:
+    """How frames are verified, as the options ``--verify-*`` of ``eitskin run``."""
+
+    mode: str = "off"
+    budget_ms: float | None = None
+    nice: int | None = None
+    affinity: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
 class RobotSkin:
     """What a subscriber needs of one skin.
 
@@ -107,6 +117,7 @@ class SkinSettings:
     reconnect_s: float | None = None
     restart: str = "never"
     realtime: Realtime = field(default_factory=Realtime)
+    verify: Verify = field(default_factory=Verify)
 
     @property
     def name(self) -> str:
@@ -200,6 +211,7 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         reconnect_s=table.number("reconnect_s"),
         restart=restart,
         realtime=_realtime(table),
+        verify=_verify(table),
     )
     table.end()
     return found
@@ -253,6 +265,18 @@ def _realtime(table: Table) -> Realtime:
         return Realtime()
     found = Realtime(inner.whole("sched_fifo", 1, 99), inner.wholes("affinity", 4095), inner.truth("mlock") or False)
     inner.end()
+    return found
+
+
+def _verify(table: Table) -> Verify:
+    inner = table.table("verify")
+    if inner is None:
+        return Verify()
+    mode = inner.one_of("mode", ("off", "idle", "always")) or "off"
+    found = Verify(mode, inner.number("budget_ms"), inner.whole("nice", 0, 19), inner.wholes("affinity", 4095))
+    inner.end()
+    if mode == "off" and found != Verify():
+        raise ValueError(f'{inner.where} has mode off and more; expected mode = "idle" or "always" with it')
     return found
 
 

@@ -124,3 +124,25 @@ def test_memory_looks_at_a_living_process() -> None:
     assert found["rss_mb"] > 10
     assert found["files"] >= 3
     assert found["threads"] >= 1
+
+
+def test_turns_with_verdicts_are_told_from_those_without_and_their_edges_left_out() -> None:
+    from types import SimpleNamespace
+
+    from eitskin_tools.bench.frame.verified import EDGE_NS, compared, text
+
+    step, count = 5_000_000, 4000
+    came = 10**9 + step * np.arange(count)
+    phases = np.array([[10**9 + 5 * 10**9, 10**9 + 10 * 10**9], [10**9 + 15 * 10**9, 10**9 + 19 * 10**9]])
+    inside = ((came[:, None] > phases[:, 0]) & (came[:, None] < phases[:, 1])).any(axis=1)
+    record = SimpleNamespace(sequence=np.arange(count), received_ns=came, inferred=np.arange(count) % 2 == 0)
+    found = compared(record, came - np.where(inside, 300_000, 200_000), phases)
+    assert found["without"]["latency_us"]["p50"] == 200.0
+    assert found["with"]["latency_us"] == {"p50": 300.0, "p99": 300.0, "p999": 300.0, "max": 300.0}
+    assert found["ratio"]["latency_us"] == {"p50": 1.5, "p99": 1.5}
+    per_turn = 5_000_000_000 // step - EDGE_NS // step
+    assert found["without"]["frames"] == pytest.approx(2 * per_turn, abs=3)  # what follows the last turn is left out
+    assert found["with"]["frames"] == pytest.approx(2 * per_turn - 200, abs=3)
+    assert found["lost"] == 0
+    verdicts = {"verdicts": 0, "spent_ms": {}, "behind_frame_ms": {}, "skipped": 0, "flagged": 0}
+    assert "with over without" in text({**found, "rate_hz": 200.0, "verifier": verdicts})

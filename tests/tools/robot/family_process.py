@@ -6,8 +6,9 @@ from pathlib import Path
 
 from eitskin.robot.config import load_robot
 from eitskin_tools.console.run_log import RunLog
+from eitskin_tools.processes.pauses import Pauses
 from eitskin_tools.robot.checked import make_folders
-from eitskin_tools.robot.child import Pauses, SkinProcess
+from eitskin_tools.robot.child import SkinProcess
 from eitskin_tools.robot.log import RobotLog
 from eitskin_tools.robot.supervise import Family
 from eitskin_tools.service.supervisor import Supervisor

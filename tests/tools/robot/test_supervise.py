@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from eitskin.robot.described import FILE, read_states
-from eitskin_tools.robot.child import Pauses
+from eitskin_tools.processes.pauses import Pauses
 
 HERE = Path(__file__).parent
 PATIENCE_S = 60.0

@@ -40,7 +40,7 @@ class Status:
 
     def fields(self) -> dict[str, object]:
         """Return what a log line holds as plain values."""
-        shown = ("frames", "published", *WATCHED, "cloud", "idle", "drift")
+        shown = ("frames", "published", *WATCHED, "cloud", "idle", "drift", "verifier")
         return {
             "rate_hz": round(self.rate_hz, 1),
             "touched": self.touched,
@@ -70,6 +70,8 @@ class Status:
             parts.append("electrodes well")
         if drift := drift_text(counters.get("drift")):
             parts.append(drift)
+        if verifier := verifier_text(counters.get("verifier")):
+            parts.append(verifier)
         return ", ".join(parts)
 
 
@@ -84,6 +86,23 @@ def drift_text(drift: Mapping[str, Any] | None) -> str:
     held = "" if drift["followed"] else ", held"
     uneven = "" if drift["uneven_percent"] is None else f", uneven {drift['uneven_percent']:.1f} %"
     return f"drift {drift['percent']:+.1f} +- {drift['sd_percent']:.1f} %{uneven}{held}"
+
+
+def verifier_text(verifier: Mapping[str, Any] | None) -> str:
+    """Return how frames are verified, in a few words; nothing where nobody does.
+
+    Args:
+        verifier: As ``Skin.status()`` has it.
+    """
+    if not verifier:
+        return ""
+    why = f" ({verifier['why']})" if verifier["why"] else ""
+    times = f", p50 {verifier['frame_ms_p50']:.1f} p99 {verifier['frame_ms_p99']:.1f} ms" if verifier["checked"] else ""
+    again = f", started again {verifier['restarts']} times" if verifier["restarts"] else ""
+    return (
+        f"verify {verifier['mode']}: {verifier['state']}{why}, {verifier['checked']} checked, {verifier['flagged']} "
+        f"flagged, {verifier['skipped']} skipped{times}{again}"
+    )
 
 
 class RunStatus(Lookout):
@@ -126,6 +145,8 @@ class RunStatus(Lookout):
         status = Status(rate_hz, touched, counters)
         self._tell(status.text())
         changed = any(counters.get(name) != self._said.get(name) for name in WATCHED)
+        states = [(one.get("verifier") or {}).get("state") for one in (counters, self._said)]
+        changed |= states[0] != states[1]
         if self._log.live or changed or now_s - self._said_s >= SILENT_S:
             self._said, self._said_s = counters, now_s
             self._log.status(status.text(), status.fields())

@@ -6,21 +6,13 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from typing import IO, Any, Final
 
 from eitskin.robot.config import SkinSettings
 from eitskin.robot.described import ProcessState
 from eitskin_tools.processes.children import die_with_parent
+from eitskin_tools.processes.pauses import Pauses
 from eitskin_tools.robot.words import words_of
-
-FIRST_PAUSE_S: Final = 1.0
-"""Before the first new start; twice as long before each further one."""
-
-LONGEST_PAUSE_S: Final = 30.0
-
-SETTLED_S: Final = 60.0
-"""Who was ready for so long begins with the first pause again."""
 
 BAD_USAGE: Final = 2
 """Exit status that another start cannot change."""
@@ -32,19 +24,6 @@ NOT_OURS: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_ST
 """Of the environment: what is meant for the supervising process alone."""
 
 Event = dict[str, Any]
-
-
-@dataclass(frozen=True, slots=True)
-class Pauses:
-    """How long a process that ended waits for its next start."""
-
-    first_s: float = FIRST_PAUSE_S
-    longest_s: float = LONGEST_PAUSE_S
-    settled_s: float = SETTLED_S
-
-    def after(self, failures: int) -> float:
-        """Return the pause after so many failures in a row, from 1 on."""
-        return float(min(self.first_s * 2.0 ** min(failures - 1, 60), self.longest_s))
 
 
 class Lines:

@@ -36,8 +36,9 @@ def run_all(arguments: argparse.Namespace, add_arguments: Callable[[argparse.Arg
             )
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin.robot.config import load_robot
+    from eitskin_tools.processes.pauses import Pauses
     from eitskin_tools.robot.checked import check, make_folders
-    from eitskin_tools.robot.child import Pauses, SkinProcess
+    from eitskin_tools.robot.child import SkinProcess
     from eitskin_tools.robot.log import RobotLog
     from eitskin_tools.robot.supervise import Family
     from eitskin_tools.service.supervisor import Supervisor

@@ -21,6 +21,10 @@ def words_of(settings: SkinSettings) -> list[str]:
         "idle-after": settings.idle_after_s,
         "sched-fifo": settings.realtime.sched_fifo,
         "affinity": ",".join(map(str, settings.realtime.affinity)) or None,
+        "verify": None if settings.verify.mode == "off" else settings.verify.mode,
+        "verify-budget-ms": settings.verify.budget_ms,
+        "verify-nice": settings.verify.nice,
+        "verify-affinity": ",".join(map(str, settings.verify.affinity)) or None,
     }
     found += [f"--{name}={value}" for name, value in valued.items() if value is not None]
     found += [f"--exclude-electrode={number}" for number in settings.exclude_electrodes]

@@ -22,6 +22,7 @@ from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.console.run_report import closing, report
 from eitskin_tools.errors import UsageError
+from eitskin_tools.verifier import options as verifier
 
 if TYPE_CHECKING:
     from eitskin.messaging.curve_keys import ServerKeys
@@ -78,6 +79,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action=argparse.BooleanOptionalAction,
         help="take out what the sheet is known to have drifted since the reference (default: wherever the bundle can)",
     )
+    verifier.add_arguments(parser)
     parser.add_argument("--sched-fifo", type=int, metavar="PRIORITY", help="ask for SCHED_FIFO at this priority")
     parser.add_argument("--affinity", metavar="CPUS", help="run on these CPUs only, such as 2 or 2,3")
     parser.add_argument("--mlock", action="store_true", help="ask that no page is swapped out")
@@ -226,8 +228,11 @@ def _serve(
     supervisor.status(f"publishing on {publisher.endpoint}")
     until_ns = None if arguments.seconds is None else time.perf_counter_ns() + int(arguments.seconds * 1e9)
     unread = arguments.quiet and not supervisor.listens
-    with contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status):
-        serve(skin, publisher, frames=arguments.frames, until_ns=until_ns)
+    with (
+        verifier.verifying(skin, publisher, arguments) as behind,
+        contextlib.nullcontext() if unread else RunStatus(skin.status, log, tell=supervisor.status),
+    ):
+        serve(skin, publisher, frames=arguments.frames, until_ns=until_ns, behind=behind)
 
 
 def _check(arguments: argparse.Namespace) -> None:
@@ -250,6 +255,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+    verifier.check(arguments)
 
 
 def _check_endpoints(arguments: argparse.Namespace) -> "ServerKeys | None":

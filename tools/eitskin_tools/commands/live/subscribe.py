@@ -37,6 +37,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     skins.add_skin(parser, "the sheet's size, so that places are in mm")
     parser.add_argument("--skip-unchanged", action="store_true", help="do without maps that changed by noise only")
     parser.add_argument("--touches", action="store_true", help="the list of touches, without maps")
+    parser.add_argument("--verified", action="store_true", help="what physics says of frames, without the frames")
     parser.add_argument(
         "--force-table", type=Path, metavar="FILE.csv", help="with --touches: strength to newtons, measured by yourself"
     )
@@ -51,6 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--server-key and --client-key belong together")
     if arguments.touches and (arguments.region is not None or arguments.skip_unchanged):
         raise UsageError("--touches takes no maps: leave --region and --skip-unchanged out")
+    maps_wanted = arguments.region is not None or arguments.skip_unchanged or arguments.max_age_ms is not None
+    if arguments.verified and (arguments.touches or maps_wanted):
+        raise UsageError("--verified takes no frames: leave --touches, --region, --skip-unchanged, --max-age-ms out")
     if arguments.force_table is not None and not arguments.touches:
         raise UsageError("--force-table goes with --touches: only a touch has a strength")
     for name in ("frames", "seconds", "timeout_s", "max_age_ms"):
@@ -72,6 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
     if threading.current_thread() is threading.main_thread():  # a script's "&" has it ignore Ctrl-C, which ends it
         signal.signal(signal.SIGINT, signal.default_int_handler)
+    if arguments.verified:
+        return _verified(arguments, keys)
     subscription = subscribe(
         arguments.endpoint,
         arguments.mode,
@@ -107,6 +113,45 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(_summary(subscription, latencies, stages, time.perf_counter() - first_s)))
     return 0
+
+
+def _verified(arguments: argparse.Namespace, keys: Any) -> int:
+    """Print verdicts, or count them."""
+    from eitskin.messaging.verified.subscription import subscribe_verified
+    from eitskin_tools.console.verified_view import describe
+
+    state, checked, flagged, spent_us = ("", ""), 0, 0, list[float]()
+    endpoint, timeout_s, first_s = arguments.endpoint, arguments.timeout_s, time.perf_counter()
+    with (
+        contextlib.suppress(KeyboardInterrupt),
+        subscribe_verified(endpoint, arguments.mode, frames=False, timeout_s=timeout_s, keys=keys) as verdicts,
+    ):
+        for found in verdicts:
+            if found.verified:
+                checked, flagged = checked + 1, flagged + bool(found.flagged)
+                spent_us.append(found.spent_s * 1e6)
+            if not arguments.json and (found.verified or (found.state, found.why) != state):
+                for line in describe(found):
+                    say(line)
+            state = found.state, found.why
+            if arguments.frames is not None and checked >= arguments.frames:
+                break
+            if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
+                break
+    if arguments.json:
+        print(json.dumps(_verified_summary(verdicts, checked, flagged, spent_us)))
+    return 0
+
+
+def _verified_summary(verdicts: Any, checked: int, flagged: int, spent_us: list[float]) -> dict[str, Any]:
+    import numpy as np
+
+    from eitskin.pipeline.stats import quantiles
+
+    return {
+        "checked": checked, "flagged": flagged, "lost": verdicts.lost, "rejected": verdicts.rejected,
+        "extra_us": quantiles(np.array(spent_us)),
+    }  # fmt: skip
 
 
 def _print(frame: Any) -> None:

@@ -111,7 +111,7 @@ class Verified:
             self._filler.fill(filled, self._missing)
             case = replace(case, voltages=case.flat_reference * (1.0 + filled[0]))
         image = self._network.solver(case)
-        starts = _starts(image, grid)
+        starts = unit_starts(image, grid)
         verifier, material, setup_ms = self._of(case)
         before: tuple[UnitTouch, ...] = ()
         for attempt in range(REBUILT + 1):
@@ -127,13 +127,10 @@ class Verified:
                 clock=time.process_time,
             )
             cpu_ms = 1e3 * (time.process_time() - start)
-            more = [next((one for one in verdict.nuisances if one.name == name), NOTHING) for name in MATERIAL]
-            if attempt == REBUILT or all(abs(one.value) <= max(CLEAR * one.error, LEAST) for one in more):
+            found = None if attempt == REBUILT else material_shown(verdict, material)
+            if found is None:
                 break
-            before = verdict.touches
-            material = tuple(
-                float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True)
-            )
+            before, material = verdict.touches, found
             begin = time.process_time()
             verifier = prepared(case.sheet.cloud_mm, self._skin, material=material)
             setup_ms += 1e3 * (time.process_time() - begin)
@@ -158,7 +155,20 @@ class Verified:
         return verifier, STILL, 1e3 * (time.process_time() - begin)
 
 
-def _starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bool_]]:
+def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material | None:
+    """Return the amplitudes of material that a model should have after a frame; None where it has them.
+
+    Args:
+        verdict: Of the frame.
+        material: What the model has.
+    """
+    more = [next((one for one in verdict.nuisances if one.name == name), NOTHING) for name in MATERIAL]
+    if all(abs(one.value) <= max(CLEAR * one.error, LEAST) for one in more):
+        return None
+    return tuple(float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True))
+
+
+def unit_starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bool_]]:
     """Return the units of a map that are touched, at each threshold."""
     unit = grid.unit_of_pixel.ravel()
     pixels = np.maximum(np.bincount(unit, minlength=grid.n_units), 1)

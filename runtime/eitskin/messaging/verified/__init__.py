@@ -1,0 +1,1 @@
+"""Verdicts of physics on published frames: their message, and who takes them."""

@@ -1,0 +1,108 @@
+"""A touch as physics has found it: where, how large, how strong, how sure."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Self
+
+from eitskin.errors import FrameError
+
+SHAPES: Final = ("unit", "rectangle", "ellipse")
+"""Of touches."""
+
+PAIRS: Final = ("centre_mm", "centre_error_mm", "size_mm", "size_error_mm")
+THREES: Final = ("place_mm", "normal")
+NUMBERS: Final = (
+    "angle_rad", "area_mm2", "area_error_mm2", "contrast", "strength_mm2", "strength_error_mm2", "border_mm",
+)  # fmt: skip
+UNKNOWABLE: Final = ("centre_error_mm", "size_error_mm", "area_error_mm2", "strength_error_mm2")
+"""None where a verifier does not tell them."""
+
+
+@dataclass(frozen=True, slots=True)
+class VerifiedTouch:
+    """One touch of a verified frame.
+
+    Attributes:
+        shape: ``unit``: a touch unit of the sheet, as bundle ``units`` knows them; ``rectangle`` or ``ellipse``.
+        unit: Number of the unit, row by row; None for other shapes.
+        centre_mm: x and y on the flat sheet.
+        centre_error_mm: Its standard errors; None for a unit, which is where it is.
+        size_mm: Length and width.
+        size_error_mm: Their standard errors; None for a unit.
+        angle_rad: Of the length against x, towards y; from 0 to below pi.
+        area_mm2: On the flat sheet.
+        area_error_mm2: Its standard error; None for a unit.
+        contrast: Conductivity over the untouched sheet's.
+        strength_mm2: Logarithm of the contrast times the area; below 0 where a press lowers conductance.
+        strength_error_mm2: Its standard error; None where it was not fitted.
+        border_mm: Width of the graded border; 0 is sharp.
+        place_mm: x, y and z of the centre on the surface in use, in the pose in which its cloud was given.
+        normal: The unit vector in which the surface faces there; zeros where it has no direction.
+    """
+
+    shape: str
+    unit: int | None
+    centre_mm: tuple[float, float]
+    centre_error_mm: tuple[float, float] | None
+    size_mm: tuple[float, float]
+    size_error_mm: tuple[float, float] | None
+    angle_rad: float
+    area_mm2: float
+    area_error_mm2: float | None
+    contrast: float
+    strength_mm2: float
+    strength_error_mm2: float | None
+    border_mm: float
+    place_mm: tuple[float, float, float]
+    normal: tuple[float, float, float]
+
+    def __str__(self) -> str:
+        """Return it in a line, for people."""
+        x, y = self.centre_mm
+        which = self.shape if self.unit is None else f"unit {self.unit}"
+        off = "" if self.centre_error_mm is None else f" +- {max(self.centre_error_mm):.2f}"
+        length, width = self.size_mm
+        return (
+            f"{which} at x {x:.1f}, y {y:.1f}{off} mm, {length:.1f} x {width:.1f} mm, contrast {self.contrast:.3g}, "
+            f"strength {self.strength_mm2:.0f} mm2"
+        )
+
+    @classmethod
+    def of(cls, found: object) -> Self:
+        """Return the touch of a message's map.
+
+        Raises:
+            FrameError: It is malformed.
+        """
+        if not isinstance(found, dict) or found.get("shape") not in SHAPES:
+            raise FrameError(f"verified touch: found {str(found)[:40]}, expected a map with a shape")
+        unit = found.get("unit")
+        if unit is not None and (type(unit) is not int or unit < 0):
+            raise FrameError(f"verified touch, unit: found {str(unit)[:40]}, expected a count or nil")
+        fields: dict[str, Any] = {name: _numbers(found, name, 2) for name in PAIRS}
+        fields |= {name: _numbers(found, name, 3) for name in THREES}
+        fields |= {name: _number(found, name) for name in NUMBERS}
+        return cls(shape=found["shape"], unit=unit, **fields)
+
+
+def _number(found: Mapping[str, Any], name: str) -> float | None:
+    value = found.get(name)
+    if value is None and name in UNKNOWABLE:
+        return None
+    if not isinstance(value, float) or not math.isfinite(value):
+        raise FrameError(f"verified touch, {name}: found {str(value)[:40]}, expected a finite float")
+    return value
+
+
+def _numbers(found: Mapping[str, Any], name: str, count: int) -> tuple[float, ...] | None:
+    values = found.get(name)
+    if values is None and name in UNKNOWABLE:
+        return None
+    if (
+        not isinstance(values, list)
+        or len(values) != count
+        or not all(isinstance(value, float) and math.isfinite(value) for value in values)
+    ):
+        raise FrameError(f"verified touch, {name}: found {str(values)[:40]}, expected {count} finite floats")
+    return tuple(values)

@@ -1,0 +1,82 @@
+"""The verified message: its bytes, and that a subscriber believes nothing."""
+
+import dataclasses
+
+import msgpack
+import pytest
+
+from eitskin.errors import FrameError
+from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, asked_for, head, rest, unpack_verified
+from eitskin.messaging.verified.touch import VerifiedTouch
+
+TOUCH = VerifiedTouch(
+    shape="rectangle", unit=None, centre_mm=(40.0, 30.0), centre_error_mm=(0.1, 0.2), size_mm=(12.0, 10.0),
+    size_error_mm=(0.3, 0.4), angle_rad=0.5, area_mm2=120.0, area_error_mm2=4.0, contrast=50.0, strength_mm2=469.0,
+    strength_error_mm2=8.0, border_mm=0.0, place_mm=(40.0, 30.0, 5.0), normal=(0.0, 0.0, 1.0),
+)  # fmt: skip
+UNIT = dataclasses.replace(
+    TOUCH, shape="unit", unit=63, centre_error_mm=None, size_error_mm=None, area_error_mm2=None, strength_error_mm2=None
+)
+COUNTS = {"checked": 5, "flagged": 1, "skipped": 2}
+HEAD = head(9, "abcd1234", COUNTS)
+MESSAGE = HEAD + rest(7, 5000, 2, "ready", "", (10, 20, 30, 40_030), (104.5, 104, 0.47, False), (TOUCH, UNIT))
+STATE = HEAD + rest(7, 5000, 2, "preparing", "", (10, 20, 0, 0))
+
+
+def altered(**fields):
+    return msgpack.packb({**msgpack.unpackb(MESSAGE), **fields})
+
+
+def test_a_verdict_comes_back_as_it_was():
+    found = unpack_verified(MESSAGE, 50)
+    assert (found.sequence, found.number, found.run, found.cloud, found.device_us) == (7, 9, "abcd1234", 2, 5000)
+    assert (found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged) == (104.5, 104, 0.47, False)
+    assert found.touches == (TOUCH, UNIT)
+    assert found.verified
+    assert found.trusted
+    assert found.spent_s == pytest.approx(40e-6)
+    assert (dict(found.counts), found.received_ns, found.frame) == (COUNTS, 50, None)
+
+
+def test_a_message_without_a_verdict_says_how_the_verifier_is():
+    found = unpack_verified(STATE)
+    assert (found.state, found.verified, found.trusted, found.spent_s) == ("preparing", False, False, 0.0)
+    assert found.touches is found.flagged is found.p_value is None
+
+
+def test_its_first_bytes_are_constant_and_select_it():
+    assert MESSAGE.startswith(TOPIC)
+    assert TOPIC == b"\x8f\xa8verified"
+    assert len(msgpack.unpackb(MESSAGE)) == 15
+    assert asked_for(TOPIC)
+    assert asked_for(FIRST_BYTE)
+    assert not any(map(asked_for, (b"", b"\xde", b"\xdf", b"\x86", b"\x8f\xa9", b"eitskin/touches")))
+
+
+@pytest.mark.parametrize("name", sorted(msgpack.unpackb(MESSAGE)))
+@pytest.mark.parametrize("value", ["x" * 999, -1, [1], {"a": 1}, b"x", float("nan")])
+def test_a_field_of_another_kind_is_refused(name, value):
+    with pytest.raises(FrameError):
+        unpack_verified(altered(**{name: value}))
+
+
+@pytest.mark.parametrize("name", sorted(dataclasses.asdict(TOUCH)))
+@pytest.mark.parametrize("value", ["x", -1, [1.0], [1.0, 2.0, 3.0, 4.0], float("inf"), {"a": 1}])
+def test_a_touch_with_a_field_of_another_kind_is_refused(name, value):
+    with pytest.raises(FrameError):
+        unpack_verified(altered(touches=[{**dataclasses.asdict(TOUCH), name: value}]))
+
+
+@pytest.mark.parametrize("message", [b"", b"\x8f", MESSAGE[:-3], b"\xc1" * 20, msgpack.packb([1, 2])])
+def test_what_is_no_message_is_refused(message):
+    with pytest.raises(FrameError):
+        unpack_verified(message)
+
+
+def test_another_version_and_an_impossible_p_are_refused():
+    with pytest.raises(FrameError, match="expected 4"):
+        unpack_verified(altered(v=5))
+    with pytest.raises(FrameError, match="0 to 1"):
+        unpack_verified(altered(p_value=1.5))
+    with pytest.raises(FrameError, match="one of starting"):
+        unpack_verified(altered(state="asleep"))

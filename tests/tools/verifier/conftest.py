@@ -1,0 +1,109 @@
+"""A runtime in a thread of this process, whose frames a scripted verifier in a process of its own checks."""
+
+import json
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import eitskin
+from eitskin.messaging.publish import Publisher
+from eitskin.serving import serve
+from eitskin.skin import Skin
+from eitskin_tools.processes.pauses import Pauses
+from eitskin_tools.verifier.handover import Handover
+from eitskin_tools.verifier.keeper import Keeper, Place
+
+HERE = Path(__file__).parent
+TESTS = HERE.parents[1]
+SCRIPTED = (sys.executable, str(HERE / "scripted_verifier.py"))
+PATIENCE_S = 60.0
+TOUCHED = [[0.5, 600.0, 0.3]]
+
+
+def until(condition: Any) -> None:
+    """Wait for something that happens elsewhere."""
+    end = time.monotonic() + PATIENCE_S
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.01)
+
+
+@contextmanager
+def virtual_skin(**options: Any) -> Iterator[str]:
+    """Run a virtual skin, and give its port."""
+    words = [sys.executable, str(TESTS / "runtime" / "skin_process.py"), json.dumps(options)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        try:
+            yield process.stdout.readline().strip()
+        finally:
+            process.send_signal(signal.SIGTERM)
+
+
+class Stream:
+    """What runs, and where it publishes."""
+
+    def __init__(self, skin: Skin, publisher: Publisher, keeper: Keeper, handover: Handover, script: Path) -> None:
+        self.skin, self.publisher, self.keeper, self.handover = skin, publisher, keeper, handover
+        self.script = script
+        skin.loop.verifier_status = handover.status
+        self._thread = threading.Thread(target=self._serve)
+        self._thread.start()
+
+    def _serve(self) -> None:
+        serve(self.skin, self.publisher, behind=self.handover.behind)
+
+    def subscribed(self, **options: Any) -> Any:
+        """Subscribe to every verdict."""
+        options = {"timeout_s": PATIENCE_S, "mode": "all", **options}
+        return eitskin.subscribe_verified(self.publisher.endpoint, **options)
+
+    @property
+    def taken(self) -> list[int]:
+        """Numbers of the frames that the verifier has taken."""
+        path = self.script / "taken"
+        return [int(line.split()[0]) for line in path.read_text().splitlines()] if path.exists() else []
+
+    def tell(self, word: str, *, off: bool = False) -> None:
+        """Have the verifier do something."""
+        (self.script / word).unlink() if off else (self.script / word).touch()
+
+    def stop(self) -> None:
+        """End the frame loop."""
+        self.skin.stop()
+        self._thread.join(PATIENCE_S)
+        assert not self._thread.is_alive()
+
+
+@pytest.fixture
+def streaming(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Return a context manager that streams with a verifier."""
+    monkeypatch.setenv("VERIFIER_SCRIPT", str(tmp_path))
+
+    @contextmanager
+    def run(
+        mode: str = "always", *, still_s: float = 10.0, most_failures: int = 5, every_map: bool = False, **device: Any
+    ) -> Iterator[Stream]:
+        with ExitStack() as stack:
+            port = stack.enter_context(virtual_skin(**{"touches": TOUCHED, **device}))
+            bundle = TESTS / "golden" / "tiny.eitskin"
+            skin = stack.enter_context(Skin(port, bundle=bundle, skip_unchanged=not every_map))
+            skin.capture_reference(10)
+            publisher = Publisher(f"ipc://{tmp_path}/frames")
+            stack.callback(publisher.close)
+            place = Place(nice=5, program=SCRIPTED)
+            pauses = Pauses(0.1, 0.2, 60.0)
+            keeper = stack.enter_context(Keeper(place, pauses, still_s, most_failures))
+            stream = Stream(skin, publisher, keeper, Handover(skin, publisher, keeper, mode), tmp_path)
+            stack.callback(stream.stop)
+            yield stream
+
+    return run

@@ -1,0 +1,42 @@
+"""The real verifier's process around a checker without physics, told by files of the folder in VERIFIER_SCRIPT.
+
+``die``: it ends at once. ``bad_model``: no model can be made. ``hold``: it waits in a frame until that file is gone.
+``cannot``: nothing can be said of frames. Each frame that is taken is written down in ``taken``.
+"""
+
+import os
+import sys
+import time
+import types
+from pathlib import Path
+
+FOLDER = Path(os.environ["VERIFIER_SCRIPT"])
+
+
+class Checker:
+    improves = False
+
+    def __init__(self, setup):
+        if (FOLDER / "bad_model").exists():
+            raise ValueError("the cloud folds in its own plane")
+        setup.described()
+
+    def check(self, frame):
+        with (FOLDER / "taken").open("a") as file:
+            print(frame.seq, frame.cloud, int(frame.missing.sum()), file=file)
+        while (FOLDER / "hold").exists():
+            time.sleep(0.01)
+        if (FOLDER / "cannot").exists():
+            raise ValueError("nothing can be said of it")
+        return (float(abs(frame.change).max()), 104, 0.25, False), ()
+
+
+if (FOLDER / "die").exists():
+    sys.exit("died as it was told")
+checkers = types.ModuleType("eitskin_tools.verifier.checkers")
+checkers.checker_of = Checker
+sys.modules[checkers.__name__] = checkers
+
+from eitskin_tools.verifier.process import main  # noqa: E402 -- behind the stand-in
+
+sys.exit(main())

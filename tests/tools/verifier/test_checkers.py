@@ -1,0 +1,132 @@
+"""The verifier with its physics: units and shapes from letters, and the process that answers them."""
+
+import dataclasses
+import time
+
+import numpy as np
+import pytest
+
+from eitskin.messaging.verified.message import head, unpack_verified
+from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
+from eitskin_proto.skin.parts import Map
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.toml import to_toml
+from eitskin_sim.reduced.exact import exact_sheet
+from eitskin_sim.reduced.model import rows_of
+from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.model import model_of_cloud
+from eitskin_tools.verifier.checkers import CannotVerifyError, FreeChecker, UnitChecker, checker_of
+from eitskin_tools.verifier.keeper import Keeper, Place
+from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, Setup, answered, frame_letter
+from eitskin_tools.verifier.mailbox import FRAME, SETUP
+
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
+
+SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
+"""Few, large units: its reduced model takes a second."""
+
+NOISE = 3e-3
+NOTHING = np.zeros(104, dtype=np.bool_)
+PIECE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
+PATIENCE_S = 300.0
+
+
+def setup_of(skin, labels, reference_V):
+    lifted = skin.grid.flat_cloud_mm() + np.array([0.0, 0.0, 7.0])[:, None, None]
+    return Setup(
+        bundle="b", labels=labels, touches="raising", skin=to_toml(skin), skin_digest=skin.digest, cloud=4,
+        cloud_mm=lifted.astype("<f4").tobytes(), reference_V=reference_V.tobytes(),
+        spread_V=(NOISE * np.abs(reference_V)).tobytes(), budget_s=60.0,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def units():
+    """Return a setup of the small sheet, and dV and the map of two touched units of which the network saw one."""
+    exact = exact_sheet(flat_metric_of(SMALL), SMALL)
+    flat = rows_of(exact.untouched)
+    volts = rows_of(exact.currents(np.array([5, 14]), np.array([50.0, 50.0]))[1])
+    change = volts / flat - 1.0
+    change += NOISE * (1.0 + change) * np.random.default_rng(2).standard_normal(104)
+    seen = np.zeros(24)
+    seen[5] = 1.0
+    values = np.asarray(SMALL.grid.map_from_units(seen), dtype="f4").ravel()
+    return setup_of(SMALL, "units", 1e-3 * flat), change.astype("f4"), values
+
+
+def letter(change, values, missing=NOTHING, setup=1):
+    return frame_letter(setup, 9, 1000, 5, 6, 4, missing, change, values)
+
+
+def test_units_that_a_network_missed_are_found_and_placed_on_the_surface(units):
+    setup, change, values = units
+    checker = checker_of(setup)
+    assert isinstance(checker, UnitChecker)
+    for missing in (NOTHING, rows_of_electrodes((3,))):
+        (chi_squared, degrees, p_value, flagged), touches = checker.check(
+            FrameLetter.of(letter(np.where(missing, 9.0, change).astype("f4"), values, missing))
+        )
+        assert [one.unit for one in touches] == [5, 14]
+        assert (degrees, flagged) == (int((~missing).sum()), False)
+        assert p_value > 1e-3
+        assert chi_squared < 2.0 * degrees
+        x0, y0, x1, y1 = SMALL.grid.unit_rect_mm(5, 0)
+        first = touches[0]
+        assert first.centre_mm == pytest.approx(((x0 + x1) / 2, (y0 + y1) / 2))
+        assert first.place_mm == pytest.approx((*first.centre_mm, 7.0), abs=1e-4)
+        assert first.normal == pytest.approx((0.0, 0.0, 1.0), abs=1e-5)
+        assert first.strength_mm2 == pytest.approx(first.area_mm2 * np.log(first.contrast))
+
+
+def test_shapes_are_found_with_their_errors_and_not_without_rows():
+    model = model_of_cloud(PAPER.grid.flat_cloud_mm())
+    change = model.solve(PIECE)[1]
+    change += NOISE * (1.0 + change) * np.random.default_rng(1).standard_normal(104)
+    values = map_of(PIECE).astype("f4").ravel()
+    checker = checker_of(setup_of(PAPER, "area", 1e-3 * model.flat_V))
+    assert isinstance(checker, FreeChecker)
+    (_, _, p_value, flagged), (touch,) = checker.check(FrameLetter.of(letter(change.astype("f4"), values)))
+    assert (touch.shape, touch.unit, flagged) == ("rectangle", None, False)
+    assert p_value > 1e-3
+    assert touch.centre_mm == pytest.approx((60.0, 45.0), abs=1.0)
+    assert touch.place_mm[2] == pytest.approx(7.0, abs=1e-3)
+    assert 0.0 < max(touch.centre_error_mm) < 2.0
+    with pytest.raises(CannotVerifyError, match="26 of 104 rows are missing"):
+        checker.check(FrameLetter.of(letter(change.astype("f4"), values, rows_of_electrodes((3,)))))
+
+
+@pytest.mark.process
+def test_the_process_refuses_another_skin_and_answers_frames_of_the_next(units):
+    setup, change, values = units
+    found = []
+    with Keeper(Place()) as keeper:
+        keeper.mailbox.put(SETUP, dataclasses.replace(setup, skin_digest="0123456789abcdef").packed())
+        keeper.ring()
+
+        def until(condition):
+            end = time.monotonic() + PATIENCE_S
+            while True:
+                assert time.monotonic() < end, found
+                time.sleep(0.01)
+                if keeper.answers is None:
+                    continue
+                try:
+                    found.append(answered(keeper.answers.recv(LARGEST_ANSWER)))
+                except BlockingIOError:
+                    continue
+                if condition(found[-1]):
+                    return found[-1]
+
+        *_, why, _ = until(lambda one: one[:2] == [STATE, "failed"])
+        assert why.startswith("verifier: skin: found ")
+        keeper.mailbox.put(SETUP, setup.packed())
+        keeper.mailbox.put(FRAME, letter(change, values, setup=2))
+        keeper.ring()
+        assert until(lambda one: one[:2] == [STATE, "ready"])[2] == 2
+        _, number, told, flagged, spent_ms = until(lambda one: one[0] != STATE)
+    assert (number, flagged) == (1, False)
+    assert spent_ms > 0
+    verdict = unpack_verified(head(1, "run", {"checked": 1, "flagged": 0, "skipped": 0}) + told)
+    assert (verdict.sequence, verdict.cloud, verdict.device_us) == (9, 4, 1000)
+    assert [touch.unit for touch in verdict.touches] == [5, 14]

@@ -1,0 +1,204 @@
+"""Verdicts behind frames: which frames are verified, what is said meanwhile, and what a verifier's end costs."""
+
+import itertools
+import json
+import os
+import signal
+import time
+
+import pytest
+
+import eitskin
+from eitskin_tools import cli
+
+from .conftest import PATIENCE_S, TOUCHED, until
+
+pytestmark = pytest.mark.process
+
+MOVING = [[0.5 + step / 10, 0.6 + step / 10, 0.2 + 0.002 * (step % 50)] for step in range(1500)]
+"""A touch that changes every 0.1 s, ten times its frames' noise."""
+
+
+def first(items, condition):
+    """Return the first item for which a condition holds; they come for ever."""
+    end = time.monotonic() + PATIENCE_S
+    for item in items:
+        if condition(item):
+            return item
+        assert time.monotonic() < end, f"it did not come; last {item}"
+    raise AssertionError("it did not come")
+
+
+def test_a_frame_is_followed_by_its_verdict(streaming):
+    with streaming() as stream, stream.subscribed() as verdicts:
+        found = first(verdicts, lambda one: one.verified and one.frame is not None)
+        status = stream.skin.status()["verifier"]
+    frame = found.frame
+    assert (found.sequence, found.run, found.cloud) == (frame.sequence, frame.run, 0)
+    assert frame.map_sequence == frame.sequence  # the one that the map was computed for
+    assert found.device_us == frame.device_us
+    assert (found.state, found.p_value, found.flagged, found.touches) == ("ready", 0.25, False, ())
+    assert found.trusted
+    assert found.chi_squared == pytest.approx(0.3, rel=0.05)
+    assert found.host_ns["read"] == frame.host_ns["read"]
+    assert found.host_ns["publish"] <= found.host_ns["begin"] <= found.host_ns["end"] <= found.received_ns
+    assert frame.received_ns <= found.received_ns
+    assert (status["mode"], status["state"], status["restarts"], status["nice"]) == ("always", "ready", 0, 5)
+    assert status["checked"] >= 1
+    assert verdicts.rejected == verdicts.lost == 0
+
+
+def test_what_rests_is_verified_once(streaming):
+    with streaming(every_map=True) as stream, stream.subscribed() as verdicts:
+        found = first(verdicts, lambda one: one.verified)
+        for _ in range(3):  # it is said each second how the verifier is: some hundred frames later
+            first(verdicts, lambda one: not one.verified)
+        assert stream.skin.statistics.frames > found.sequence + 100
+        assert len(stream.taken) <= 3  # noise may have looked like a change
+        assert stream.handover.counts["flagged"] == 0
+
+
+def test_the_newest_wins_and_what_was_skipped_is_counted(streaming):
+    with streaming(touches=MOVING) as stream:
+        stream.tell("hold")
+        with stream.subscribed() as verdicts:
+            until(lambda: len(stream.taken) == 1)
+            begin = stream.skin.statistics.frames
+            until(lambda: stream.skin.statistics.frames > begin + 60)
+            stream.tell("hold", off=True)
+            one, two = [first(verdicts, lambda one: one.verified) for _ in range(2)]
+    assert two.sequence > one.sequence + 40
+    assert two.counts["skipped"] >= one.counts["skipped"] + 4
+    assert two.counts["checked"] == 2
+
+
+def test_idle_waits_until_nothing_moves(streaming):
+    resting = [*MOVING[:30], [3.5, 600.0, 0.9]]
+    with streaming("idle", touches=resting) as stream, stream.subscribed() as verdicts:
+        found = first(verdicts, lambda one: one.verified and one.chi_squared > 0.8)
+        for one, after in itertools.pairwise(stream.taken):
+            assert after > one + 1
+        assert found.frame is None or found.frame.map_sequence == found.sequence
+
+
+def test_a_touch_that_is_gone_is_verified_no_more(streaming):
+    taps = [[0.5 + step, 0.75 + step, 0.3] for step in range(600)]
+    with streaming(touches=taps) as stream:
+        stream.tell("hold")
+        with stream.subscribed() as verdicts:
+            until(lambda: len(stream.taken) == 1)
+            before = stream.keeper.mailbox.written[1]
+            until(lambda: stream.keeper.mailbox.written[1] >= before + 4)
+            stream.tell("hold", off=True)
+            first(verdicts, lambda one: one.verified)
+            second = first(verdicts, lambda one: one.verified and one.frame is not None)
+        assert second.frame.touched
+
+
+def test_another_cloud_is_prepared_first_and_what_rests_verified_anew(streaming):
+    with streaming() as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.verified)
+        stream.skin.set_cloud(stream.skin.description.grid.flat_cloud_mm() + 5.0)
+        first(verdicts, lambda one: one.state == "preparing")
+        found = first(verdicts, lambda one: one.verified)
+    assert found.cloud == 1
+
+
+def test_without_a_model_frames_go_out_unverified_and_it_is_said(streaming):
+    with streaming() as stream:
+        stream.tell("bad_model")
+        with stream.subscribed() as verdicts, eitskin.subscribe(stream.publisher.endpoint, "all") as frames:
+            found = first(verdicts, lambda one: one.state == "failed")
+            assert (found.why, found.verified, found.trusted) == ("the cloud folds in its own plane", False, False)
+            assert found.touches is None
+            assert first(frames, lambda frame: frame.solver != "none").map.any()
+            stream.tell("bad_model", off=True)
+            stream.skin.set_cloud(None)
+            assert first(verdicts, lambda one: one.verified).cloud == 1
+
+
+def test_a_frame_that_nothing_can_be_said_of_is_told_without_a_verdict(streaming):
+    with streaming() as stream:
+        stream.tell("cannot")
+        with stream.subscribed() as verdicts:
+            found = first(verdicts, lambda one: one.why)
+    assert (found.state, found.why, found.verified) == ("ready", "nothing can be said of it", False)
+    assert found.counts == {"checked": 0, "flagged": 0, "skipped": 1}
+
+
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])
+def test_a_verifier_that_dies_or_hangs_is_started_again_and_the_stream_goes_on(streaming, number):
+    with (
+        streaming(still_s=3.0, touches=MOVING) as stream,
+        stream.subscribed() as verdicts,
+        eitskin.subscribe(stream.publisher.endpoint, "all") as frames,
+    ):
+        first(verdicts, lambda one: one.verified)
+        before = next(frames).number
+        os.kill(stream.keeper.pid, number)
+        found = first(verdicts, lambda one: one.state == "waiting")
+        assert ("hung, and was ended" if number == signal.SIGSTOP else "by signal 9 (Killed)") in found.why
+        assert "starts again in" in found.why
+        first(verdicts, lambda one: one.verified)
+        first(frames, lambda frame: "verifier:waiting" in frame.events)
+        assert first(frames, lambda frame: "verifier:ready" in frame.events).number > before
+        assert frames.lost == 0
+        assert stream.skin.status()["verifier"]["restarts"] >= 1
+
+
+def test_one_that_keeps_dying_is_given_up_and_it_is_said(streaming):
+    with streaming(most_failures=3) as stream:
+        with stream.subscribed() as verdicts:
+            first(verdicts, lambda one: one.state in ("ready", "preparing"))
+            stream.tell("die")
+            os.kill(stream.keeper.pid, signal.SIGKILL)
+            found = first(verdicts, lambda one: one.state == "failed")
+            again = first(verdicts, lambda one: one.sequence > found.sequence)
+        assert "died as it was told" in found.why
+        assert "3 times in a row, so it is given up" in found.why
+        assert (again.state, again.why) == (found.state, found.why)
+        assert stream.keeper.pid == 0
+
+
+def test_the_end_of_the_runtime_ends_it_even_while_it_is_stopped(streaming):
+    with streaming() as stream:
+        with stream.subscribed() as verdicts:
+            first(verdicts, lambda one: one.verified)
+        pid = stream.keeper.pid
+        os.kill(pid, signal.SIGSTOP)
+    with pytest.raises(ProcessLookupError):
+        os.kill(pid, 0)
+
+
+def test_nothing_is_handed_over_while_nobody_asks(streaming):
+    with streaming(touches=TOUCHED) as stream, eitskin.subscribe(stream.publisher.endpoint, "all") as frames:
+        begin = first(frames, lambda frame: frame.solver != "none").number
+        first(frames, lambda frame: frame.number > begin + 50)
+        assert stream.keeper.mailbox.written[1] == 0
+        with stream.subscribed(frames=False) as verdicts:
+            assert first(verdicts, lambda one: one.verified).frame is None
+
+
+def test_a_subscriber_to_verdicts_alone_has_frames_computed(streaming):
+    with streaming() as stream, stream.subscribed(frames=False) as verdicts:
+        first(verdicts, lambda one: one.verified)
+        assert not stream.publisher.asked.frames
+
+
+def test_subscribe_prints_verdicts_and_counts_them(streaming, capsys):
+    with streaming(touches=MOVING) as stream:
+        words = ["subscribe", stream.publisher.endpoint, "--verified", "--mode", "all", "--timeout-s", "60"]
+        assert cli.main([*words, "--frames", "2"]) == 0
+        lines = capsys.readouterr().out.splitlines()
+        assert cli.main([*words, "--frames", "2", "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)
+    assert sum("explained, p 0.25, chi-squared 0." in line for line in lines) == 2
+    assert any("behind the frame; 1 checked, 0 flagged" in line for line in lines)
+    assert (found["checked"], found["flagged"], found["lost"], found["rejected"]) == (2, 0, 0, 0)
+    assert found["extra_us"]["p50"] > 0
+
+
+@pytest.mark.parametrize("words", [["--touches"], ["--region", "0", "0", "10", "10"], ["--max-age-ms", "5"]])
+def test_verdicts_take_no_frames(words, capsys):
+    assert cli.main(["subscribe", "--verified", *words]) == 2
+    assert "--verified takes no frames" in capsys.readouterr().err

@@ -1,0 +1,143 @@
+"""``eitskin bench frame --verify``: whether the fast frame notices that frames are verified behind it.
+
+One stream, one runtime. A subscriber asks for verdicts and leaves, in turns of a seventh of the script's 20 s, so that
+every part of the script is seen with and without. Frames near a change of turn are left out.
+"""
+
+import json
+import sys
+import tempfile
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+PHASE_S: Final = 20.0 / 7.0
+"""Of a turn: the script has an odd number of them, so turns change places from one of its loops to the next."""
+
+EDGE_NS: Final = 300_000_000
+"""Behind each change of turn that is left out."""
+
+START_S: Final = 300.0
+"""How long any process may take to be ready."""
+
+
+def beside_verifier(
+    rate_hz: float, frames: int, bundle: Path | None, mode: str, more: list[str], phase_s: float = PHASE_S
+) -> dict[str, Any]:
+    """Return latencies of a stream while frames are verified, and while they are not.
+
+    Args:
+        rate_hz: Frames a second.
+        frames: How many.
+        bundle: To run; None for the shipped one.
+        mode: "always" or "idle".
+        more: Further words of ``eitskin run``.
+        phase_s: Of a turn.
+    """
+    from eitskin_tools.demo.recorder import Record
+    from eitskin_tools.processes.children import GRACE_S, Child, process_group
+
+    seconds = frames / rate_hz
+    print(f"eitskin bench frame: {frames} frames at {rate_hz:g} frames/s, verified in turns", file=sys.stderr)
+    with tempfile.TemporaryDirectory(prefix="eitskin-bench-") as name, process_group() as children:
+        folder = Path(name)
+        publish = f"ipc://{folder}/frames"
+        words = ["virtual-skin", "--json", f"--rate={rate_hz:g}", f"--seconds={seconds + 3 * START_S:g}"]
+        skin = Child("virtual-skin", "eitskin_tools.cli", [*words, f"--wire-times={folder / 'wire.npy'}"], folder)
+        children.append(skin)
+        port = json.loads(skin.line(skin.out, "{", START_S))["port"]
+        words = ["run", f"--port={port}", f"--publish={publish}", f"--control=ipc://{folder}/control", "--json"]
+        words += [f"--verify={mode}", *more] + ([] if bundle is None else [f"--bundle={bundle}"])
+        runtime = Child("run", "eitskin_tools.cli", words, folder)
+        children.append(runtime)
+        runtime.line(runtime.err, "ready ", START_S, children)
+        words = [publish, str(folder / "verdicts.npz"), f"--phase={phase_s}"]
+        verdicts = Child("verdicts", "eitskin_tools.bench.frame.verdicts", words, folder)
+        children.append(verdicts)
+        verdicts.line(verdicts.out, "ready", START_S, children)
+        words = [publish, str(folder / "record.npz"), f"--seconds={seconds}", f"--capacity={frames + 1000}"]
+        subscriber = Child("subscriber", "eitskin_tools.demo.recorder", words, folder)
+        children.append(subscriber)
+        if subscriber.wait(seconds + START_S) != 0:
+            subscriber.check()
+        for child in (verdicts, runtime, skin):
+            child.stop()
+        verdicts.wait(GRACE_S)
+        record, wire_ns = Record.load(folder / "record.npz"), np.load(folder / "wire.npy")
+        with np.load(folder / "verdicts.npz", allow_pickle=False) as file:
+            told = {key: np.array(file[key]) for key in file.files}
+        summary = json.loads(runtime.out.read_text())
+    found = compared(record, wire_ns, told["phases"])
+    return {**found, "verifier": _verdicts(told), "mode": mode, "rate_hz": rate_hz, "state": summary["verifier"]}
+
+
+def compared(record: Any, wire_ns: npt.NDArray[np.int64], phases: npt.NDArray[np.int64]) -> dict[str, Any]:
+    """Return the latencies of frames in turns with verdicts and without, and their ratios.
+
+    Args:
+        record: What the subscriber to frames noted.
+        wire_ns: When each sequence number went onto the wire.
+        phases: (n, 2) ns, the turns with verdicts.
+    """
+    from eitskin_tools.demo.score import percentiles_us
+
+    written = wire_ns[record.sequence % len(wire_ns)]
+    came, known = record.received_ns, written > 0
+    number = np.searchsorted(phases.ravel(), came, side="right")
+    edges = np.concatenate([[came[0]], phases.ravel()]) if len(phases) else came[:1]
+    kept = known & (came - edges[np.minimum(number, len(edges) - 1)] > EDGE_NS)
+    inside = number % 2 == 1
+    kept &= number <= phases.size
+    found: dict[str, Any] = {}
+    for name, which in (("without", kept & ~inside), ("with", kept & inside)):
+        own = came - written
+        found[name] = {
+            "frames": int(which.sum()),
+            "latency_us": percentiles_us(own[which]),
+            "inferred": int((which & record.inferred).sum()),
+            "latency_inferred_us": percentiles_us(own[which & record.inferred]),
+        }
+    found["lost"] = int(record.sequence[-1] - record.sequence[0] + 1 - len(record.sequence))
+    found["ratio"] = {
+        of: {
+            key: round(found["with"][of][key] / found["without"][of][key], 3)
+            for key in ("p50", "p99")
+            if found["with"][of] and found["without"][of]
+        }
+        for of in ("latency_us", "latency_inferred_us")
+    }
+    return found
+
+
+def _verdicts(told: dict[str, Any]) -> dict[str, Any]:
+    def quantiles(values: npt.NDArray[np.float64]) -> dict[str, float]:
+        return {name: round(float(np.percentile(values, at)), 2) for name, at in (("p50", 50), ("p99", 99))} if len(
+            values
+        ) else {}  # fmt: skip
+
+    checked, flagged, skipped = (int(count) for count in told["counts"])
+    return {
+        "checked": checked, "flagged": flagged, "skipped": skipped, "verdicts": len(told["spent_ms"]),
+        "spent_ms": quantiles(told["spent_ms"]), "behind_frame_ms": quantiles(told["behind_ms"]),
+    }  # fmt: skip
+
+
+def text(found: dict[str, Any]) -> str:
+    """Return the result for people."""
+    lines = [f"{found['rate_hz']:g} frames/s, {found['lost']} lost; wire to subscriber, us, p50 / p99:"]
+    for name in ("without", "with"):
+        one = found[name]
+        alone = one["latency_inferred_us"] or {"p50": 0.0, "p99": 0.0}
+        lines.append(
+            f"  {name:8}{one['latency_us']['p50']:8.0f} / {one['latency_us']['p99']:.0f} of {one['frames']} frames; "
+            f"a solver ran for {one['inferred']}: {alone['p50']:.0f} / {alone['p99']:.0f}"
+        )
+    ratio, verdicts = found["ratio"], found["verifier"]
+    lines.append("  with over without: " + ", ".join(f"{of} {values}" for of, values in ratio.items()))
+    lines.append(
+        f"  {verdicts['verdicts']} verdicts, ms {verdicts['spent_ms']}, behind the frame, ms "
+        f"{verdicts['behind_frame_ms']}; {verdicts['skipped']} frames skipped, {verdicts['flagged']} flagged"
+    )
+    return "\n".join(lines)

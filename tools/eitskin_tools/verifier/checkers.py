@@ -1,0 +1,206 @@
+"""Who explains frames of one shape: by touched units, or by touches anywhere; each as the bundle's labels say."""
+
+from typing import Final, Protocol
+
+import numpy as np
+
+from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.touches.moments import Finder
+from eitskin.touches.surface import Surface
+from eitskin_proto.sensor.normalise import inverse_reference
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.verification.free.found import FreeTouch
+from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.starts import shares_of
+from eitskin_sim.verification.prepared import prepared
+from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.units import BUDGET_S, UnitTouch
+from eitskin_tools.evaluation.verified.units import REBUILT, STILL, Material, material_shown, unit_starts
+from eitskin_tools.verifier.letters import Array, FrameLetter, Setup
+
+FREE_BUDGET_S: Final = 0.2
+"""What a frame of touches anywhere may take, unless told otherwise."""
+
+SPREADS: Final = (1e-5, 0.01)
+"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
+
+Three = tuple[float, float, float]
+
+Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...]]
+"""chi-squared, degrees of freedom, p-value, flagged; and the touches."""
+
+
+class CannotVerifyError(Exception):
+    """This frame cannot be verified; the text says why."""
+
+
+class Checker(Protocol):
+    """Explains frames of one shape."""
+
+    def check(self, frame: FrameLetter) -> Verdict:
+        """Return what explains a frame best.
+
+        Raises:
+            CannotVerifyError: Nothing can be said of this one.
+        """
+
+    @property
+    def improves(self) -> bool:
+        """Whether the last frame has shown how the model is better made."""
+
+    def improve(self) -> None:
+        """Make it so."""
+
+
+def checker_of(setup: Setup) -> Checker:
+    """Return who explains frames of a setup; making the model takes its time.
+
+    Raises:
+        MismatchError: The skin is not the one in use.
+        ValueError: No model can be made of the cloud, or of the skin.
+    """
+    return UnitChecker(setup) if setup.labels == "units" else FreeChecker(setup)
+
+
+class _Shape:
+    """What both share: the surface and the reference."""
+
+    def __init__(self, setup: Setup) -> None:
+        self.skin: Skin = setup.described()
+        self.grid: Grid = self.skin.grid
+        self.cloud_mm: Array = np.frombuffer(setup.cloud_mm, dtype="<f4").reshape(self.grid.cloud_shape).astype(float)
+        self.reference_V: Array = np.frombuffer(setup.reference_V, dtype="<f8")
+        inverse = inverse_reference(self.reference_V)
+        self.usable = inverse != 0.0
+        spread = np.frombuffer(setup.spread_V, dtype="<f8")
+        sd = np.clip(spread * np.abs(inverse), *SPREADS)
+        self.noise = Noise("measured", measured=np.where(self.usable, sd, SPREADS[1]))
+        self._surface = Surface(self.cloud_mm, self.grid)
+
+    def placed(self, centres_mm: list[tuple[float, float]]) -> list[tuple[Three, Three]]:
+        """Return place and normal on the surface of each centre."""
+        if not centres_mm:
+            return []
+        x, y = np.array(centres_mm).T
+        rows = self._surface.at(x, y).tolist()
+        return [((row[0], row[1], row[2]), (row[3], row[4], row[5])) for row in rows]
+
+
+class UnitChecker:
+    """By touched units, on the reduced model.
+
+    Args:
+        setup: Of the shape.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._shape = _Shape(setup)
+        self._budget_s = setup.budget_s or BUDGET_S
+        self._verifier = prepared(self._shape.cloud_mm, self._shape.skin)
+        self._before: tuple[UnitTouch, ...] = ()
+        self._material: Material = STILL
+        self._shown: Material | None = None
+        self._rebuilt = 0
+
+    def check(self, frame: FrameLetter) -> Verdict:
+        """Return the touched units that explain a frame best."""
+        shape = self._shape
+        found = self._verifier.verify(
+            frame.change.astype(np.float64),
+            shape.reference_V,
+            unit_starts(frame.map.astype(np.float64), shape.grid),
+            shape.noise,
+            rows=shape.usable & ~frame.missing,
+            budget_s=self._budget_s,
+            before=self._before,
+        )
+        self._before = found.touches
+        self._shown = material_shown(found, self._material) if self._rebuilt < REBUILT else None
+        verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
+        return verdict, self._touches(found.touches)
+
+    @property
+    def improves(self) -> bool:
+        """Whether the last frame has shown where material lies, which no scan can."""
+        return self._shown is not None
+
+    def improve(self) -> None:
+        """Make the model with it."""
+        self._material, self._shown = self._shown or STILL, None
+        self._rebuilt += 1
+        self._verifier = prepared(self._shape.cloud_mm, self._shape.skin, material=self._material)
+
+    def _touches(self, units: tuple[UnitTouch, ...]) -> tuple[VerifiedTouch, ...]:
+        grid = self._shape.grid
+        boxes = [grid.unit_rect_mm(one.unit % grid.units[1], one.unit // grid.units[1]) for one in units]
+        centres = [((x0 + x1) / 2.0, (y0 + y1) / 2.0) for x0, y0, x1, y1 in boxes]
+        found = []
+        for one, (x0, y0, x1, y1), centre, (place, normal) in zip(
+            units, boxes, centres, self._shape.placed(centres), strict=True
+        ):
+            area = (x1 - x0) * (y1 - y0)
+            found.append(
+                VerifiedTouch(
+                    shape="unit", unit=one.unit, centre_mm=centre, centre_error_mm=None, size_mm=(x1 - x0, y1 - y0),
+                    size_error_mm=None, angle_rad=0.0, area_mm2=area, area_error_mm2=None, contrast=float(one.contrast),
+                    strength_mm2=area * float(np.log(one.contrast)), strength_error_mm2=None, border_mm=0.0,
+                    place_mm=place, normal=normal,
+                )
+            )  # fmt: skip
+        return tuple(found)
+
+
+class FreeChecker:
+    """By touches anywhere, on the sparse model.
+
+    Args:
+        setup: Of the shape.
+    """
+
+    def __init__(self, setup: Setup) -> None:
+        self._shape = shape = _Shape(setup)
+        self._budget_s = setup.budget_s or FREE_BUDGET_S
+        kind: TouchKind = setup.touches  # type: ignore[assignment]  # of a bundle, which was checked
+        self._verifier = FreeVerifier(shape.reference_V, shape.noise, kind, shape.skin)
+        self._verifier.deform(shape.cloud_mm)
+        self._finder = Finder(shape.grid)
+        self._last: Array | None = None
+
+    def check(self, frame: FrameLetter) -> Verdict:
+        """Return the shapes that explain a frame best.
+
+        Raises:
+            CannotVerifyError: Rows are missing, which shapes are not verified without.
+        """
+        shape = self._shape
+        missing = int((frame.missing | ~shape.usable).sum())
+        if missing:
+            raise CannotVerifyError(f"{missing} of {len(frame.missing)} rows are missing; shapes are verified with all")
+        found = self._finder.find(frame.map)
+        shares = shares_of(found.pixels, found.touch, found.weights, found.count, shape.grid)
+        volts = shape.reference_V * (1.0 + frame.change.astype(np.float64))
+        verdict = self._verifier.verify(volts, shares, self._last, self._budget_s)
+        self._last = verdict.pieces if len(verdict.pieces) else None
+        placed = shape.placed([one.centre_mm for one in verdict.touches])
+        touches = tuple(_free(one, *where) for one, where in zip(verdict.touches, placed, strict=True))
+        return (verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged), touches
+
+    @property
+    def improves(self) -> bool:
+        """Return False: this verifier makes its model anew amid a frame."""
+        return False
+
+    def improve(self) -> None:
+        """Do nothing."""
+
+
+def _free(one: FreeTouch, place: Three, normal: Three) -> VerifiedTouch:
+    return VerifiedTouch(
+        shape=one.shape, unit=None, centre_mm=one.centre_mm, centre_error_mm=one.centre_error_mm, size_mm=one.size_mm,
+        size_error_mm=one.size_error_mm, angle_rad=float(np.radians(one.angle_deg)), area_mm2=one.area_mm2,
+        area_error_mm2=one.area_error_mm2, contrast=one.contrast, strength_mm2=one.strength_mm2,
+        strength_error_mm2=one.strength_error_mm2, border_mm=one.border_mm, place_mm=place,
+        normal=normal,
+    )  # fmt: skip

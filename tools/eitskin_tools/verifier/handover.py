@@ -1,0 +1,227 @@
+"""Between the frame loop and the verifier: called behind each frame, when it has gone out, and never waits.
+
+A changed frame is put into the mailbox, over one that was not taken yet: the newest wins, and what was skipped is
+counted by the letters' numbers. What the verifier has answered meanwhile goes to the subscribers. ::
+
+    always    each frame whose map is another one
+    idle      such a frame once the next shows no further change: what rests, and not what moves
+"""
+
+import math
+import socket
+from collections import deque
+from typing import Any, Final
+
+import numpy as np
+
+from eitskin.messaging.frame_record import PUBLISH, READ, FrameRecord
+from eitskin.messaging.publish import Publisher
+from eitskin.messaging.verified.message import FAILED, PREPARING, STARTING, WAITING, head, rest
+from eitskin.pipeline.stillness import Stillness
+from eitskin.reference.captured import Reference
+from eitskin.skin import Skin
+from eitskin_proto.skin.toml import to_toml
+from eitskin_tools.verifier.keeper import Keeper
+from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Setup, answered, frame_letter
+from eitskin_tools.verifier.mailbox import FRAME, SETUP
+
+REPEAT_NS: Final = 1_000_000_000
+"""After which it is said again how the verifier is."""
+
+HEAR_NS: Final = 50_000_000
+"""Between two looks for what a verifier says of itself, while no verdict is waited for."""
+
+REMEMBERED: Final = 2000
+"""Verdicts whose times are kept."""
+
+
+class Handover:
+    """Hands frames to a verifier, and its verdicts to subscribers.
+
+    Args:
+        skin: Open.
+        publisher: Bound.
+        keeper: Of the verifier's process.
+        mode: "always" or "idle".
+        budget_s: What a frame may take; 0 for the usual.
+    """
+
+    def __init__(self, skin: Skin, publisher: Publisher, keeper: Keeper, mode: str, budget_s: float = 0.0) -> None:
+        self._skin, self._publisher, self._keeper = skin, publisher, keeper
+        self.mode, self._budget_s = mode, budget_s
+        self._pipeline = skin.pipeline
+        self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
+        self._stillness = Stillness()
+        self._candidate: bytes | None = None
+        self._key: tuple[object, Reference | None] = (None, None)
+        self._setup = 0
+        self._answers: socket.socket | None = None
+        self._child = STARTING, ""
+        self._told = "", ""
+        self._told_ns = self._hear_ns = self._number = 0
+        self._posted = self._answered = self._withdrawn = 0
+        self._blank: list[int] = []
+        self._asked = False
+        self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
+        self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
+        self._setup_ms = 0.0
+
+    @property
+    def state(self) -> tuple[str, str]:
+        """How the verifier is, and what is wrong."""
+        keeper = self._keeper
+        return (keeper.state, keeper.why) if keeper.state in (WAITING, FAILED) else self._child
+
+    def behind(self, record: FrameRecord) -> None:
+        """Take the frame that has just gone out."""
+        keeper, buffers = self._keeper, self._pipeline.buffers
+        if keeper.answers is not self._answers:  # another process: it knows nothing
+            if self._answers is not None:
+                self._answers.close()  # in the thread that reads it
+            self._answers, self._child, self._hear_ns = keeper.answers, (STARTING, ""), 0
+            self._stillness.forget()
+        if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
+            self._tell_setup(record)
+            self._say(record)  # before the answer, which may be quick
+        if self._publisher.verified != self._asked:
+            self._asked, self._told_ns, self._hear_ns = self._publisher.verified, 0, 0
+            self._forget()
+        if self._asked:
+            self._take(record)
+        now_ns = record.stamps[PUBLISH]
+        if self._waits or now_ns >= self._hear_ns:
+            self._hear_ns = now_ns + HEAR_NS
+            self._hear()
+            self._say(record)
+
+    @property
+    def _waits(self) -> bool:
+        """Whether a letter has gone out that was neither answered nor taken back."""
+        return self._posted > max(self._answered, self._withdrawn)
+
+    def _take(self, record: FrameRecord) -> None:
+        if not record.touched or record.map_is_zero:
+            self._forget()
+        elif record.inferred and not self._is_known():
+            self._stillness.keep(self._pipeline.buffers.change[0])
+            self._drop()
+            self._candidate = self._letter(record)
+            if self.mode == "always":
+                self._post()
+        elif self._candidate is not None:
+            self._post()
+
+    def _is_known(self) -> bool:
+        """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
+        self._stillness.age = 0
+        return self._stillness.still(self._pipeline.buffers.change[0])
+
+    def _forget(self) -> None:
+        """Take back what waits: it is touched no more, or otherwise known."""
+        self._drop()
+        self._stillness.forget()
+        if self._waits:
+            self._posted = self._withdrawn = self._keeper.mailbox.put(FRAME)
+            self._blank.append(self._posted)
+
+    def _letter(self, record: FrameRecord) -> bytes:
+        buffers, health = self._pipeline.buffers, self._pipeline.health
+        missing = self._nothing_missing if health is None else health.electrodes.missing
+        return frame_letter(
+            self._setup, record.sequence, record.device_us, record.stamps[READ], record.stamps[PUBLISH], record.cloud,
+            missing, buffers.change[0], buffers.map[0],
+        )  # fmt: skip
+
+    def _post(self) -> None:
+        assert self._candidate is not None
+        self._posted = self._keeper.mailbox.put(FRAME, self._candidate)
+        self._candidate = None
+        self._keeper.ring()
+
+    def _drop(self) -> None:
+        if self._candidate is not None:
+            self._candidate = None
+            self.counts["skipped"] += 1
+
+    def _tell_setup(self, record: FrameRecord) -> None:
+        """Tell of another surface or reference: the model is made anew, and what rests is verified anew."""
+        pipeline, reference = self._pipeline, self._skin.reference
+        self._key = pipeline.buffers.geometry, reference
+        if reference is None:
+            return
+        flat, step_V = reference.flat(), pipeline.normaliser.volts_per_count
+        given = None if pipeline.buffers.geometry is None else pipeline.buffers.geometry.given
+        skin = pipeline.skin
+        cloud = skin.grid.flat_cloud_mm() if given is None or given.cloud is None else given.cloud
+        setup = Setup(
+            bundle=pipeline.bundle.id, labels=pipeline.bundle.labels, touches=pipeline.bundle.touch_kind,
+            skin=to_toml(skin), skin_digest=skin.digest, cloud=record.cloud,
+            cloud_mm=np.asarray(cloud, dtype="<f4").tobytes(), reference_V=flat.voltages_V.astype("<f8").tobytes(),
+            spread_V=np.hypot(flat.spread_V, step_V / math.sqrt(12.0)).astype("<f8").tobytes(), budget_s=self._budget_s,
+        )  # fmt: skip
+        self._setup = self._keeper.mailbox.put(SETUP, setup.packed())
+        self._keeper.ring()
+        self._stillness.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self._forget()
+        if self._child[0] != STARTING:
+            self._child = PREPARING, ""
+
+    def _hear(self) -> None:
+        """Take what the verifier has answered."""
+        answers = self._answers
+        if answers is None:
+            return
+        while True:
+            try:
+                answer = answers.recv(LARGEST_ANSWER)
+            except (BlockingIOError, ConnectionResetError):
+                return
+            if not answer:
+                return  # it has ended; the keeper says why
+            self._understand(answered(answer))
+
+    def _understand(self, answer: list[Any]) -> None:
+        if answer[0] == STATE:
+            _, state, setup, why, setup_ms = answer
+            if setup == self._setup:
+                self._child = state, why
+                self._setup_ms = setup_ms or self._setup_ms
+            return
+        _, letter, told, flagged, spent_ms = answer
+        between = letter - self._answered - 1 - sum(number < letter for number in self._blank)
+        self._blank = [number for number in self._blank if number > letter]
+        self.counts["skipped"] += max(0, between) + (flagged is None)
+        self._answered = letter
+        if flagged is not None:
+            self.counts["checked"] += 1
+            self.counts["flagged"] += flagged
+            self._spent_ms.append(spent_ms)
+        self._send(told)
+
+    def _say(self, record: FrameRecord) -> None:
+        """Say how the verifier is: when that changes, to who has just come, and every second."""
+        found, now_ns = self.state, record.stamps[PUBLISH]
+        if found != self._told:
+            if found[0] != self._told[0]:
+                self._pipeline.intake.tell_next(f"verifier:{found[0]}")
+            self._told, self._told_ns = found, 0
+        if self._asked and now_ns - self._told_ns >= REPEAT_NS:
+            self._told_ns = now_ns
+            stamps = record.stamps[READ], record.stamps[PUBLISH], 0, 0
+            self._send(rest(record.sequence, record.device_us, record.cloud, *found, stamps))
+
+    def _send(self, told: bytes) -> None:
+        self._number += 1
+        self._publisher.send_beside(head(self._number, self._skin.loop.run_id, self.counts) + told)
+
+    def status(self) -> dict[str, Any]:
+        """Return how verifying goes; may be called from any thread."""
+        state, why = self.state
+        spent = list(self._spent_ms)
+        p50, p99 = (0.0, 0.0) if not spent else map(float, np.percentile(spent, [50, 99]))
+        place = self._keeper.place
+        return {
+            "mode": self.mode, "state": state, "why": why, **self.counts, "setup_ms": round(self._setup_ms, 1),
+            "frame_ms_p50": round(p50, 2), "frame_ms_p99": round(p99, 2), "restarts": self._keeper.restarts,
+            "pid": self._keeper.pid, "nice": place.nice, "cpus": list(place.cpus),
+        }  # fmt: skip

@@ -1,0 +1,110 @@
+"""``eitskin run --verify``: its options, and what they start."""
+
+import argparse
+import os
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from eitskin_tools.command_line import needs
+from eitskin_tools.command_line.suggest import expected_one_of
+from eitskin_tools.errors import UsageError
+
+if TYPE_CHECKING:
+    from eitskin.messaging.frame_record import FrameRecord
+
+MODES: Final = ("off", "idle", "always")
+
+NICE: Final = 10
+"""Unless told otherwise: a runtime on the same core comes first."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options."""
+    parser.add_argument(
+        "--verify",
+        metavar="MODE",
+        default="off",
+        help="check frames by physics once they have gone out: off, idle (what rests, while no other program wants the "
+        "core) or always (every changed frame, the newest first); default off",
+    )
+    parser.add_argument(
+        "--verify-budget-ms", type=float, metavar="B", help="what a frame may take (default: 20 of units, 200 else)"
+    )
+    parser.add_argument(
+        "--verify-nice", type=int, metavar="N", help=f"priority of the verifier's process, 0 to 19 (default {NICE})"
+    )
+    parser.add_argument(
+        "--verify-affinity", metavar="CPUS", help="CPUs of the verifier's process (default: those that --affinity left)"
+    )
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse what cannot be, before anything is opened, and note as ``verify_cpus`` where the verifier runs.
+
+    Raises:
+        UsageError: An option makes no sense.
+        MissingExtraError: The forward model needs what is not installed.
+    """
+    arguments.verify_cpus = ()
+    if arguments.verify not in MODES:
+        raise UsageError(expected_one_of("--verify", arguments.verify, MODES))
+    given = [name for name in ("budget_ms", "nice", "affinity") if getattr(arguments, f"verify_{name}") is not None]
+    if arguments.verify == "off":
+        if given:
+            raise UsageError(f"--verify-{given[0].replace('_', '-')} goes with --verify idle or --verify always")
+        return
+    budget_ms, nice = arguments.verify_budget_ms, arguments.verify_nice
+    if budget_ms is not None and not 0 < budget_ms < 1e6:
+        raise UsageError(f"--verify-budget-ms is {budget_ms:g}, expected more than 0; --verify off verifies nothing")
+    if nice is not None and not 0 <= nice <= 19:
+        raise UsageError(f"--verify-nice is {nice}, expected 0 to 19")
+    arguments.verify_cpus = cpus(arguments, os.sched_getaffinity(0))  # before the runtime takes its own
+    needs.require(f"--verify {arguments.verify}", ("scipy",))
+
+
+def cpus(arguments: argparse.Namespace, available: set[int]) -> tuple[int, ...]:
+    """Return the CPUs of the verifier: those asked for, or those that the runtime leaves.
+
+    Args:
+        arguments: Of the command line.
+        available: Before the runtime took its own.
+
+    Raises:
+        UsageError: One does not exist, or is not ours.
+    """
+    text = arguments.verify_affinity
+    if text is None:
+        own = {int(cpu) for cpu in (arguments.affinity or "").split(",") if cpu.isdecimal()}
+        return tuple(sorted(available - own or available))
+    if not all(part.isdecimal() for part in text.split(",")):
+        raise UsageError(f"--verify-affinity is {text!r}, expected CPU numbers such as 2 or 2,3")
+    found = {int(part) for part in text.split(",")}
+    if missing := sorted(found - available):
+        raise UsageError(f"--verify-affinity: CPU {missing}: expected some of {sorted(available)}")
+    return tuple(sorted(found))
+
+
+@contextmanager
+def verifying(
+    skin: Any, publisher: Any, arguments: argparse.Namespace
+) -> "Iterator[Callable[[FrameRecord], None] | None]":
+    """Keep a verifier while a skin is served, and give what is called behind each frame; None where nobody verifies.
+
+    Args:
+        skin: Open.
+        publisher: Bound.
+        arguments: Of the command line, checked.
+    """
+    if arguments.verify == "off":
+        yield None
+        return
+    from eitskin_tools.verifier.handover import Handover
+    from eitskin_tools.verifier.keeper import IDLE_STILL_S, STILL_S, Keeper, Place
+
+    nice = NICE if arguments.verify_nice is None else arguments.verify_nice
+    place = Place(nice, arguments.verify_cpus, idle=arguments.verify == "idle")
+    with Keeper(place, still_s=IDLE_STILL_S if place.idle else STILL_S) as keeper:
+        handover = Handover(skin, publisher, keeper, arguments.verify, (arguments.verify_budget_ms or 0.0) * 1e-3)
+        skin.loop.verifier_status = handover.status
+        yield handover.behind
