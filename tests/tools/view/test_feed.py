@@ -7,6 +7,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
+from eitskin_tools.view.source import Source
 
 from .scripted import Runtime, Scene, disc
 
@@ -27,7 +28,7 @@ def heads(board, kind, count):
 
 def test_frames_come_newest_first_with_their_touches_and_fewer_than_are_published(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     with Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=400.0) as runtime, board.page():
         feed.start()
         found = heads(board, "frame", 12)
@@ -43,7 +44,7 @@ def test_frames_come_newest_first_with_their_touches_and_fewer_than_are_publishe
 
 def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     feed.start()
     with Runtime(endpoint, Scene(disc(50.0, 40.0))):
         with eitskin.subscribe(endpoint, timeout_s=60.0) as other:
@@ -59,7 +60,7 @@ def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
 
 def test_silence_is_told_with_its_reason(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     feed.start()
     with board.page():
         (head,) = heads(board, "status", 1)
@@ -70,4 +71,4 @@ def test_silence_is_told_with_its_reason(endpoint):
 
 def test_an_endpoint_that_is_none_is_refused_at_once():
     with pytest.raises(eitskin.EndpointError):
-        Feed("nonsense", Board(), PAPER)
+        Feed(Source(PAPER, "nonsense"), Board())

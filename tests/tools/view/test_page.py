@@ -8,8 +8,10 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from eitskin.robot.pose import Pose
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.messages import surface_message
+from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
 from .chromium import PROGRAM, Browser
@@ -32,7 +34,7 @@ def endpoint(tmp_path):
 
 @pytest.fixture
 def viewer(endpoint):
-    with Viewer(endpoint, PAPER) as found:
+    with Viewer([Source(PAPER, endpoint)]) as found:
         yield found
 
 
@@ -99,7 +101,7 @@ def test_the_touch_is_bright_where_it_is_and_the_rest_is_dark_flat_and_bent(view
             assert pixel(shot, place(found, 110.0, 25.5)).min() > 130  # below the centre, where the arrow begins
             assert pixel(shot, place(found, 40.0, 70.0)).max() < 90
         bent = cylinder()
-        viewer.board.post("surface", surface_message(3, bent, "one"))
+        viewer.board.post("surface", surface_message(3, bent, "one", 0, Pose()))
         runtime.scene = Scene(TOUCHED, cloud=3, cloud_mm=bent)
         found.wait("eitskin.history.shown.surface.revision === 3")
         found.wait("eitskin.history.shown.head.cloud === 3")
@@ -156,13 +158,13 @@ def test_the_page_says_that_nobody_is_there_and_goes_on_when_somebody_comes_and_
 
 
 def test_the_page_comes_back_when_the_viewer_was_started_anew(endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER) as first:
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer([Source(PAPER, endpoint)]) as first:
         port = first.server.port
         with browser(first) as found:
             found.wait(SHOWN)
             first.__exit__()
             found.wait("document.getElementById('state').dataset.state === 'gone'")
-            with Viewer(endpoint, PAPER, port=port):
+            with Viewer([Source(PAPER, endpoint)], port=port):
                 found.wait("document.getElementById('state').dataset.state === 'live'")
 
 
@@ -249,7 +251,7 @@ def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint
 
 
 def test_off_loopback_the_page_wants_its_token(endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER, token="right") as viewer:
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer([Source(PAPER, endpoint)], token="right") as viewer:
         with Browser() as found:
             found.open(viewer.address.replace("right", "wrong"))
             found.wait("document.getElementById('notice')?.innerText.includes('token')")
