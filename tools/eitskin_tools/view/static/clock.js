@@ -1,5 +1,7 @@
 // Which moment is shown, of all skins alike: now, one that stands still, or one that is played from there.
 
+const SMALL_MS = 5; // a step to where nothing is loaded yet
+
 export class Clock {
   constructor() {
     this.tracks = []; // what has a past: a history for each skin, or a film
@@ -42,7 +44,8 @@ export class Clock {
     if (!frames.length) return;
     const from = this.mode === "live" ? frames.length - 1 : track.index(this.at);
     const to = Math.min(Math.max(from + by, 0), frames.length - 1);
-    this.go(to === from && this.film ? this.at + by * 5 : frames[to].t); // beyond what is there it is asked for
+    const there = !this.film?.absent(frames[from].t, frames[to].t);
+    this.go(there && to !== from ? frames[to].t : this.at + (this.film ? by * SMALL_MS : 0));
   }
 
   /** To the next mark, or the one before. */

@@ -35,8 +35,18 @@ export class Film {
   partAt(t) { return Math.min(Math.max(Math.floor(t / this.partMs), 0), this.skin.parts - 1); }
   ready(t) { return this.parts.has(this.partAt(t)); }
 
+  /** Whether a part between two moments is not there. */
+  absent(one, other) {
+    const last = this.partAt(Math.max(one, other));
+    for (let k = this.partAt(Math.min(one, other)); k <= last; k++) if (!this.parts.has(k)) return true;
+    return false;
+  }
+
   get shown() {
-    if (this.ready(this.clock.at) && this.frames.length) this.last = this.frames[this.index(this.clock.at)];
+    const { at } = this.clock, part = this.parts.get(this.partAt(at));
+    if (!part || !this.frames.length) return this.last;
+    const found = this.frames[this.index(at)], first = part.frames[0]; // the parts before may not be there
+    this.last = first && found.t < first.t && this.absent(found.t, at) ? first : found;
     return this.last;
   }
 

@@ -52,12 +52,12 @@ function spread(surface, across, along) {
 
 /** A skin's name, above it. */
 function drawName(pen, ink, one, isSelected, project, width) {
-  const places = spread(one.drawn, 5, 5).map(project), xs = places.map(([x]) => x);
+  const highest = spread(one.drawn, 5, 5).map(project).sort((a, b) => a[1] - b[1]).slice(0, 5);
   const text = one.silent ? `${one.name}: no frames` : one.name;
   pen.font = BOLD;
   const half = pen.measureText(text).width / 2 + 9;
-  const x = Math.min(Math.max((Math.min(...xs) + Math.max(...xs)) / 2, half + 3), width - half - 3);
-  const y = Math.max(Math.min(...places.map(([, py]) => py)) - 26, 14);
+  const middle = highest.reduce((sum, [px]) => sum + px, 0) / highest.length;
+  const x = Math.min(Math.max(middle, half + 3), width - half - 3), y = Math.max(highest[0][1] - 24, 14);
   pen.beginPath();
   pen.roundRect(x - half, y - 11, 2 * half, 22, 7);
   pen.fillStyle = ink.card;

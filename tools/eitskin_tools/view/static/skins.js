@@ -85,5 +85,5 @@ export function boxOf(surfaces) {
   const low = [0, 1, 2].map((k) => Math.min(...surfaces.map((one) => one.low[k])));
   const high = [0, 1, 2].map((k) => Math.max(...surfaces.map((one) => one.high[k])));
   return { low, high, centre: low.map((value, k) => (value + high[k]) / 2),
-    radius: (1.1 * Math.hypot(...low.map((value, k) => high[k] - value))) / 2 };
+    radius: (0.95 * Math.hypot(...low.map((value, k) => high[k] - value))) / 2 };
 }
