@@ -114,7 +114,7 @@ ROOMS: dict[str, Arrows] = {
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
-        "view": {"pictures", "processes"},
+        "view": {"pictures", "processes", "recording"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},

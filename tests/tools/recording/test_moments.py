@@ -1,6 +1,6 @@
 """Any part of a recording, read without what comes before it, is what the whole of it says."""
 
-from itertools import count
+from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +32,21 @@ def told(step: Step) -> tuple[Any, ...]:
     )  # fmt: skip
 
 
+def at_s(found: Moments, step: Step) -> float:
+    """Return when a frame came, after the first one; a quarter of a ns later, so that no rounding leaves it out."""
+    return (step.log_ns - found.first_ns + 0.25) * 1e-9
+
+
 def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Path) -> None:
     script, found = Script(chunked), Moments(chunked)
     assert len(Places(chunked).chunks) > 20
     assert (found.first_ns, found.last_ns, found.seconds) == (script.first_ns, script.last_ns, script.seconds)
     whole = list(script.steps())
-    share_s = found.seconds / 7.5  # as they came, not as the device stamped them
-    parts = [found.span(share_s * k, share_s * (k + 1)) for k in range(8)]
+    begins = [at_s(found, whole[k]) for k in range(0, 150, 20)]
+    parts = [found.span(begin, end) for begin, end in pairwise([*begins, found.seconds + 1.0])]
     assert [step.frame for part in parts for step in part.steps] == [step.frame for step in whole]
-    for k, part in enumerate(parts[:7]):
-        first = next(script.steps(share_s * k))
+    for begin, part in zip(begins, parts, strict=True):
+        first = next(script.steps(begin))
         assert told(part.steps[0])[2:] == told(first)[2:]
         assert part.steps[0].reference is not None
     assert {number for part in parts for number in part.notes} == {step.frame.frame for step in whole}
@@ -51,8 +56,9 @@ def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: 
     found, read = Moments(chunked), []
     plain = Places.read
     monkeypatch.setattr(Places, "read", lambda self, number: read.append(number) or plain(self, number))
-    steps = found.span(0.6 * found.seconds, 0.63 * found.seconds).steps
-    assert len(steps) > 0
+    whole = list(Script(chunked).steps())
+    steps = found.span(at_s(found, whole[100]), at_s(found, whole[104])).steps
+    assert [step.frame for step in steps] == [step.frame for step in whole[100:104]]
     assert steps[0].cloud is not None
     assert len(set(read)) < len(Places(chunked).chunks) / 2
 
@@ -60,8 +66,10 @@ def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: 
 def test_what_is_kept_does_not_grow_with_the_file(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(moments_module, "MOST_KEPT", 1)
     script, found = Script(chunked), Moments(chunked)
-    for at_s in (0.8 * found.seconds, 0.0, 0.8 * found.seconds, 0.1 * found.seconds):  # what was forgotten is read again
-        assert told(found.span(at_s, found.seconds).steps[0])[2:] == told(next(script.steps(at_s)))[2:]
+    whole = list(script.steps())
+    for k in (120, 0, 120, 20):  # what was forgotten is read again
+        begin = at_s(found, whole[k])
+        assert told(found.span(begin, begin + 1.0).steps[0])[2:] == told(next(script.steps(begin)))[2:]
     assert len(found._clouds._found) == 1
 
 
