@@ -37,7 +37,7 @@ GOOD = """(() => {
 
 BOTH = """(() => {
     const skins = window.eitskin ? eitskin.page.skins : [], [arm, hand] = skins.map((one) => one?.history);
-    if (skins.length < 2 || !hand?.known || arm.newest.t - arm.oldest.t < 45000) return false;
+    if (skins.length < 2 || !hand?.known || !arm?.known || arm.newest.t - arm.oldest.t < 45000) return false;
     return arm.shown.head.touches.length === 2 && hand.shown.head.touches.length >= 1;
 })()"""
 """The same, of two skins."""
@@ -113,7 +113,7 @@ def several_and_file() -> None:
     """Draw two skins of a robot, and a recording of one of them."""
     with ExitStack() as stack:
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="draw-")))
-        skins = [stack.enter_context(started("virtual-skin", "--rate", 50, until="ttySKIN")) for _ in range(2)]
+        skins = [stack.enter_context(started("virtual-skin", "--rate", 100, until="ttySKIN")) for _ in range(2)]
         ports = [next(word for word in line.split() if "ttySKIN" in word) for line in skins]
         robot = folder / "robot.toml"
         robot.write_text(ROBOT.format(folder=folder, ports=ports), encoding="utf-8")

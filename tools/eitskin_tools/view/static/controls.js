@@ -53,8 +53,8 @@ export function listen(page, clock, camera, flat, strips, token) {
   }
 
   const keys = {
-    " ": "pause", ",": "back", ".": "forward", l: "live", r: "record", t: "theme", "?": "help", n: "next", p: "previous",
-    s: "skin",
+    " ": "pause", ",": "back", ".": "forward", p: "previous", n: "next", l: "live", s: "skin", r: "record", t: "theme",
+    "?": "help",
   };
   const looks = { 1: "tilted", 2: "above", 3: "front", "+": "closer", "=": "closer", "-": "farther" };
   document.addEventListener("keydown", (event) => {
