@@ -123,8 +123,8 @@ ROOMS: dict[str, Arrows] = {
         "fault_injection": {"emulator", "flash", "recording", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
-            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "stages",
-            "view", "virtual_skin",
+            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "recording",
+            "scripted_scene", "stages", "view", "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",

@@ -133,6 +133,13 @@ def test_a_robots_skins_are_found_by_its_file_and_by_its_folder(tmp_path):
     ]
 
 
+@pytest.mark.process
+def test_a_live_page_needs_no_package_that_recordings_need():
+    code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.live.view; print('mcap' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
 @contextmanager
 def started(*words, until):
     """Run a command; give the line that says it is there."""

@@ -1,13 +1,17 @@
 """A recording as a page gets it: the maps that were published, second by second, and what the bar has marks for."""
 
+import contextlib
 import json
+import random
 import time
+from dataclasses import replace
 from itertools import count
 
 import numpy as np
 import pytest
 
-from eitskin import Frame
+from eitskin import Frame, WireFrame
+from eitskin.errors import SkinError
 from eitskin_tools.recording.layout import FRAME, WIRE
 from eitskin_tools.recording.reader import Entry, Recording
 from eitskin_tools.view.film import parts as parts_module
@@ -81,10 +85,6 @@ def test_touches_keep_their_numbers_from_part_to_part(path, monkeypatch):
 
 
 def test_a_recording_of_the_wire_alone_has_maps_too(tmp_path, items):
-    from dataclasses import replace
-
-    from eitskin import WireFrame
-
     alone = [
         replace(item, frame=None, solver="none", map_seq=None) if isinstance(item, WireFrame) else item
         for item in items if not isinstance(item, Frame)
@@ -162,3 +162,33 @@ def test_what_is_no_number_is_none():
     ]
     assert texts(["a", 3, "b" * 1000, None]) == ("a", "b" * 128)
     assert texts("abc") == ()
+
+
+def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
+    rng, whole, outcomes = random.Random(3), path.read_bytes(), set()
+    for _ in range(40):
+        data = bytearray(whole)
+        for _ in range(rng.choice((1, 8))):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        path.write_bytes(bytes(data[: rng.choice((len(data), rng.randrange(len(data))))]))
+        try:
+            film = Film(path, TINY)
+            messages(film)
+        except (SkinError, OSError, ValueError) as error:
+            outcomes.add("two lines" if "\n" in str(error) else "refused")
+        else:
+            outcomes.add("seen")
+        overview = Overview(1.0, 0)
+        with contextlib.suppress(SkinError):
+            for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
+                overview.take(entry)
+        assert unpacked(overview.message(done=True))
+    assert outcomes == {"refused", "seen"}
+
+
+def test_a_solver_that_the_bundle_lacks_is_said_and_nothing_more(tmp_path, items):
+    strange = [replace(item, solver="magic") if isinstance(item, WireFrame) else item for item in items]
+    recorded(tmp_path / "s.mcap", strange)
+    film = Film(tmp_path / "s.mcap", TINY)
+    with pytest.raises(ValueError, match="'magic' does not exist"):
+        messages(film)

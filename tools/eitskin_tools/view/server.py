@@ -245,7 +245,7 @@ class _Request(BaseHTTPRequestHandler):
         else:
             try:
                 body = film.part(int(number))
-            except (SkinError, OSError) as error:
+            except (SkinError, OSError, ValueError) as error:  # whatever a file may hold
                 self._refuse(HTTPStatus.CONFLICT, str(error))
                 return
             self._answer(HTTPStatus.OK, body, "application/octet-stream")

@@ -87,7 +87,7 @@ def _check(arguments: argparse.Namespace) -> None:
 def _recorded(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
     """Serve a recording; return what and where."""
     from eitskin_tools.view.film.parts import Film
-    from eitskin_tools.view.viewer import Projector
+    from eitskin_tools.view.film.projector import Projector
 
     film = Film(arguments.file, arguments.bundle)
     page = stack.enter_context(Projector(film, **where))

@@ -70,7 +70,7 @@ class Moments(Told):
     @property
     def seconds(self) -> float:
         """From the first frame to the last."""
-        return (self.last_ns - self.first_ns) * 1e-9
+        return max(self.last_ns - self.first_ns, 0) * 1e-9
 
     def _end(self, way: int) -> int | None:
         for number in self._places.having(WIRE.topic)[::way]:

@@ -127,7 +127,7 @@ export class Film {
     const labels = [clockWords(0), clockWords(this.end / 2), clockWords(this.end)];
     return {
       begin: 0, end: this.end, frames: this.rows, gap: Math.max(3 * this.rowMs, 1500), losses: this.losses, labels,
-      level: (row) => row.head.peak, least: 1, words: "Highest value",
+      level: (row) => row.head.peak, least: 1, words: "Peak",
     };
   }
 

@@ -64,7 +64,9 @@ function takeSkin(head, body) {
   page.skins.length = Math.min(page.skins.length, head.skins);
   page.skins[head.of] = new Skin(head, new Float32Array(body.buffer), clock, token, redraw);
   page.selected = Math.min(page.selected, page.skins.length - 1);
-  if (!head.file) Object.assign(clock, { film: null, tracks: page.skins.map((one) => one.history) });
+  if (head.file) return;
+  if (clock.film) Object.assign(clock, { film: null, mode: "live" });
+  clock.tracks = page.skins.map((one) => one.history);
 }
 
 function drawState(shown) {
