@@ -19,7 +19,7 @@ from eitskin_tools.view.viewer import Viewer
 
 from ..recording.conftest import TINY, measured, recorded
 from .chromium import PROGRAM
-from .conftest import browser, picture, pixel
+from .conftest import browser, draws_again, picture, pixel
 
 CHROMIUM = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: tools/system-packages.sh chromium")
 
@@ -193,9 +193,9 @@ def test_any_moment_of_a_recording_is_seen_by_the_bar_and_its_marks(path):
                 found.wait(f"eitskin.history.ready({t_ms}) && Math.abs(eitskin.history.shown.t - {t_ms}) <= 50")
                 found.wait("document.getElementById('state').dataset.state === 'paused'")
                 assert found.evaluate("eitskin.history.shown.head.touched") == touched
-            assert found.evaluate("document.getElementById('when').innerText") == "0:00.1 of 0:09.9"
-            assert found.evaluate("document.getElementById('live').hidden")
-            assert found.evaluate("document.getElementById('record').hidden")
+            found.wait("document.getElementById('when').innerText === '0:00.1 of 0:09.9'")
+            found.wait("document.getElementById('live').hidden && document.getElementById('record').hidden")
+            draws_again(found)
             marks = found.evaluate("(() => { const b = document.getElementById('marks').getBoundingClientRect(); "
                                    "return [b.left, b.top, b.width]; })()")  # fmt: skip
             shot = picture(found)
