@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import time
 from contextlib import contextmanager
 from dataclasses import replace
 from itertools import count
@@ -14,6 +15,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
 from eitskin_tools.recording import writer as writer_module
 from eitskin_tools.recording.script import Script
+from eitskin_tools.view.recorder import Recorder
 from eitskin_tools.view.source import Source, sources_of
 from eitskin_tools.view.viewer import Viewer
 
@@ -250,6 +252,28 @@ def test_the_record_button_makes_a_recording_that_can_be_read(path, tmp_path):
     script = Script(made)
     assert script.frames > 0
     assert script.ending == ""
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_each_skin_is_recorded_by_its_name_and_one_that_is_not_there_ends_no_other(path, tmp_path):
+    endpoint, folder = f"ipc://{tmp_path}/f", tmp_path / "made"
+    folder.mkdir()
+    words = ["replay", path, "--bundle", TINY, "--loop", "--publish", endpoint, "--control", f"ipc://{tmp_path}/c"]
+    sources = [Source(PAPER, endpoint, "arm"), Source(PAPER, f"ipc://{tmp_path}/none", "hand")]
+    with started(*words, until="ready"):
+        recorder = Recorder([one.endpoint for one in sources], sources, folder)
+        assert recorder.start() == ""
+        assert "is being recorded already" in recorder.start()
+        assert recorder.about()["recording"].count(".mcap") == 2
+        (made,) = wait_for_frames(folder)
+        while "hand.mcap ended: " not in recorder.about()["recorder"]:
+            time.sleep(0.05)
+        assert recorder.about()["recording"] == made.name
+        assert recorder.stop() == ""
+        recorder.close()
+    assert made.name.endswith("-arm.mcap")
+    assert Script(made).ending == ""
 
 
 def wait_for_frames(folder):
