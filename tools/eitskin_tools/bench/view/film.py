@@ -27,11 +27,12 @@ def measured(path: Path, bundle: Path | None = None) -> dict[str, Any]:
     begin_s = time.perf_counter()
     film = Film(path, bundle)
     open_s = time.perf_counter() - begin_s
-    took_ms, sizes = [], []
+    took_ms, cpu_ms, sizes = [], [], []
     for number in random.Random(7).sample(range(film.parts), min(JUMPS, film.parts)):
-        begin_s = time.perf_counter()
+        begin_s, begin_cpu_s = time.perf_counter(), time.process_time()
         sizes.append(len(film.part(number)))
         took_ms.append(1000.0 * (time.perf_counter() - begin_s))
+        cpu_ms.append(1000.0 * (time.process_time() - begin_cpu_s))
     before_MB = _peak_MB()
     begin_s, overview = time.process_time(), Overview(film.seconds, film.first_ns)
     for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
@@ -44,6 +45,7 @@ def measured(path: Path, bundle: Path | None = None) -> dict[str, Any]:
         "jumps": len(sizes),
         "jump_p50_ms": round(float(np.quantile(took_ms, 0.5)), 1),
         "jump_p99_ms": round(float(np.quantile(took_ms, 0.99)), 1),
+        "jump_cpu_p50_ms": round(float(np.quantile(cpu_ms, 0.5)), 1),
         "part_kB": round(sum(sizes) / len(sizes) / 1e3, 1),
         "overview_cpu_s": round(time.process_time() - begin_s, 2),
         "overview_kB": round(len(message) / 1e3, 1),
@@ -61,6 +63,6 @@ def printed(found: dict[str, Any]) -> str:
     return (
         f"{found['seconds']:g} s in {found['file_MB']:g} MB: open after {found['open_s']:g} s; a jump takes "
         f"{found['jump_p50_ms']:g} ms (p50), {found['jump_p99_ms']:g} ms (p99) of {found['jumps']}, "
-        f"{found['part_kB']:g} kB each; all marks after {found['overview_cpu_s']:g} s of CPU; peak memory "
+        f"{found['jump_cpu_p50_ms']:g} ms of CPU (p50), {found['part_kB']:g} kB each; all marks after {found['overview_cpu_s']:g} s of CPU; peak memory "
         f"{found['peak_MB']:g} MB, with the marks {found['peak_with_overview_MB']:g} MB"
     )

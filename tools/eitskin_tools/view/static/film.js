@@ -115,7 +115,7 @@ export class Film {
     const events = head.events.map(([t, code]) => ({ kind: "event", begin: 1000 * t, end: 1000 * t, code }));
     this.found = [...touched, ...lost.map(({ begin, end }) => ({ kind: "lost", begin, end })), ...events];
     this.log = [
-      ...touched.map(({ begin, end }) => ({ t: begin, text: `Touched for ${((end - begin) / 1000).toFixed(1)} s` })),
+      ...touched.map(({ begin, end }) => ({ t: begin, text: touchedWords(end - begin) })),
       ...events.map(({ begin, code }) => ({ t: begin, text: eventWords(code) })),
       ...lost.flatMap(({ begin, counts }) => Object.entries(COUNTED).filter(([name]) => counts[name])
         .map(([name, words]) => ({ t: begin, text: framesWords(counts[name], words) }))),
@@ -135,3 +135,5 @@ export class Film {
 
   marks() { return this.found; }
 }
+
+const touchedWords = (ms) => (ms < 50 ? "Touched for an instant" : `Touched for ${(ms / 1000).toFixed(1)} s`);
