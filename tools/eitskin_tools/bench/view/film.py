@@ -61,8 +61,9 @@ def _peak_MB() -> float:
 def printed(found: dict[str, Any]) -> str:
     """Return it in words."""
     return (
-        f"{found['seconds']:g} s in {found['file_MB']:g} MB: open after {found['open_s']:g} s; a jump takes "
-        f"{found['jump_p50_ms']:g} ms (p50), {found['jump_p99_ms']:g} ms (p99) of {found['jumps']}, "
-        f"{found['jump_cpu_p50_ms']:g} ms of CPU (p50), {found['part_kB']:g} kB each; all marks after {found['overview_cpu_s']:g} s of CPU; peak memory "
-        f"{found['peak_MB']:g} MB, with the marks {found['peak_with_overview_MB']:g} MB"
+        f"{found['seconds']:g} s in {found['file_MB']:g} MB: open after {found['open_s']:g} s\n"
+        f"a jump takes {found['jump_p50_ms']:g} ms (p50), {found['jump_p99_ms']:g} ms (p99) of {found['jumps']}, "
+        f"{found['jump_cpu_p50_ms']:g} ms of CPU (p50); {found['part_kB']:g} kB each\n"
+        f"all marks after {found['overview_cpu_s']:g} s of CPU, {found['overview_kB']:g} kB\n"
+        f"peak memory {found['peak_MB']:g} MB, with the marks {found['peak_with_overview_MB']:g} MB"
     )
