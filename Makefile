@@ -42,6 +42,11 @@ $(VENV)/.dev: pyproject.toml constraints.txt | $(VENV)/bin/python
 	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster]'
 	@touch $@ $(VENV)/.demo
 
+# Other programs' files, which the slow tests alone read: 200 MB that nobody else needs.
+$(VENV)/.slow: pyproject.toml constraints.txt | $(VENV)/.dev
+	$(PIP) install --constraint constraints.txt --editable '.[train,dev,cluster,parquet,ros]'
+	@touch $@
+
 # Beside the demonstration's packages, so that docstrings can be read; no torch.
 $(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/.demo
 	$(PIP) install --constraint constraints.txt --editable '.[sim,docs]'
@@ -77,7 +82,7 @@ types: $(VENV)/.dev
 unit: $(VENV)/.dev system-packages
 	$(PYTEST) -m "not slow"
 
-slow: $(VENV)/.dev system-packages
+slow: $(VENV)/.dev $(VENV)/.slow system-packages
 	@tools/system-packages.sh chromium
 	$(PYTEST) -m slow
 

@@ -115,7 +115,7 @@ ROOMS: dict[str, Arrows] = {
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
         "verifier": {"command_line", "errors", "evaluation", "processes"},
-        "view": {"pictures", "processes"},
+        "view": {"pictures", "processes", "recording"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},
@@ -124,8 +124,8 @@ ROOMS: dict[str, Arrows] = {
         "fault_injection": {"emulator", "flash", "recording", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
-            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "scripted_scene", "stages",
-            "view", "virtual_skin",
+            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "recording",
+            "scripted_scene", "stages", "view", "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",

@@ -18,10 +18,10 @@ PATIENCE_S = 120.0
 class Process:
     """A process whose lines are read one by one; both its outputs are one stream."""
 
-    def __init__(self, *words, folder, **environment):
+    def __init__(self, *words, folder, python=sys.executable, **environment):
         self.said = []
         self._process = subprocess.Popen(
-            [sys.executable, *map(str, words)],
+            [python, *map(str, words)],
             cwd=folder,
             env={**os.environ, "PYTHONUNBUFFERED": "1", **environment},
             stdout=subprocess.PIPE,
@@ -41,6 +41,13 @@ class Process:
         finally:
             watchdog.cancel()
         raise AssertionError(f"{wanted!r} was not said, but: {self.said}")
+
+    def ends(self):
+        """Wait for its end; return the line that it said last."""
+        out, _ = self._process.communicate(timeout=PATIENCE_S)
+        self.said += out.splitlines()
+        assert self._process.returncode == 0, self.said
+        return self.said[-1] if self.said else ""
 
     def end(self):
         self._process.terminate()

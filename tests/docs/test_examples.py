@@ -4,6 +4,7 @@ import socket
 import threading
 import time
 from contextlib import contextmanager, suppress
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.scene import load_scene
+from eitskin_tools.view.messages import packed, unpacked
 
 from .markdown import ROOT
 
@@ -151,6 +153,18 @@ def test_all_skins_are_felt_in_one_loop(example, robot):
         assert "turned by 0.707 0.707 0.000 0.000" in felt.until("forearm sits at 120 0 340 mm")
         felt.until("hand: touch ")
         felt.until("forearm: touch ")
+
+
+def test_all_skins_are_in_the_viewers_one_stream(start, robot):
+    with start("-m", "eitskin_tools.cli", "view", "--config", robot, "--port", "0", "--no-open") as page:
+        address = page.until("viewing forearm, hand of ").split()[-3]
+        with urlopen(f"{address}stream", timeout=120) as stream:
+            waiting, seen = b"", set()
+            while seen < {("skin", "forearm"), ("skin", "hand"), ("frame", 0), ("frame", 1)}:
+                waiting += stream.read1(65536)
+                whole = unpacked(waiting)
+                waiting = waiting[sum(len(packed(*message)) for message in whole) :]
+                seen |= {(head["kind"], head.get("name", head["of"])) for head, _ in whole}
 
 
 def test_a_skin_is_read_within_one_process(example, skin):

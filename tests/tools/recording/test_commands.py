@@ -30,7 +30,14 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
     return status, err
 
 
-@pytest.mark.parametrize("command", ["replay", "reinfer", "convert"])
+READERS = {
+    "replay": ["replay"], "reinfer": ["reinfer"], "convert": ["convert", "--out", "a.npz"],
+    "doctor": ["doctor", "--electrodes", "--recorded"], "evaluate": ["evaluate", "--solver", "tikhonov", "--measured"],
+}  # fmt: skip
+"""Commands that read a recording, which comes last."""
+
+
+@pytest.mark.parametrize("command", READERS)
 @pytest.mark.parametrize(
     ("content", "says"),
     [
@@ -41,15 +48,31 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
     ],
 )
 def test_what_is_no_recording_is_one_line(
-    tmp_path: Path, capsys: Capture, command: str, content: bytes | None, says: str
+    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: str, content: bytes | None, says: str
 ) -> None:
     path = tmp_path / "a.mcap"
     if content is not None:
         path.write_bytes(content)
-    more = ["--out", str(tmp_path / "a.npz")] if command == "convert" else []
-    status, said = one_line(capsys, command, str(path), *more)
+    monkeypatch.chdir(tmp_path)
+    status, said = one_line(capsys, *READERS[command], str(path))
     assert status == 1
     assert says in said
+
+
+@pytest.mark.parametrize("command", READERS)
+def test_a_recording_of_a_newer_release_is_one_line(
+    tmp_path: Path, items: list[Any], capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from eitskin_tools.recording import writer
+
+    from .conftest import recorded
+
+    monkeypatch.setattr(writer, "VERSION", 2)
+    monkeypatch.chdir(tmp_path)
+    recorded(tmp_path / "newer.mcap", items)
+    status, said = one_line(capsys, *READERS[command], "newer.mcap")
+    assert status == 1
+    assert "version 2, this release reads up to 1" in said
 
 
 def test_a_recording_of_another_protocol_is_one_line(
@@ -73,6 +96,10 @@ def test_a_bundle_of_another_skin_and_one_that_is_not_there_are_one_line(file: P
     status, said = one_line(capsys, "replay", str(file), "--quiet", "--bundle", str(TINY.with_name("second.eitskin")))
     assert status == 1
     assert "grid_id" in said
+    status, said = one_line(capsys, "reinfer", str(file), "--bundle", str(TINY.with_name("second.eitskin")))
+    assert status == 1
+    assert "grid_id" in said
+    assert "name a bundle of the skin that was recorded" in said
     status, said = one_line(capsys, "reinfer", str(file))
     assert status == 1
     assert "name it with --bundle" in said

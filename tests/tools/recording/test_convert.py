@@ -51,6 +51,7 @@ def test_evaluate_measured_reads_npz_and_recordings_alike(with_maps: Path, tmp_p
     assert set(other.kinds) == {"touched", "untouched"}
 
 
+@pytest.mark.slow  # its package comes with the slow tests
 def test_parquet_has_the_same(with_maps: Path, tmp_path: Path) -> None:
     pq = pytest.importorskip("pyarrow.parquet", reason="extra: parquet")
     script = Script(with_maps)
@@ -63,6 +64,7 @@ def test_parquet_has_the_same(with_maps: Path, tmp_path: Path) -> None:
     assert found.schema.metadata[b"serial"] == b"TEST-1"
 
 
+@pytest.mark.slow  # the same
 def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items: list[Any], tmp_path: Path) -> None:
     pytest.importorskip("rosbags", reason="extra: ros")
     from rosbags.rosbag2 import Reader

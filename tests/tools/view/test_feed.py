@@ -1,5 +1,7 @@
 """The viewer's subscriber: it takes the newest, lists its touches, and rests while nobody looks on."""
 
+import socket
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,8 @@ from eitskin_tools.view.board import Board
 from eitskin_tools.view.feed import Feed
 from eitskin_tools.view.messages import unpacked
 from eitskin_tools.view.own_touches import OwnTouches
+from eitskin_tools.view.source import Source
+from eitskin_tools.view.viewer import Viewer
 
 from .scripted import Runtime, Scene, cylinder, disc
 
@@ -32,7 +36,7 @@ def heads(board, kind, count):
 
 def test_frames_come_newest_first_with_their_touches_and_fewer_than_are_published(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     with Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=400.0) as runtime, board.page():
         feed.start()
         found = heads(board, "frame", 12)
@@ -48,7 +52,7 @@ def test_frames_come_newest_first_with_their_touches_and_fewer_than_are_publishe
 
 def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     feed.start()
     with Runtime(endpoint, Scene(disc(50.0, 40.0))) as runtime:
         with eitskin.subscribe(endpoint, timeout_s=60.0) as other:
@@ -67,7 +71,7 @@ def test_nobody_is_subscribed_while_nobody_looks_on(endpoint):
 def test_a_page_has_the_runtime_list_no_touches_and_shows_those_that_others_ask_for(endpoint):
     """Its own ones lie on the surface in use as well."""
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     scene = Scene(disc(50.0, 40.0), cloud=1, cloud_mm=cylinder())
     with Runtime(endpoint, scene) as runtime, board.page():
         feed.start()
@@ -115,7 +119,7 @@ def test_a_map_of_another_skin_is_left_as_it_is():
 
 def test_silence_is_told_with_its_reason(endpoint):
     board = Board()
-    feed = Feed(endpoint, board, PAPER)
+    feed = Feed(Source(PAPER, endpoint), board)
     feed.start()
     with board.page():
         (head,) = heads(board, "status", 1)
@@ -126,4 +130,23 @@ def test_silence_is_told_with_its_reason(endpoint):
 
 def test_an_endpoint_that_is_none_is_refused_at_once():
     with pytest.raises(eitskin.EndpointError):
-        Feed("nonsense", Board(), PAPER)
+        Feed(Source(PAPER, "nonsense"), Board())
+
+
+def test_a_page_that_reads_nothing_costs_neither_a_subscriber_nor_another_page_a_frame(endpoint):
+    with Runtime(endpoint, Scene(disc(50.0, 40.0)), rate_hz=200.0), Viewer([Source(PAPER, endpoint)]) as viewer:
+        ask = f"GET /stream HTTP/1.1\r\nHost: 127.0.0.1:{viewer.server.port}\r\n\r\n".encode()
+        with (
+            socket.create_connection(("127.0.0.1", viewer.server.port)) as stalled,
+            socket.create_connection(("127.0.0.1", viewer.server.port)) as read,
+            eitskin.subscribe(endpoint, mode="all", timeout_s=60.0) as other,
+        ):
+            stalled.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+            for line in (stalled, read):
+                line.sendall(ask)
+                assert line.recv(12) == b"HTTP/1.1 200"
+            numbers = [other.next_frame().number for _ in range(400)]
+            taken, got = viewer.feeds[0].taken, 0
+            while viewer.feeds[0].taken < taken + 10 or got < 100_000:
+                got += len(read.recv(65536))
+    assert numbers == list(range(numbers[0], numbers[0] + 400))

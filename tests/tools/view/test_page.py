@@ -1,18 +1,18 @@
 """The page in a headless Chromium, in front of a runtime that publishes known scenes."""
 
-import contextlib
-import io
 import threading
-from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
 
+from eitskin.robot.pose import Pose
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view.messages import surface_message
+from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
 from .chromium import PROGRAM, Browser
+from .conftest import browser, draws_newer, picture, pixel, settled_place, space_place
 from .scripted import Runtime, Scene, cylinder, disc, flat
 
 pytestmark = [
@@ -32,37 +32,8 @@ def endpoint(tmp_path):
 
 @pytest.fixture
 def viewer(endpoint):
-    with Viewer(endpoint, PAPER) as found:
+    with Viewer([Source(PAPER, endpoint)]) as found:
         yield found
-
-
-@contextlib.contextmanager
-def browser(viewer, *arguments, **more):
-    """Give a browser with the page open; whatever it did, it said no error and asked nobody else."""
-    with Browser(*arguments, **more) as found:
-        found.open(viewer.address)
-        yield found
-        assert found.thrown == []
-        assert [text for text in found.said if "ERR_" not in text] == []
-        assert {urlsplit(url).netloc for url in found.asked} == {urlsplit(viewer.address).netloc}
-
-
-def picture(found):
-    """Return (height, width, 3) of the screen."""
-    pillow = pytest.importorskip("PIL.Image")
-    return np.asarray(pillow.open(io.BytesIO(found.picture())).convert("RGB"), dtype=float)
-
-
-def draws_newer(found):
-    """Wait until a frame that comes from now on has been drawn."""
-    found.evaluate("window.mark = eitskin.page.drawings, window.then = eitskin.history.newest.t")
-    found.wait("eitskin.history.shown.t > window.then && eitskin.page.drawings > window.mark + 1")
-
-
-def pixel(shot, place, half=2):
-    """Return the mean colour about a place."""
-    x, y = (round(value) for value in place)
-    return shot[y - half : y + half + 1, x - half : x + half + 1].mean(axis=(0, 1))
 
 
 def flat_place(found, x_mm, y_mm):
@@ -73,33 +44,15 @@ def flat_place(found, x_mm, y_mm):
     )
 
 
-def space_place(found, x_mm, y_mm):
-    """Return where a place of the sheet lies on the screen, on the bent surface."""
-    return found.evaluate(
-        f"(() => {{ const b = document.getElementById('scene').getBoundingClientRect(), [x, y] = "
-        f"eitskin.page.project(eitskin.history.shown.surface.at({x_mm}, {y_mm}).place); "
-        "return [b.left + x, b.top + y]; })()"
-    )
-
-
-def settled_place(found, x_mm, y_mm):
-    """Return :func:`space_place` once the camera has come to rest."""
-    before, place = None, space_place(found, x_mm, y_mm)
-    while before is None or np.hypot(*np.subtract(place, before)) > 0.05:
-        draws_newer(found)
-        before, place = place, space_place(found, x_mm, y_mm)
-    return place
-
-
 def test_the_touch_is_bright_where_it_is_and_the_rest_is_dark_flat_and_bent(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)) as runtime, browser(viewer) as found:
+    with Runtime(endpoint, Scene(TOUCHED)) as runtime, browser(viewer.address) as found:
         found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
         shot = picture(found)
         for place in (flat_place, space_place):
             assert pixel(shot, place(found, 110.0, 25.5)).min() > 130  # below the centre, where the arrow begins
             assert pixel(shot, place(found, 40.0, 70.0)).max() < 90
         bent = cylinder()
-        viewer.board.post("surface", surface_message(3, bent, "one"))
+        viewer.board.post("surface", surface_message(3, bent, "one", 0, Pose()))
         runtime.scene = Scene(TOUCHED, cloud=3, cloud_mm=bent)
         found.wait("eitskin.history.shown.surface.revision === 3")
         found.wait("eitskin.history.shown.head.cloud === 3")
@@ -116,7 +69,7 @@ def test_the_touch_is_bright_where_it_is_and_the_rest_is_dark_flat_and_bent(view
 
 
 def test_another_size_a_phone_and_the_dark_are_drawn_anew_and_nothing_sticks_out(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
         found.wait(SHOWN)
         light = picture(found)
         assert pixel(light, (900, 22)).mean() > 200
@@ -143,7 +96,7 @@ def test_another_size_a_phone_and_the_dark_are_drawn_anew_and_nothing_sticks_out
 
 
 def test_the_page_says_that_nobody_is_there_and_goes_on_when_somebody_comes_and_comes_again(viewer, endpoint):
-    with browser(viewer) as found:
+    with browser(viewer.address) as found:
         found.wait("document.getElementById('notice')?.hidden === false")
         assert "eitskin run" in found.evaluate("document.getElementById('notice').innerText")
         assert found.evaluate("document.getElementById('state').dataset.state") == "silent"
@@ -156,18 +109,18 @@ def test_the_page_says_that_nobody_is_there_and_goes_on_when_somebody_comes_and_
 
 
 def test_the_page_comes_back_when_the_viewer_was_started_anew(endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER) as first:
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer([Source(PAPER, endpoint)]) as first:
         port = first.server.port
-        with browser(first) as found:
+        with browser(first.address) as found:
             found.wait(SHOWN)
             first.__exit__()
             found.wait("document.getElementById('state').dataset.state === 'gone'")
-            with Viewer(endpoint, PAPER, port=port):
+            with Viewer([Source(PAPER, endpoint)], port=port):
                 found.wait("document.getElementById('state').dataset.state === 'live'")
 
 
 def test_time_stands_still_steps_and_goes_on_by_keys_and_the_surface_turns(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
         found.wait(f"{SHOWN} && eitskin.history.frames.length > 10")
         found.press(" ")
         at = found.evaluate("[eitskin.history.mode, eitskin.history.shown.t]")
@@ -206,7 +159,7 @@ def test_time_stands_still_steps_and_goes_on_by_keys_and_the_surface_turns(viewe
 
 
 def test_every_button_can_be_reached_by_the_keyboard_and_has_a_name(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as found:
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as found:
         found.wait(SHOWN)
         met = set()
         for _ in range(30):
@@ -222,7 +175,7 @@ def test_every_button_can_be_reached_by_the_keyboard_and_has_a_name(viewer, endp
 
 def test_losses_left_out_work_and_sick_electrodes_are_told_in_words(viewer, endpoint):
     scene = Scene(flat()[2], electrodes=("5:detached:imputed",), skipped=("inference:untouched",), counts=(0, 0, 0, 0))
-    with Runtime(endpoint, scene) as runtime, browser(viewer) as found:
+    with Runtime(endpoint, scene) as runtime, browser(viewer.address) as found:
         found.wait(SHOWN)
         found.wait("document.getElementById('electrodes').innerText.includes('5 is detached')")
         found.wait("document.getElementById('skipped').innerText.includes('nothing touches')")
@@ -235,7 +188,7 @@ def test_losses_left_out_work_and_sick_electrodes_are_told_in_words(viewer, endp
 
 
 def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer) as stalled, browser(viewer) as found:
+    with Runtime(endpoint, Scene(TOUCHED)), browser(viewer.address) as stalled, browser(viewer.address) as found:
         stalled.wait(SHOWN)
         found.wait(SHOWN)
         busy = threading.Thread(
@@ -249,9 +202,9 @@ def test_a_page_whose_thread_stands_still_costs_others_no_frame(viewer, endpoint
 
 
 def test_off_loopback_the_page_wants_its_token(endpoint):
-    with Runtime(endpoint, Scene(TOUCHED)), Viewer(endpoint, PAPER, token="right") as viewer:
+    with Runtime(endpoint, Scene(TOUCHED)), Viewer([Source(PAPER, endpoint)], token="right") as viewer:
         with Browser() as found:
             found.open(viewer.address.replace("right", "wrong"))
             found.wait("document.getElementById('notice')?.innerText.includes('token')")
-        with browser(viewer) as found:
+        with browser(viewer.address) as found:
             found.wait(SHOWN)

@@ -5,6 +5,7 @@ import threading
 import numpy as np
 import pytest
 
+from eitskin.robot.pose import Pose
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view import board as board_module
 from eitskin_tools.view import server as server_module
@@ -223,7 +224,7 @@ def test_a_page_gets_the_newest_of_each_kind_and_then_what_is_newer(serve):
     assert next(coming) == ({"kind": "skin"}, b"")
     assert next(coming) == ({"kind": "frame", "n": 4}, b"12")
     server.board.post("status", status_message("silent", "nobody is there"))
-    assert next(coming)[0] == {"kind": "status", "state": "silent", "text": "nobody is there"}
+    assert next(coming)[0] == {"kind": "status", "of": 0, "state": "silent", "text": "nobody is there"}
     server.board.close()
     assert list(coming) == []
     connection.close()
@@ -279,5 +280,5 @@ def test_the_colours_can_be_told_apart_without_hue():
     lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
     assert np.diff(lightness).min() > 0.5  # each level is lighter than the one before, in any kind of colour blindness
     assert lightness[-1] - lightness[0] > 80
-    (head, _) = unpacked(skin_message(PAPER, palette(), {}))[0]
+    (head, _) = unpacked(skin_message(PAPER, 0, Pose(), {"name": ""}))[0]
     assert head["palette"][0] == palette()[0].tolist()

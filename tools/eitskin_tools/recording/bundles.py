@@ -9,10 +9,10 @@ from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_tools.recording.layout import RecordingError
-from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.told import Told
 
 
-def bundle_of(script: Script, named: str | Path | None = None) -> Bundle:
+def bundle_of(script: Told, named: str | Path | None = None) -> Bundle:
     """Return the bundle that a recording was made with.
 
     Args:
@@ -37,7 +37,7 @@ def bundle_of(script: Script, named: str | Path | None = None) -> Bundle:
     )
 
 
-def for_skin(bundle: Bundle, script: Script) -> Bundle:
+def for_skin(bundle: Bundle, script: Told) -> Bundle:
     """Return a bundle, or refuse it.
 
     Raises:
@@ -53,7 +53,7 @@ def for_skin(bundle: Bundle, script: Script) -> Bundle:
     return bundle
 
 
-def reference_of(script: Script, content: bytes, skin: Skin | None = None) -> Reference:
+def reference_of(script: Told, content: bytes, skin: Skin | None = None) -> Reference:
     """Return a recorded reference.
 
     Raises:

@@ -130,17 +130,17 @@ class Recording:
                     if isinstance(inner, Channel):
                         names[inner.id] = inner.topic
                     else:
-                        yield from _entry(inner, names, topics)
+                        yield from entry_of(inner, names, topics)
             elif isinstance(record, Channel):
                 names[record.id] = record.topic
             elif isinstance(record, Message):
-                yield from _entry(record, names, topics)
+                yield from entry_of(record, names, topics)
 
     def _records(self) -> Iterator[McapRecord]:
         """Yield what the file is made of, chunks as they are; keeps head and attachments."""
         self.cut, self.damaged = True, 0
         with opened(self.path, LARGEST_RECORDING) as stream:
-            self._check_magic(stream)
+            check_magic(stream, self.path)
             records = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
             while True:
                 try:
@@ -162,27 +162,45 @@ class Recording:
                     return
                 yield record
 
-    def _check_magic(self, stream: BinaryIO) -> None:
-        found = stream.read(len(MAGIC))
-        if not found:
-            raise RecordingError(f"{self.path} is empty, expected a recording; whatever made it wrote nothing")
-        if found != MAGIC[: len(found)]:
-            raise RecordingError(
-                f"{self.path} is no MCAP file: it begins with {stated(found)}, expected a file made by 'eitskin record'"
-            )
-
     def _unpacked(self, chunk: Chunk, *, channels_only: bool) -> Iterator[Channel | Message]:
         """Yield channels and messages of a chunk, all or none: of a damaged one nothing is believed."""
         try:
-            data = _bytes_of(chunk)
-            found = list(_inner(data, channels_only=channels_only))
+            found = unpacked(chunk, channels_only=channels_only)
         except UNREADABLE:
             self.damaged += 1
             return
         yield from found
 
 
-def _entry(message: Message, names: Mapping[int, str], topics: Collection[str] | None) -> Iterator[Entry]:
+def unpacked(chunk: Chunk, *, channels_only: bool = False) -> list[Channel | Message]:
+    """Return channels and messages of a chunk.
+
+    Args:
+        chunk: As it stands in the file.
+        channels_only: Leave messages out.
+
+    Raises:
+        Exception: One of ``UNREADABLE``: it is damaged, or too large.
+    """
+    return list(_inner(_bytes_of(chunk), channels_only=channels_only))
+
+
+def check_magic(stream: BinaryIO, path: Path) -> None:
+    """Read how every MCAP file begins.
+
+    Raises:
+        RecordingError: It is empty, or begins otherwise.
+    """
+    found = stream.read(len(MAGIC))
+    if not found:
+        raise RecordingError(f"{path} is empty, expected a recording; whatever made it wrote nothing")
+    if found != MAGIC[: len(found)]:
+        raise RecordingError(
+            f"{path} is no MCAP file: it begins with {stated(found)}, expected a file made by 'eitskin record'"
+        )
+
+
+def entry_of(message: Message, names: Mapping[int, str], topics: Collection[str] | None) -> Iterator[Entry]:
     """Yield a message, if it is of a channel that is known and asked for."""
     topic = names.get(message.channel_id)
     if topic is not None and (topics is None or topic in topics):

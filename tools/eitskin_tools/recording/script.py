@@ -12,13 +12,10 @@ from typing import Any
 
 from eitskin.errors import FrameError
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
-from eitskin_proto.errors import MismatchError, SkinError
-from eitskin_proto.files.plain import stated
-from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.wire.answers import Hello
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, STATE, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
+from eitskin_tools.recording.told import Told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +30,7 @@ class Step:
     reference: bytes | None = None
 
 
-class Script:
+class Script(Told):
     """What a recording tells of a stream.
 
     Args:
@@ -46,9 +43,7 @@ class Script:
     """
 
     def __init__(self, path: str | Path) -> None:
-        self.recording = Recording(path)
-        self.path = self.recording.path
-        self.hello = self._hello()
+        super().__init__(Recording(path))
         self.states: list[dict[str, Any]] = []
         """All that was said of the skin, in order."""
         self.frames = 0
@@ -82,35 +77,12 @@ class Script:
         """From the first frame to the last."""
         return (self.last_ns - self.first_ns) * 1e-9
 
-    def told(self, name: str) -> str:
-        """Return a text of the head: ``bundle``, ``configuration``, ``serial``, ..."""
-        return self.recording.head.get(name, "")
-
     def reference(self) -> bytes:
-        """Return what the first frame is held against, as ``eitskin reference`` writes it.
-
-        Raises:
-            RecordingError: There is none.
-        """
+        """Return what the first frame is held against, as in :class:`Told`."""
         first = next(self.steps())
         if first.reference is not None:
             return first.reference
         raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
-
-    def _hello(self) -> Hello:
-        head = self.recording.head
-        protocol = head.get("protocol_id", PROTOCOL_ID)
-        hint = "install the release that made the recording ('eitskin --version' names a release's ids)"
-        if protocol != PROTOCOL_ID:
-            raise MismatchError(f"{self.path}: protocol_id", found=stated(protocol), expected=PROTOCOL_ID, hint=hint)
-        try:
-            found = Hello.unpack(bytes.fromhex(head.get("hello", "")))
-            found.check()
-        except MismatchError:
-            raise
-        except (ValueError, IndexError, SkinError) as error:
-            raise RecordingError(f"{self.path}: the device's HELLO cannot be read: {error}") from error
-        return found
 
     def _look(self) -> None:
         """Go through the file once."""

@@ -5,6 +5,7 @@ serve for that site's own. It cannot change the name in the request: the Host mu
 ``localhost``, or this machine's name.
 """
 
+import errno
 import hmac
 import ipaddress
 import secrets
@@ -90,3 +91,15 @@ def page_address(host: str, port: int, token: str) -> str:
     """
     name = socket.gethostname() if host in ("0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     return f"http://{name}:{port}/{f'#token={token}' if token else ''}"
+
+
+def why_not_bound(host: str, port: int, error: OSError) -> str:
+    """Return why a server cannot have an address, and what to do."""
+    if error.errno == errno.EADDRINUSE:
+        return (
+            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; name another one with --port, "
+            "or --port 0 for any that is free"
+        )
+    if error.errno == errno.EACCES:
+        return f"port {port} of {host} is not yours to take; name one above 1023 with --port"
+    return f"{host} port {port} cannot be bound ({error.strerror or error}); expected an address of this machine"

@@ -1,7 +1,7 @@
-"""What pages are to show now: the newest message of each kind, and whoever waits for a newer one.
+"""What pages are to show now: the newest message of each kind and skin, and whoever waits for a newer one.
 
-A page takes what is newer than what it has, as fast as it can, and never more than one message of a kind: one that
-stalls makes nobody wait and keeps no memory.
+A page takes what is newer than what it has, as fast as it can, and never more than one message of a kind of a skin: one
+that stalls makes nobody wait and keeps no memory.
 """
 
 import threading
@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
 
-KINDS: Final = ("skin", "surface", "frame", "state", "status")
+KINDS: Final = ("skin", "overview", "surface", "frame", "state", "status")
 """In the order in which a page takes them."""
 
 MOST_PAGES: Final = 16
@@ -21,7 +21,7 @@ class Board:
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
-        self._newest: dict[str, tuple[int, bytes]] = {}
+        self._newest: dict[tuple[str, int], tuple[int, bytes]] = {}
         self._posts = 0
         self._pages = 0
         self._closed = False
@@ -36,16 +36,17 @@ class Board:
         """Whether nothing will be posted any more."""
         return self._closed
 
-    def post(self, kind: str, message: bytes) -> None:
-        """Put a message in the place of the one before of its kind.
+    def post(self, kind: str, message: bytes, of: int = 0) -> None:
+        """Put a message in the place of the one before of its kind and its skin.
 
         Args:
             kind: One of ``KINDS``.
             message: What :mod:`eitskin_tools.view.messages` made.
+            of: Which of the skins.
         """
         with self._changed:
             self._posts += 1
-            self._newest[kind] = (self._posts, message)
+            self._newest[kind, of] = (self._posts, message)
             self._changed.notify_all()
 
     @contextmanager
@@ -71,8 +72,8 @@ class Board:
         """
         with self._changed:
             self._changed.wait_for(lambda: self._closed or self._posts > than, timeout_s)
-            found = [self._newest[kind] for kind in KINDS if kind in self._newest and self._newest[kind][0] > than]
-            return self._posts, [message for _, message in found]
+            found = [(KINDS.index(kind), of, text) for (kind, of), (n, text) in self._newest.items() if n > than]
+            return self._posts, [text for _, _, text in sorted(found)]
 
     def wait_for_pages(self, timeout_s: float) -> bool:
         """Wait until somebody looks on; return whether somebody does."""

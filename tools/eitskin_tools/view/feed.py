@@ -12,15 +12,17 @@ from typing import Any, Final
 
 import eitskin
 from eitskin.errors import NoFrame
-from eitskin.messaging.curve_keys import ClientKeys
-from eitskin_proto.skin.skin import Skin
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import frame_message, status_message
 from eitskin_tools.view.own_touches import OwnTouches
+from eitskin_tools.view.source import Source
 from eitskin_tools.view.streams import Streams
 
 REFRESH_HZ: Final = 30.0
-"""Pictures a second at most."""
+"""Pictures a second of a skin, at most."""
+
+TOGETHER_HZ: Final = 120.0
+"""Of all skins together: a page has to take them in."""
 
 SILENCE_S: Final = 1.0
 """After so long without a frame the page is told why."""
@@ -32,14 +34,19 @@ STATUS_S: Final = 1.0
 """Between two messages that say that all is well."""
 
 
+def refresh_hz(skins: int) -> float:
+    """Return how many pictures a second each of so many skins may have."""
+    return min(REFRESH_HZ, TOGETHER_HZ / skins)
+
+
 class Feed:
     """A thread that posts what a runtime publishes.
 
     Args:
-        endpoint: Where the runtime publishes; None for the default.
+        source: Which.
         board: Where to post.
-        skin: What the maps are expected to be of.
-        keys: CURVE keys.
+        of: Its number among all skins.
+        refresh_hz: Pictures a second at most.
         more: What else the status is to say, asked each second.
 
     Raises:
@@ -48,17 +55,17 @@ class Feed:
 
     def __init__(
         self,
-        endpoint: str | None,
+        source: Source,
         board: Board,
-        skin: Skin,
-        keys: ClientKeys | None = None,
+        of: int = 0,
+        refresh_hz: float = REFRESH_HZ,
         more: Callable[[], dict[str, Any]] = dict,
     ) -> None:
-        self._board, self._skin, self._keys, self._more = board, skin, keys, more
-        with eitskin.subscribe(endpoint, keys=keys) as tried:
+        self._source, self._board, self._of, self._every_s, self._more = source, board, of, 1.0 / refresh_hz, more
+        with eitskin.subscribe(source.endpoint, keys=source.keys) as tried:
             self.endpoint = tried.endpoint
         self._left = threading.Event()
-        self._thread = threading.Thread(target=self._run, name="view-feed", daemon=True)
+        self._thread = threading.Thread(target=self._run, name=f"view-feed-{of}", daemon=True)
         self.taken = 0
         """Frames that pages were given."""
 
@@ -80,20 +87,20 @@ class Feed:
 
     def _follow(self) -> None:
         """Post frames until nobody looks on."""
-        touches = OwnTouches(self._skin.grid)
+        touches = OwnTouches(self._source.skin.grid)
         with (
-            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=self._keys) as frames,
-            Streams(self.endpoint, self._board, self._keys, touches),
+            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=self._source.keys) as frames,
+            Streams(self.endpoint, self._source, self._board, self._of, touches),
         ):
             status_s, seen_s = 0.0, time.monotonic()
             while not self._left.is_set():
-                due_s = time.monotonic() + 1.0 / REFRESH_HZ
+                due_s = time.monotonic() + self._every_s
                 try:
                     frame = touches.listed(frames.next_frame())
                 except NoFrame as error:
                     self._say("silent", str(error))
                 else:
-                    self._board.post("frame", frame_message(frame))
+                    self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
                     self.taken += 1
                     if due_s - status_s >= STATUS_S:
                         status_s = due_s
@@ -107,13 +114,14 @@ class Feed:
 
     def _mismatch(self, shape: tuple[int, ...]) -> str:
         """Return what is wrong with the sheet that is drawn; nothing if nothing is."""
-        if shape == self._skin.grid.shape:
+        skin = self._source.skin
+        if shape == skin.grid.shape:
             return ""
-        rows, columns = self._skin.grid.shape
+        rows, columns = skin.grid.shape
         return (
-            f"the map has {shape[0]} x {shape[1]} pixels, expected {rows} x {columns} of skin {self._skin.name!r}: "
+            f"the map has {shape[0]} x {shape[1]} pixels, expected {rows} x {columns} of skin {skin.name!r}: "
             "millimetres are wrong; name the runtime's skin with 'eitskin view --skin FILE'"
         )
 
     def _say(self, state: str, text: str) -> None:
-        self._board.post("status", status_message(state, text, **self._more()))
+        self._board.post("status", status_message(state, text, self._of, **self._more()), self._of)

@@ -4,8 +4,11 @@
 
 0   u32 little-endian   bytes of the rest
 4   u32 little-endian   bytes of the head
-8   head                UTF-8 JSON with a ``kind``
-..  body                of a frame: (rows, columns) u8, the map times 255; of a surface: (3, rows, columns) f32, mm
+8   head                UTF-8 JSON with a ``kind``, and ``of``: which of the skins
+..  body                of a frame: (rows, columns) u8, the map times 255
+                        of a skin, flat, and of a surface: (3, rows, columns) f32, mm
+
+Places in space are the robot's: each skin's pose is applied here, and the page knows of none.
 """
 
 import json
@@ -20,8 +23,10 @@ import numpy.typing as npt
 
 from eitskin.messaging.frame import STAGES, Frame
 from eitskin.messaging.streams.state import SkinState
+from eitskin.robot.pose import Pose
 from eitskin.touches.touch import Touch
 from eitskin_proto.skin.skin import Skin
+from eitskin_tools.pictures.draw import palette
 
 HEAD: Final = struct.Struct("<II")
 
@@ -50,14 +55,21 @@ def unpacked(data: bytes) -> list[tuple[dict[str, Any], bytes]]:
     return found
 
 
-def frame_message(frame: Frame) -> bytes:
-    """Return the message of a frame: its numbers, its touches, and its map in 256 levels from 0 to 1."""
+def frame_message(frame: Frame, of: int, pose: Pose) -> bytes:
+    """Return the message of a frame: its numbers, its touches, and its map in 256 levels from 0 to 1.
+
+    Args:
+        frame: As a subscriber gets it.
+        of: Which of the skins.
+        pose: Where it sits on the robot.
+    """
     stamps = [frame.host_ns[stage] for stage in STAGES]
     head = {
         "kind": "frame",
+        "of": of,
         "n": frame.number,
         "seq": frame.sequence,
-        "t_ms": stamps[-1] / 1e6,
+        "t_ms": frame.received_ns / 1e6,
         "run": frame.run,
         "serial": frame.serial_number,
         "configuration": frame.configuration,
@@ -73,7 +85,7 @@ def frame_message(frame: Frame) -> bytes:
         "cloud": frame.cloud,
         "counts": dict(frame.counts),
         "shape": frame.map.shape,
-        "touches": [_touch(touch) for touch in frame.touch_list.touches] if frame.touch_list else [],
+        "touches": [_touch(pose.touch(touch)) for touch in frame.touch_list.touches] if frame.touch_list else [],
         "touch_events": [(e.kind, e.id, e.other) for e in frame.touch_list.events] if frame.touch_list else [],
         "more": frame.touch_list.more if frame.touch_list else 0,
     }
@@ -100,47 +112,55 @@ def _short(values: Sequence[float]) -> list[float]:
     return [round(value, 2) for value in values]
 
 
-def skin_message(skin: Skin, palette: npt.NDArray[np.intp], about: dict[str, Any]) -> bytes:
-    """Return the message that says what is drawn: the sheet, its electrodes and the colours.
+def skin_message(skin: Skin, of: int, pose: Pose, about: dict[str, Any]) -> bytes:
+    """Return the message that says what is drawn: the sheet, its electrodes, and how it lies while it is flat.
 
     Args:
         skin: The runtime's.
-        palette: (n, 3) red, green and blue from untouched to touched, 0 to 255.
-        about: What else the page is to know, such as the refresh rate.
+        of: Which of the skins.
+        pose: Where it sits on the robot.
+        about: What else the page is to know, such as its name.
     """
     head = {
         "kind": "skin",
-        "name": skin.name,
+        "of": of,
         "outline": skin.outline.kind,
         "size_mm": skin.outline.size_mm,
         "thickness_mm": float(skin.layer.thickness_mm.nominal(1)[0]),
         "shape": skin.grid.shape,
         "electrodes": electrode_places_mm(skin).round(2).tolist(),
-        "palette": palette.tolist(),
+        "palette": palette().tolist(),
         **about,
     }
-    return packed(head)
+    return packed(head, _placed(skin.grid.flat_cloud_mm(), pose))
 
 
-def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], run: str) -> bytes:
+def surface_message(revision: int, cloud_mm: npt.NDArray[np.floating], run: str, of: int, pose: Pose) -> bytes:
     """Return the message of a surface.
 
     Args:
         revision: As frames name it in ``cloud``.
         cloud_mm: (3, rows, columns) mm.
         run: Of the runtime.
+        of: Which of the skins.
+        pose: Where it sits on the robot.
     """
-    body = np.ascontiguousarray(cloud_mm, dtype="<f4")
-    return packed({"kind": "surface", "revision": revision, "shape": body.shape[1:], "run": run}, body.tobytes())
+    head = {"kind": "surface", "of": of, "revision": revision, "shape": cloud_mm.shape[1:], "run": run}
+    return packed(head, _placed(cloud_mm, pose))
 
 
-def state_message(state: SkinState) -> bytes:
+def _placed(cloud_mm: npt.NDArray[np.floating], pose: Pose) -> bytes:
+    """Return a (3, rows, columns) cloud in the robot's frame, as a message has it."""
+    return np.ascontiguousarray(np.moveaxis(pose.place(np.moveaxis(cloud_mm, 0, -1)), -1, 0), dtype="<f4").tobytes()
+
+
+def state_message(state: SkinState, of: int) -> bytes:
     """Return the message of what happened since the one before, and who measures."""
     head = {
         "kind": "state",
+        "of": of,
         "n": state.n,
         "run": state.run,
-        "t_ms": state.made_ns / 1e6,
         "events": [text for _, text in state.events],
         "bundle": state.bundle,
         "skin": state.skin,
@@ -150,9 +170,9 @@ def state_message(state: SkinState) -> bytes:
     return packed(head)
 
 
-def status_message(state: str, text: str, **more: Any) -> bytes:
+def status_message(state: str, text: str, of: int = 0, **more: Any) -> bytes:
     """Return the message that says how it goes: ``live``, or ``silent`` and why."""
-    return packed({"kind": "status", "state": state, "text": text, **more})
+    return packed({"kind": "status", "of": of, "state": state, "text": text, **more})
 
 
 def electrode_places_mm(skin: Skin) -> npt.NDArray[np.float64]:

@@ -2,10 +2,9 @@
 
 A request is a head of at most 16 kB that is there within 10 s, of a listed path, and has no body. At most ``MOST``
 connections are open at a time. ``/stream`` is one answer without end, in chunks, of which each has the newest message
-of each kind; who does not read for ``STALL_S`` is left.
+of each kind; who does not read for ``STALL_S`` is left. ``/part/N`` is a second of a recording.
 """
 
-import errno
 import io
 import socket
 import threading
@@ -15,7 +14,14 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from typing import Any, Final, Protocol
 
 from eitskin.errors import SkinError
-from eitskin_tools.view.address import came_from_here, host_allowed, is_loopback, page_address, token_given
+from eitskin_tools.view.address import (
+    came_from_here,
+    host_allowed,
+    is_loopback,
+    page_address,
+    token_given,
+    why_not_bound,
+)
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.pages import HEADERS, pages
 
@@ -33,6 +39,9 @@ STALL_S: Final = 5.0
 
 SEND_BYTES: Final = 65536
 """What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
+
+PART: Final = "/part/"
+"""How the paths of parts of a recording begin; a number follows."""
 
 ACTIONS: Final = ("/record/start", "/record/stop")
 """What a page may ask for, by POST without a body."""
@@ -54,6 +63,19 @@ class Actions(Protocol):
         ...
 
 
+class Parts(Protocol):
+    """A recording in parts."""
+
+    @property
+    def parts(self) -> int:
+        """How many there are."""
+        ...
+
+    def part(self, number: int) -> bytes:
+        """Return the messages of one."""
+        ...
+
+
 class ViewServer(ThreadingHTTPServer):
     """Serves one board to any number of pages.
 
@@ -63,6 +85,7 @@ class ViewServer(ThreadingHTTPServer):
         board: What pages show.
         token: What a page must know, or empty.
         recorder: What records; None for nothing.
+        film: A recording, of which pages ask for parts.
 
     Raises:
         PortTaken: The address cannot be bound.
@@ -74,18 +97,26 @@ class ViewServer(ThreadingHTTPServer):
     request_queue_size = 32
     allow_reuse_address = True
 
-    def __init__(self, host: str, port: int, board: Board, token: str = "", recorder: Actions | None = None) -> None:
+    def __init__(
+        self,
+        host: str,
+        port: int,
+        board: Board,
+        token: str = "",
+        recorder: Actions | None = None,
+        film: Parts | None = None,
+    ) -> None:
         if not token and not is_loopback(host):
             raise ValueError(f"{host} can be reached from other machines; expected a token")
         self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
         self.host, self.board, self.token = host, board, token
-        self.recorder = recorder
+        self.recorder, self.film = recorder, film
         self.pages = pages()
         self._room = threading.BoundedSemaphore(MOST)
         try:
             super().__init__((host, port), _Request)
         except OSError as error:
-            raise PortTaken(_why_not(host, port, error)) from error
+            raise PortTaken(why_not_bound(host, port, error)) from error
         self.port: int = self.server_address[1]
 
     @property
@@ -165,11 +196,13 @@ class _Request(BaseHTTPRequestHandler):
         return head if len(head) <= LARGEST_HEAD else None
 
     def do_GET(self) -> None:
-        """Answer with a file of the page, or with the stream."""
+        """Answer with a file of the page, with the stream, or with a part of a recording."""
         if not self._trusted():
             return
         if self.path == "/stream":
             self._stream()
+        elif self.path.startswith(PART) and self.server.film is not None:
+            self._part(self.server.film, self.path.removeprefix(PART))
         elif self.path in self.server.pages:
             kind, body = self.server.pages[self.path]
             self._answer(HTTPStatus.OK, body, kind)
@@ -185,9 +218,7 @@ class _Request(BaseHTTPRequestHandler):
             self._refuse(HTTPStatus.NOT_FOUND, "there is no such action")
         elif not self.headers.get("Origin", "").endswith(f"://{self.headers.get('Host')}"):
             self._refuse(HTTPStatus.FORBIDDEN, "only the page itself may ask for this")
-        elif not self._has_token():
-            self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
-        else:
+        elif not self._token_missing():
             why_not = recorder.start() if self.path == "/record/start" else recorder.stop()
             self._answer(HTTPStatus.CONFLICT if why_not else HTTPStatus.OK, why_not.encode(), "text/plain")
 
@@ -205,14 +236,31 @@ class _Request(BaseHTTPRequestHandler):
             return True
         return False
 
-    def _has_token(self) -> bool:
-        return token_given(self.headers.get("Authorization", ""), self.server.token)
+    def _part(self, film: Parts, number: str) -> None:
+        """Send a part of a recording."""
+        if not number.isdecimal() or len(number) > 9 or int(number) >= film.parts:
+            self._refuse(HTTPStatus.NOT_FOUND, "there is no such part")
+        elif self._token_missing():
+            return
+        else:
+            try:
+                body = film.part(int(number))
+            except (SkinError, OSError, ValueError) as error:  # whatever a file may hold
+                self._refuse(HTTPStatus.CONFLICT, str(error))
+                return
+            self._answer(HTTPStatus.OK, body, "application/octet-stream")
+
+    def _token_missing(self) -> bool:
+        """Return whether the page lacks the token; it is told so."""
+        if token_given(self.headers.get("Authorization", ""), self.server.token):
+            return False
+        self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
+        return True
 
     def _stream(self) -> None:
         """Send the newest of everything until the page goes."""
         self.close_connection = True
-        if not self._has_token():
-            self._refuse(HTTPStatus.UNAUTHORIZED, "open the address that 'eitskin view' printed, with its token")
+        if self._token_missing():
             return
         board = self.server.board
         with board.page() as room:
@@ -250,14 +298,3 @@ class _Request(BaseHTTPRequestHandler):
 
     def log_message(self, format: str, *args: Any) -> None:
         """Keep no log."""
-
-
-def _why_not(host: str, port: int, error: OSError) -> str:
-    if error.errno == errno.EADDRINUSE:
-        return (
-            f"port {port} of {host} is in use, perhaps by another 'eitskin view'; name another one with --port, "
-            "or --port 0 for any that is free"
-        )
-    if error.errno == errno.EACCES:
-        return f"port {port} of {host} is not yours to take; name one above 1023 with --port"
-    return f"{host} port {port} cannot be bound ({error.strerror or error}); expected an address of this machine"

@@ -2,7 +2,7 @@
 
 Processes as in the demonstration: a virtual skin, the runtime, a subscriber that takes every frame, and the viewer. The
 pages are readers of its stream in this process: no browser draws, so that the figures are the server's own. Cases take
-turns, round by round.
+turns, round by round. ``--file`` measures a recording instead: jumps to any second of it, and its memory.
 """
 
 import argparse
@@ -26,11 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--seconds", type=float, default=20.0, metavar="S", help="of each case in a round (20)")
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="in which all cases take turns (3)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (200)")
+    parser.add_argument("--file", type=Path, metavar="FILE.mcap", help="measure looking at this recording instead")
+    parser.add_argument("--bundle", type=Path, help="with --file: what computes its maps")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, print, and return 0."""
+    if arguments.file is not None:
+        from eitskin_tools.bench.view.film import measured, printed
+
+        one = measured(arguments.file, arguments.bundle)
+        print(json.dumps(one) if arguments.json else printed(one))
+        return 0
     found: dict[str, list[dict[str, Any]]] = {name: [] for name in CASES}
     for number in range(arguments.rounds):
         for name, pages in CASES.items():

@@ -7,6 +7,7 @@ import signal
 import sys
 import threading
 from pathlib import Path
+from typing import Any
 
 from eitskin_tools.command_line import skins
 from eitskin_tools.console.say import say
@@ -18,8 +19,17 @@ PORT = 8416
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("file", nargs="?", type=Path, metavar="FILE.mcap", help="look at a recording, over and over")
+    parser.add_argument("file", nargs="?", type=Path, metavar="FILE.mcap", help="look at a recording: any moment of it")
     parser.add_argument("--endpoint", metavar="E", help="where the runtime publishes (default: its default)")
+    parser.add_argument(
+        "--config",
+        type=Path,
+        metavar="ROBOT.toml",
+        help="all skins of a robot, or of 'eitskin run --config' in a folder",
+    )
+    parser.add_argument(
+        "--bundle", type=Path, help="what computes a recording's maps (default: the one that was running)"
+    )
     parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
     parser.add_argument(
         "--host",
@@ -37,47 +47,71 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Serve the page until Ctrl-C and return 0."""
-    if (arguments.server_key is None) != (arguments.client_key is None):
-        raise UsageError("--server-key and --client-key belong together")
-    if not 0 <= arguments.port <= 65535:
-        raise UsageError(f"--port is {arguments.port}, expected 0 to 65535")
-    if arguments.file is not None and (arguments.endpoint is not None or arguments.server_key is not None):
-        raise UsageError("a recording is played by the viewer itself: leave --endpoint and the keys out")
-    from eitskin.messaging.curve_keys import load_client_keys
+    _check(arguments)
     from eitskin_tools.view.address import is_loopback, new_token
-    from eitskin_tools.view.played import played
-    from eitskin_tools.view.viewer import Viewer
 
-    keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
-    options = [f"--{name}={value}" for name, value in (("server-key", arguments.server_key),
-               ("client-key", arguments.client_key)) if value is not None]  # fmt: skip
     token = new_token() if arguments.token or not is_loopback(arguments.host) else ""
-    skin, folder = skins.chosen(arguments), arguments.recordings or Path()
-    if not folder.is_dir():
-        raise UsageError(f"--recordings is {folder}, expected a folder that is there")
     signal.signal(signal.SIGINT, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
-        player = None if arguments.file is None else stack.enter_context(played(arguments.file))
-        viewer = stack.enter_context(
-            Viewer(
-                player.endpoint if player else arguments.endpoint, skin, host=arguments.host, port=arguments.port,
-                token=token, keys=keys, recordings=None if player else _writable(folder),
-                record_options=tuple(options), file=player.name if player else "",
-            )
-        )  # fmt: skip
-        say(f"viewing {arguments.file or viewer.endpoint} at {viewer.address} until Ctrl-C")
+        where = {"host": arguments.host, "port": arguments.port, "token": token}
+        what, address = _recorded(arguments, where, stack) if arguments.file else _live(arguments, where, stack)
+        say(f"viewing {what} at {address} until Ctrl-C")
         sys.stdout.flush()
         if not arguments.no_open and _has_display():
             import webbrowser
 
-            webbrowser.open(viewer.address)
-        if player is None:
-            threading.Event().wait()
-        else:
-            player.wait()
+            webbrowser.open(address)
+        threading.Event().wait()
     return 0
+
+
+def _check(arguments: argparse.Namespace) -> None:
+    if (arguments.server_key is None) != (arguments.client_key is None):
+        raise UsageError("--server-key and --client-key belong together")
+    if not 0 <= arguments.port <= 65535:
+        raise UsageError(f"--port is {arguments.port}, expected 0 to 65535")
+    live = {"--endpoint": arguments.endpoint, "--config": arguments.config, "--server-key": arguments.server_key}
+    stated = [name for name, value in live.items() if value is not None]
+    if arguments.file is not None and stated:
+        raise UsageError(f"a recording is read by the viewer itself: leave {' and '.join(stated)} out")
+    if arguments.file is None and arguments.bundle is not None:
+        raise UsageError("--bundle computes a recording's maps; the maps of a runtime are its own: leave it out")
+    if arguments.endpoint is not None and arguments.config is not None:
+        raise UsageError("--config names the endpoints of all skins: leave --endpoint out")
+    if arguments.recordings is not None and not arguments.recordings.is_dir():
+        raise UsageError(f"--recordings is {arguments.recordings}, expected a folder that is there")
+
+
+def _recorded(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
+    """Serve a recording; return what and where."""
+    from eitskin_tools.view.film.parts import Film
+    from eitskin_tools.view.film.projector import Projector
+
+    film = Film(arguments.file, arguments.bundle)
+    page = stack.enter_context(Projector(film, **where))
+    return str(arguments.file), page.address
+
+
+def _live(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
+    """Serve one runtime or several; return what and where."""
+    from eitskin.messaging.curve_keys import load_client_keys
+    from eitskin_tools.view.source import Source, sources_of
+    from eitskin_tools.view.viewer import Viewer
+
+    keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    options = tuple(f"--{name}={value}" for name, value in (("server-key", arguments.server_key),
+                    ("client-key", arguments.client_key)) if value is not None)  # fmt: skip
+    skin, config = skins.chosen(arguments), arguments.config
+    if config is None:
+        sources: tuple[Source, ...] = (Source(skin, arguments.endpoint, keys=keys, record_options=options),)
+    else:
+        sources = sources_of(config, skin, keys=keys, record_options=options)
+    recordings = _writable(arguments.recordings or Path())
+    viewer = stack.enter_context(Viewer(sources, recordings=recordings, **where))
+    names = f"{', '.join(one.name for one in sources)} of {config}" if config else viewer.feeds[0].endpoint
+    return names, viewer.address
 
 
 def _writable(folder: Path) -> Path | None:

@@ -18,7 +18,8 @@ from eitskin.pipeline.maps_again import NOTHING, MapsAgain
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.recording.bundles import reference_of
-from eitskin_tools.recording.script import Script, Step
+from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.told import Told
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class Rerun:
         ValueError: It has no such solver.
     """
 
-    def __init__(self, script: Script, bundle: Bundle, solver: str | None = None) -> None:
+    def __init__(self, script: Told, bundle: Bundle, solver: str | None = None) -> None:
         self._script, self._bundle = script, bundle
         self.as_recorded = bundle.id == script.told("bundle")
         """The bundle is the one that was running."""

@@ -6,12 +6,13 @@ const FIELD_RAD = 0.5;
 const VIEWS = { tilted: [-0.42, 0.66], above: [0, 1.5607], front: [0, 0.16] };
 
 export class Camera {
-  constructor(canvas, onChange) {
+  constructor(canvas, onChange, onClick) {
     this.zoom = 1;
     this.centre = null;
     this.radius = 100;
     this.view("tilted");
     this.onChange = onChange;
+    this.onClick = onClick;
     this.listen(canvas);
   }
 
@@ -33,13 +34,13 @@ export class Camera {
   }
 
   /** Keep what is looked at in the middle; slowly, so that a bending sheet does not jump. */
-  look(surface) {
+  look({ centre, radius }) {
     if (!this.centre) {
-      this.centre = [...surface.centre];
-      this.radius = surface.radius;
+      this.centre = [...centre];
+      this.radius = radius;
     }
-    this.centre = this.centre.map((value, k) => value + 0.2 * (surface.centre[k] - value));
-    this.radius += 0.2 * (surface.radius - this.radius);
+    this.centre = this.centre.map((value, k) => value + 0.2 * (centre[k] - value));
+    this.radius += 0.2 * (radius - this.radius);
   }
 
   /** World to clip, for a picture of some width over height. */
@@ -66,9 +67,9 @@ export class Camera {
   }
 
   listen(canvas) {
-    let from = null;
+    let from = null, begun = null;
     canvas.addEventListener("pointerdown", (event) => {
-      from = [event.clientX, event.clientY];
+      from = begun = [event.clientX, event.clientY];
       canvas.setPointerCapture(event.pointerId);
     });
     canvas.addEventListener("pointermove", (event) => {
@@ -76,7 +77,14 @@ export class Camera {
       this.turn((event.clientX - from[0]) * 0.008, (event.clientY - from[1]) * 0.008);
       from = [event.clientX, event.clientY];
     });
-    for (const name of ["pointerup", "pointercancel"]) canvas.addEventListener(name, () => { from = null; });
+    for (const name of ["pointerup", "pointercancel"]) {
+      canvas.addEventListener(name, (event) => {
+        const { left, top } = canvas.getBoundingClientRect(), { clientX, clientY } = event;
+        const still = begun && Math.hypot(clientX - begun[0], clientY - begun[1]) < 4;
+        if (still && name === "pointerup") this.onClick?.(clientX - left, clientY - top);
+        from = begun = null;
+      });
+    }
     canvas.addEventListener("dblclick", () => this.view("tilted"));
     canvas.addEventListener("wheel", (event) => {
       if (!event.ctrlKey && document.activeElement !== canvas) return; // the page scrolls until the surface was clicked

@@ -25,23 +25,25 @@ export function wearTheme() {
   $("theme").textContent = `Theme: ${theme}`;
 }
 
-export function listen(page, history, camera, flat, strips, token) {
+export function listen(page, clock, camera, flat, strips, token) {
   const redraw = () => { page.changed = true; page.slowAt = 0; };
   const acts = {
-    pause: () => (history.mode === "paused" ? history.play() : history.pause()),
-    back: () => history.step(-1),
-    forward: () => history.step(1),
-    live: () => history.live(),
+    pause: () => (clock.mode === "paused" ? clock.play() : clock.pause()),
+    back: () => page.history && clock.step(page.history, -1),
+    forward: () => page.history && clock.step(page.history, 1),
+    live: () => clock.live(),
     theme: () => { theme = THEMES[theme]; keep(theme); wearTheme(); },
     record: () => record(page, token),
     help: () => $("keys").showModal(),
+    next: () => page.history && clock.leap(page.history, 1),
+    previous: () => page.history && clock.leap(page.history, -1),
+    skin: () => page.choose(page.selected + 1),
   };
   const act = (name) => { acts[name](); redraw(); };
-  for (const name of Object.keys(acts)) $(name).addEventListener("click", () => act(name));
+  for (const name of Object.keys(acts)) $(name)?.addEventListener("click", () => act(name));
   system.addEventListener("change", redraw);
   $("scrub").addEventListener("input", () => {
-    if (!history.newest) return;
-    history.go(history.oldest.t + Number($("scrub").value));
+    if (clock.known) clock.go(clock.begin + Number($("scrub").value));
     redraw();
   });
   const views = { closer: () => camera.closer(1.2), farther: () => camera.closer(1 / 1.2) };
@@ -50,7 +52,10 @@ export function listen(page, history, camera, flat, strips, token) {
     button.addEventListener("click", () => look(button.dataset.view));
   }
 
-  const keys = { " ": "pause", ",": "back", ".": "forward", l: "live", r: "record", t: "theme", "?": "help" };
+  const keys = {
+    " ": "pause", ",": "back", ".": "forward", p: "previous", n: "next", l: "live", s: "skin", r: "record", t: "theme",
+    "?": "help",
+  };
   const looks = { 1: "tilted", 2: "above", 3: "front", "+": "closer", "=": "closer", "-": "farther" };
   document.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || $("keys").open) return;
@@ -62,13 +67,21 @@ export function listen(page, history, camera, flat, strips, token) {
 
   const pointed = (event) => {
     const { left, top } = $("flat").getBoundingClientRect();
-    const found = flat.under(event.clientX - left, event.clientY - top, page.skin, history.shown);
+    const found = flat.under(event.clientX - left, event.clientY - top, page.skin, page.history?.shown);
     $("flat").title = found ? `x ${found.x.toFixed(0)} mm, y ${found.y.toFixed(0)} mm: ${found.value.toFixed(2)}` : "";
   };
   $("flat").addEventListener("pointermove", pointed);
   for (const canvas of document.querySelectorAll(".strips canvas")) {
-    canvas.addEventListener("click", (event) => { history.go(strips.timeAt(canvas, event, history)); redraw(); });
+    canvas.addEventListener("click", (event) => {
+      if (page.history) clock.go(strips.timeAt(canvas, event, page.history));
+      redraw();
+    });
   }
+  $("log").addEventListener("click", (event) => {
+    const { t } = event.target.closest("li")?.dataset ?? {};
+    if (t !== undefined) clock.go(Number(t));
+    redraw();
+  });
 }
 
 async function record(page, token) {

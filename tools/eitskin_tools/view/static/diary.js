@@ -1,11 +1,10 @@
 // What happened, from one frame shown to the next. Frames between them were not seen: what they counted and began is
 // told by what is different now, so that nothing that lasts is missed.
 
-import { eventWords } from "./words.js";
+import { COUNTED, eventWords, framesWords } from "./words.js";
 
 const ENDED_MS = 500; // a touch that was not listed for so long
 const TOGETHER_MS = 3000; // losses within it are one entry
-const COUNTED = { lost: "lost on the wire", corrupt: "corrupt on the wire", overrun: "over their time budget" };
 const TOLD_OTHERWISE = new Set(["lost", "overrun", "cloud"]);
 
 export class Diary {
@@ -39,7 +38,7 @@ export class Diary {
   }
 
   event(t, code) {
-    if (!TOLD_OTHERWISE.has(code)) this.say(t, eventWords(code));
+    if (!TOLD_OTHERWISE.has(code)) this.say(t, eventWords(code), true);
   }
 
   count(t, now, before) {
@@ -49,18 +48,16 @@ export class Diary {
       const last = this.log.findLast((entry) => entry.name === name);
       if (last && t - last.t < TOGETHER_MS) {
         last.count += more;
-        last.text = frames(last.count, words);
+        last.text = framesWords(last.count, words);
       } else {
-        this.log.push({ t, name, count: more, text: frames(more, words) });
+        this.log.push({ t, name, count: more, text: framesWords(more, words) });
       }
     }
   }
 
-  say(t, text) {
+  say(t, text, event = false) {
     const last = this.log[this.log.length - 1];
     if (last?.text === text && t - last.t < TOGETHER_MS) return;
-    this.log.push({ t, text });
+    this.log.push({ t, text, event });
   }
 }
-
-const frames = (count, words) => `${count} ${count === 1 ? "frame" : "frames"} ${words}`;

@@ -1,6 +1,6 @@
 // What is written over the surface: touches with their normals and numbers, electrodes, and the directions of x, y, z.
 
-import { FONT, electrode, illOf, inks, paper, pill } from "./canvas.js";
+import { BOLD, FONT, electrode, illOf, inks, paper, pill } from "./canvas.js";
 
 const ARROW_MM = 20;
 
@@ -12,12 +12,67 @@ export function projector(matrix, width, height) {
   };
 }
 
-export function drawOverlay(canvas, skin, frame, surface, camera, matrix) {
+/** Electrodes of the one that is selected, touches of all, names where there are several. */
+export function drawOverlay(canvas, skins, selected, camera, matrix) {
   const sheet = paper(canvas);
   if (!sheet) return null;
   const { pen, width, height } = sheet, ink = inks(), project = projector(matrix, width, height);
   const seen = (place, normal) => normal.reduce((sum, value, k) => sum + value * (camera.eye[k] - place[k]), 0) > 0;
-  const ill = illOf(frame), middle = [skin.size_mm[0] / 2, skin.size_mm[1] / 2];
+  drawElectrodes(pen, ink, skins[selected], project);
+  for (const one of skins) {
+    const frame = one.history.shown;
+    if (one.silent) continue;
+    for (const touch of frame?.head.touches ?? []) drawTouch(pen, touch, frame, one.drawn, project, seen);
+  }
+  if (skins.length > 1) skins.forEach((one, of) => drawName(pen, ink, one, of === selected, project, width));
+  drawAxes(pen, ink, matrix, height);
+  return project;
+}
+
+/** Which skin lies under CSS pixels of the scene; null beside all. */
+export function skinUnder(skins, project, x, y) {
+  let [found, nearest] = [null, 28];
+  skins.forEach((one, of) => {
+    for (const place of spread(one.drawn, 9, 6)) {
+      const [px, py] = project(place), away = Math.hypot(px - x, py - y);
+      if (away < nearest) [found, nearest] = [of, away];
+    }
+  });
+  return found;
+}
+
+/** Places all over a surface. */
+function spread(surface, across, along) {
+  const [length, wide] = surface.sizeMm, found = [];
+  for (let i = 0; i < across; i++) {
+    for (let j = 0; j < along; j++) found.push(surface.at((i * length) / (across - 1), (j * wide) / (along - 1)).place);
+  }
+  return found;
+}
+
+/** A skin's name, above it. */
+function drawName(pen, ink, one, isSelected, project, width) {
+  const highest = spread(one.drawn, 5, 5).map(project).sort((a, b) => a[1] - b[1]).slice(0, 5);
+  const text = one.silent ? `${one.name}: no frames` : one.name;
+  pen.font = BOLD;
+  const half = pen.measureText(text).width / 2 + 9;
+  const middle = highest.reduce((sum, [px]) => sum + px, 0) / highest.length;
+  const x = Math.min(Math.max(middle, half + 3), width - half - 3), y = Math.max(highest[0][1] - 24, 14);
+  pen.beginPath();
+  pen.roundRect(x - half, y - 11, 2 * half, 22, 7);
+  pen.fillStyle = ink.card;
+  pen.fill();
+  pen.lineWidth = isSelected ? 2 : 1;
+  pen.strokeStyle = one.silent ? ink.warn : isSelected ? ink.accent : ink.line;
+  pen.stroke();
+  pen.fillStyle = one.silent ? ink.warn : ink.text;
+  pen.textAlign = "center";
+  pen.textBaseline = "middle";
+  pen.fillText(text, x, y + 0.5);
+}
+
+function drawElectrodes(pen, ink, { head: skin, history, drawn: surface }, project) {
+  const ill = illOf(history.shown), middle = [skin.size_mm[0] / 2, skin.size_mm[1] / 2];
   skin.electrodes.forEach(([x, y], number) => {
     const { place } = surface.at(x, y), [px, py] = project(place);
     const outX = x + (x - middle[0]) * 0.07, outY = y + (y - middle[1]) * 0.1;
@@ -25,9 +80,6 @@ export function drawOverlay(canvas, skin, frame, surface, camera, matrix) {
     const [tx, ty] = project(place.map((value, k) => 2 * value - step[k]));
     electrode(pen, ink, number, ill[number], px, py, tx, ty);
   });
-  for (const touch of frame?.head.touches ?? []) drawTouch(pen, touch, frame, surface, project, seen);
-  drawAxes(pen, ink, matrix, height);
-  return project;
 }
 
 function drawTouch(pen, touch, frame, surface, project, seen) {

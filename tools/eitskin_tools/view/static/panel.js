@@ -1,8 +1,8 @@
 // The words beside the pictures. A text is only written where it differs, so that selections and screen readers rest.
 
 import { illOf } from "./canvas.js";
-import { LOSSES, STAGES, areaOf } from "./strips.js";
-import { skippedWords, valueWords } from "./words.js";
+import { areaOf } from "./history.js";
+import { LOSSES, STAGES, skippedWords, valueWords } from "./words.js";
 
 const $ = (id) => document.getElementById(id);
 const say = (node, text) => { if (node.textContent !== text) node.textContent = text; };
@@ -17,10 +17,10 @@ function rows(node, wanted, tag, cell) {
   });
 }
 
-export function drawFacts(frame, rate) {
+export function drawFacts(frame, rate, recordedAt) {
   const { head } = frame;
   const facts = [["rate", rate ? `${rate.toFixed(0)} frames/s` : "–"], ["solver", head.solver],
-    ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
+    recordedAt ? ["recorded", recordedAt] : ["age", `${(head.age_us / 1000).toFixed(1)} ms`],
     ["lost", String(head.counts.lost)], ["device", head.serial]];
   const node = $("facts");
   while (node.children.length < facts.length) {
@@ -68,13 +68,14 @@ export function drawSkipped(history, shown) {
 }
 
 export function drawLog(history, shown) {
-  const now = history.newest.t;
-  const seen = history.log.filter((entry) => entry.t <= shown.t).slice(-40).reverse();
-  const words = seen.map((entry) => [entry.text, ago(now - entry.t)]);
+  const seen = history.log.filter((entry) => entry.t <= shown.t + 50).slice(-40).reverse();
+  const words = seen.map((entry) => [entry.text, history.when(entry.t)]);
   rows($("log"), seen.length ? words : [["Nothing yet."]], "li", "span");
+  seen.forEach((entry, k) => { $("log").children[k].dataset.t = entry.t; });
 }
 
-export function drawNow(frame) {
+export function drawNow(frame, touchWords) {
+  say($("touch-words"), touchWords);
   const { head } = frame, total = head.stages_us.reduce((a, b) => a + b, 0) / 1000;
   const losses = LOSSES.map(([name, words]) => [head.counts[name], words]).filter(([n]) => n > 0);
   const n = head.touches.length;
@@ -103,17 +104,38 @@ export function makeStageLegend() {
   });
 }
 
-export function drawTime(history) {
-  const { oldest, newest, shown } = history, scrub = $("scrub");
-  const range = Math.round(newest.t - oldest.t), at = Math.round(shown.t - oldest.t);
-  const text = history.mode === "live" ? "now" : ago(newest.t - shown.t);
+export function drawTime(clock, track) {
+  const { begin, end, film } = clock, scrub = $("scrub"), at = clock.mode === "live" ? end : clock.at;
+  const range = Math.round(end - begin), value = Math.round(at - begin);
+  const text = clock.mode === "live" ? "now" : film ? `${track.when(at)} of ${track.when(end)}` : track.when(at);
   scrub.max = String(range);
-  if (Number(scrub.value) !== at) scrub.value = String(at);
+  if (Number(scrub.value) !== value) scrub.value = String(value);
   if (scrub.getAttribute("aria-valuetext") !== text) scrub.setAttribute("aria-valuetext", text);
   say($("when"), text);
-  say($("pause"), history.mode === "paused" ? "Play" : "Pause");
-  $("live").disabled = history.mode === "live";
+  say($("pause"), clock.mode === "paused" ? "Play" : "Pause");
+  $("live").hidden = Boolean(film);
+  $("live").disabled = clock.mode === "live";
 }
 
-const ago = (ms) => (ms < 50 ? "now" : `${(ms / 1000).toFixed(1)} s ago`);
+/** The skins by name, with what each feels; nothing where there is one alone. */
+export function drawSkins(skins, selected, choose) {
+  const list = $("skins");
+  list.hidden = skins.length < 2;
+  if (list.hidden) return;
+  while (list.children.length < skins.length) {
+    const button = list.appendChild(document.createElement("button"));
+    const of = list.children.length - 1;
+    button.type = "button";
+    button.append(document.createElement("i"), document.createElement("b"), document.createElement("span"));
+    button.addEventListener("click", () => choose(of));
+  }
+  skins.forEach((skin, of) => {
+    const button = list.children[of], n = skin.history.shown?.head.touches.length ?? 0;
+    button.setAttribute("aria-pressed", String(of === selected));
+    button.dataset.state = skin.silent ? "silent" : n ? "touched" : "live";
+    say(button.children[1], skin.name);
+    say(button.children[2], skin.silent ? "no frames" : n ? `${n} ${n === 1 ? "touch" : "touches"}` : "untouched");
+  });
+}
+
 const signed = (value) => (value < 0 ? `−${(-value).toFixed(1)}` : `+${value.toFixed(1)}`);

@@ -1,4 +1,4 @@
-// The bent sheet in WebGL 2: the map as its colour, a floor with a grid and the sheet's shadow below it.
+// The bent sheets in WebGL 2: the map as their colour, a floor with a grid and their shadows below them.
 
 const SHEET = {
   vertex: `#version 300 es
@@ -13,7 +13,7 @@ const SHEET = {
     precision highp float;
     in vec3 facing; in vec2 on; flat in float part;
     uniform sampler2D map; uniform sampler2D colours; uniform vec3 light; uniform vec2 size;
-    uniform vec3 gel; uniform bool shadow; uniform bool disc; uniform float shade;
+    uniform vec3 gel; uniform bool shadow; uniform bool disc; uniform float shade; uniform bool silent;
     out vec4 colour;
     void main() {
       if (disc && length(on - 0.5) > 0.5) discard;
@@ -21,7 +21,7 @@ const SHEET = {
       float lit = dot(normalize(facing), light);
       float bright = 0.74 + 0.26 * lit;
       vec3 base = gel;
-      if (part < 0.5) {
+      if (part < 0.5 && !silent) {
         base = texture(colours, vec2(texture(map, on).r * 255.0 / 256.0 + 0.5 / 256.0, 0.5)).rgb;
         vec2 cell = on * size / 10.0, width = fwidth(cell);
         vec2 near = abs(fract(cell - 0.5) - 0.5) / max(width, vec2(1e-6));
@@ -52,7 +52,6 @@ export class Scene {
     canvas.addEventListener("webglcontextrestored", () => {
       this.build();
       this.setColours(this.palette);
-      this.drawn = null;
     });
     this.build();
   }
@@ -61,10 +60,8 @@ export class Scene {
     const { gl } = this;
     this.sheet = program(gl, SHEET);
     this.floor = program(gl, FLOOR);
-    this.vertices = gl.createBuffer();
-    this.triangles = gl.createBuffer();
+    this.meshes = [];
     this.lines = gl.createBuffer();
-    this.map = texture(gl, gl.LINEAR);
     this.colours = texture(gl, gl.LINEAR);
     gl.enable(gl.DEPTH_TEST);
     gl.blendFunc(gl.SRC_ALPHA, gl.ONE_MINUS_SRC_ALPHA);
@@ -77,71 +74,86 @@ export class Scene {
     gl.texImage2D(gl.TEXTURE_2D, 0, gl.RGBA, 256, 1, 0, gl.RGBA, gl.UNSIGNED_BYTE, palette);
   }
 
-  setSurface(surface) {
-    const { gl } = this, { vertices, triangles } = surface.mesh();
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.vertices);
-    gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.DYNAMIC_DRAW);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
-    gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.DYNAMIC_DRAW);
-    this.count = triangles.length;
-    this.drawn = surface;
+  /** The buffers and the map's texture of one sheet, with what is drawn now in them. */
+  meshOf(k, { surface, map, shape }) {
+    const { gl } = this;
+    const mesh = this.meshes[k] ??= {
+      vertices: gl.createBuffer(), triangles: gl.createBuffer(), map: texture(gl, gl.LINEAR), surface: null, count: 0,
+    };
+    if (mesh.surface !== surface) {
+      const { vertices, triangles } = surface.mesh();
+      gl.bindBuffer(gl.ARRAY_BUFFER, mesh.vertices);
+      gl.bufferData(gl.ARRAY_BUFFER, vertices, gl.DYNAMIC_DRAW);
+      gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles);
+      gl.bufferData(gl.ELEMENT_ARRAY_BUFFER, triangles, gl.DYNAMIC_DRAW);
+      Object.assign(mesh, { surface, count: triangles.length });
+    }
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, mesh.map);
+    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
+    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, shape[1], shape[0], 0, gl.RED, gl.UNSIGNED_BYTE, map);
+    return mesh;
   }
 
-  /** Draw; dark says which ground is behind it. Return the camera's matrix. */
-  draw(camera, surface, map, shape, disc, dark) {
+  /** Draw sheets, each {surface, map, shape, disc, silent}, within a box; dark says which ground is behind them. */
+  draw(camera, box, items, dark) {
     const { gl, canvas } = this;
-    camera.look(surface);
+    camera.look(box);
     const matrix = camera.matrix(canvas.width / canvas.height);
     if (!gl || gl.isContextLost() || !this.palette) return matrix;
-    if (this.drawn !== surface) this.setSurface(surface);
-    const floorZ = surface.low[2] - Math.max(6, 0.06 * surface.radius);
+    const floorZ = box.low[2] - Math.max(6, 0.06 * box.radius);
     gl.viewport(0, 0, canvas.width, canvas.height);
     gl.clearColor(0, 0, 0, 0);
     gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT | gl.STENCIL_BUFFER_BIT);
-    this.drawFloor(camera, matrix, surface, floorZ, dark);
+    this.drawFloor(camera, matrix, box, floorZ, dark);
 
     gl.useProgram(this.sheet.program);
-    gl.bindBuffer(gl.ARRAY_BUFFER, this.vertices);
-    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, this.triangles);
-    attribute(gl, this.sheet, "place", 3, STRIDE, 0);
-    attribute(gl, this.sheet, "normal", 3, STRIDE, 12);
-    attribute(gl, this.sheet, "where", 2, STRIDE, 24);
-    attribute(gl, this.sheet, "side", 1, STRIDE, 32);
     const at = this.sheet.at;
     gl.uniformMatrix4fv(at.camera, false, matrix);
     gl.uniform1f(at.floorZ, floorZ);
     gl.uniform3fv(at.light, camera.light);
-    gl.uniform2fv(at.size, surface.sizeMm);
     gl.uniform3fv(at.gel, dark ? [0.36, 0.4, 0.47] : [0.72, 0.75, 0.8]);
-    gl.uniform1i(at.disc, disc ? 1 : 0);
     gl.uniform1f(at.shade, dark ? 0.45 : 0.13);
-    gl.activeTexture(gl.TEXTURE0);
-    gl.bindTexture(gl.TEXTURE_2D, this.map);
-    gl.pixelStorei(gl.UNPACK_ALIGNMENT, 1);
-    gl.texImage2D(gl.TEXTURE_2D, 0, gl.R8, shape[1], shape[0], 0, gl.RED, gl.UNSIGNED_BYTE, map);
     gl.uniform1i(at.map, 0);
     gl.activeTexture(gl.TEXTURE1);
     gl.bindTexture(gl.TEXTURE_2D, this.colours);
     gl.uniform1i(at.colours, 1);
+    const meshes = items.map((item, k) => this.meshOf(k, item));
 
     gl.enable(gl.BLEND);
-    gl.enable(gl.STENCIL_TEST); // each pixel of the shadow is darkened once
+    gl.enable(gl.STENCIL_TEST); // each pixel of the shadows is darkened once
     gl.stencilFunc(gl.EQUAL, 0, 255);
     gl.stencilOp(gl.KEEP, gl.INCR, gl.INCR);
     gl.disable(gl.DEPTH_TEST);
     gl.uniform1i(at.shadow, 1);
-    if (camera.eye[2] > floorZ) gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_SHORT, 0);
+    if (camera.eye[2] > floorZ) items.forEach((item, k) => this.drawSheet(meshes[k], item));
     gl.disable(gl.STENCIL_TEST);
     gl.enable(gl.DEPTH_TEST);
     gl.disable(gl.BLEND);
     gl.uniform1i(at.shadow, 0);
-    gl.drawElements(gl.TRIANGLES, this.count, gl.UNSIGNED_SHORT, 0);
+    items.forEach((item, k) => this.drawSheet(meshes[k], item));
     return matrix;
   }
 
-  drawFloor(camera, matrix, surface, z, dark) {
-    const { gl } = this, step = 50, reach = 3.2 * surface.radius, points = [];
-    const [mx, my] = surface.centre, n = Math.ceil(reach / step);
+  drawSheet(mesh, { surface, disc, silent }) {
+    const { gl, sheet } = this;
+    gl.bindBuffer(gl.ARRAY_BUFFER, mesh.vertices);
+    gl.bindBuffer(gl.ELEMENT_ARRAY_BUFFER, mesh.triangles);
+    attribute(gl, sheet, "place", 3, STRIDE, 0);
+    attribute(gl, sheet, "normal", 3, STRIDE, 12);
+    attribute(gl, sheet, "where", 2, STRIDE, 24);
+    attribute(gl, sheet, "side", 1, STRIDE, 32);
+    gl.uniform2fv(sheet.at.size, surface.sizeMm);
+    gl.uniform1i(sheet.at.disc, disc ? 1 : 0);
+    gl.uniform1i(sheet.at.silent, silent ? 1 : 0);
+    gl.activeTexture(gl.TEXTURE0);
+    gl.bindTexture(gl.TEXTURE_2D, mesh.map);
+    gl.drawElements(gl.TRIANGLES, mesh.count, gl.UNSIGNED_SHORT, 0);
+  }
+
+  drawFloor(camera, matrix, { centre, radius }, z, dark) {
+    const reach = 3.2 * radius, step = [50, 100, 200, 500, 1000].find((mm) => reach / mm < 16) ?? reach / 16;
+    const { gl } = this, points = [], [mx, my] = centre, n = Math.ceil(reach / step);
     for (let k = -n; k <= n; k++) {
       const x = (Math.round(mx / step) + k) * step, y = (Math.round(my / step) + k) * step;
       for (let j = -n; j < n; j++) { // in pieces, so that they can fade

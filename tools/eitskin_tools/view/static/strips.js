@@ -1,36 +1,23 @@
-// Four strips of the last minute: touched area, time by stage, losses, drift. The right border is the newest moment.
+// Four strips of what a history or a film has: touches, time by stage, losses, drift.
 
 import { FONT, inks, paper } from "./canvas.js";
+import { LOSSES, STAGES } from "./words.js";
 
-export const WINDOW_MS = 60000;
-export const STAGES = ["decode", "normalise", "gate", "infer", "pack", "publish"];
-export const LOSSES = [["lost", "lost"], ["corrupt", "corrupt"], ["withheld", "withheld"], ["overrun", "late"]];
-const GAP_MS = 1500; // a longer silence is left blank
 const PAD = { left: 34, right: 2, top: 7, bottom: 15 };
 
-/** The frames of a window, thinned to what a strip can show. */
-export function windowOf(history, width) {
-  const end = history.newest?.t ?? 0, begin = end - WINDOW_MS;
-  const first = history.frames.length ? history.index(begin) : 0;
-  const every = Math.max(1, Math.floor((history.frames.length - first) / Math.max(width, 100)));
-  const last = history.frames.length - 1;
-  const frames = history.frames.filter((_, k) => k >= first && (k % every === 0 || k === last));
-  return { begin, end, frames };
-}
-
 export function timeAt(canvas, event, history) {
-  const { left, width } = canvas.getBoundingClientRect();
+  const { left, width } = canvas.getBoundingClientRect(), { begin, end } = history.window(width);
   const share = (event.clientX - left - PAD.left) / (width - PAD.left - PAD.right);
-  return (history.newest?.t ?? 0) - WINDOW_MS * (1 - Math.min(Math.max(share, 0), 1));
+  return begin + (end - begin) * Math.min(Math.max(share, 0), 1);
 }
 
 class Strip {
-  constructor(canvas, history, least, unit, low = 0) {
+  constructor(canvas, history, least) {
     const sheet = paper(canvas);
     this.ok = Boolean(sheet);
     if (!sheet) return;
-    Object.assign(this, sheet, windowOf(history, sheet.width));
-    Object.assign(this, { ink: inks(), history, unit, least, lowest: low });
+    Object.assign(this, sheet, history.window(sheet.width));
+    Object.assign(this, { ink: inks(), history, least: least ?? this.least });
   }
 
   scale(high, low = 0) {
@@ -54,14 +41,16 @@ class Strip {
     pen.stroke();
     pen.textBaseline = "bottom";
     pen.textAlign = "left";
-    pen.fillText("−60 s", PAD.left, height + 1);
+    pen.fillText(this.labels[0], PAD.left, height + 1);
     pen.textAlign = "center";
-    pen.fillText("−30", PAD.left + (width - PAD.left - PAD.right) / 2, height + 1);
+    pen.fillText(this.labels[1], PAD.left + (width - PAD.left - PAD.right) / 2, height + 1);
     pen.textAlign = "right";
-    pen.fillText("now", width - PAD.right, height + 1);
+    pen.fillText(this.labels[2], width - PAD.right, height + 1);
   }
 
-  x(t) { return PAD.left + ((t - this.begin) / WINDOW_MS) * (this.width - PAD.left - PAD.right); }
+  x(t) {
+    return PAD.left + ((t - this.begin) / Math.max(this.end - this.begin, 1)) * (this.width - PAD.left - PAD.right);
+  }
   y(value) {
     const share = (Math.min(value, this.high) - this.low) / (this.high - this.low);
     return this.height - PAD.bottom - share * (this.height - PAD.top - PAD.bottom);
@@ -97,7 +86,7 @@ class Strip {
     const found = [];
     let run = [];
     for (const frame of this.frames) {
-      const ends = run.length && frame.t - run[run.length - 1].t > GAP_MS;
+      const ends = run.length && frame.t - run[run.length - 1].t > this.gap;
       if (ends || value(frame) === null) {
         if (run.length) found.push(run);
         run = [];
@@ -110,7 +99,7 @@ class Strip {
 
   cursor() {
     if (this.history.mode === "live" || !this.history.shown) return;
-    const { pen, ink } = this, x = this.x(this.history.shown.t);
+    const { pen, ink } = this, x = this.x(this.history.clock.at);
     if (x < PAD.left) return;
     pen.strokeStyle = ink.accent;
     pen.lineWidth = 1.5;
@@ -121,19 +110,17 @@ class Strip {
   }
 }
 
-export const areaOf = (frame) => frame.head.touches.reduce((sum, touch) => sum + touch.area, 0);
-
 export function drawTouches(canvas, history) {
-  const strip = new Strip(canvas, history, 50, "mm²");
+  const strip = new Strip(canvas, history);
   if (!strip.ok) return;
-  strip.scale(Math.max(0, ...strip.frames.map(areaOf)));
-  strip.band(() => 0, areaOf, strip.ink.s1, 0.25);
-  strip.line(areaOf, strip.ink.s1);
+  strip.scale(Math.max(0, ...strip.frames.map(strip.level)));
+  strip.band(() => 0, strip.level, strip.ink.s1, 0.25);
+  strip.line(strip.level, strip.ink.s1);
   strip.cursor();
 }
 
 export function drawLatency(canvas, history) {
-  const strip = new Strip(canvas, history, 0.2, "ms");
+  const strip = new Strip(canvas, history, 0.2);
   if (!strip.ok) return;
   const sums = new Map();
   for (const frame of strip.frames) {
@@ -146,45 +133,28 @@ export function drawLatency(canvas, history) {
   strip.cursor();
 }
 
-/** Losses by the second: {t, name: count}. */
-function lossesBySecond(frames) {
-  const found = new Map();
-  for (let k = 1; k < frames.length; k++) {
-    const [before, now] = [frames[k - 1].head, frames[k].head];
-    if (before.run !== now.run) continue;
-    const second = Math.floor(frames[k].t / 1000), entry = found.get(second) ?? {};
-    for (const [name] of LOSSES) {
-      const more = now.counts[name] - before.counts[name];
-      if (more > 0) entry[name] = (entry[name] ?? 0) + more;
-    }
-    found.set(second, entry);
-  }
-  return found;
-}
-
 export function drawLosses(canvas, history) {
-  const strip = new Strip(canvas, history, 4, "");
+  const strip = new Strip(canvas, history, 4);
   if (!strip.ok) return;
-  const seconds = lossesBySecond(strip.frames), { pen, ink } = strip;
-  const sum = (entry) => Object.values(entry).reduce((a, b) => a + b, 0);
-  strip.scale(Math.max(0, ...[...seconds.values()].map(sum)));
+  const { pen, ink, losses } = strip;
+  const sum = (counts) => LOSSES.reduce((all, [name]) => all + (counts[name] ?? 0), 0);
+  strip.scale(Math.max(0, ...losses.map(({ counts }) => sum(counts))));
   const inksOf = { lost: ink.s4, corrupt: ink.s5, withheld: ink.s1, overrun: ink.s6 };
-  for (const [second, entry] of seconds) {
-    const left = Math.max(strip.x(1000 * second), PAD.left);
-    const wide = Math.max(strip.x(1000 * (second + 1)) - left - 1, 1);
+  for (const { begin, end, counts } of losses) {
+    const left = Math.max(strip.x(begin), PAD.left), wide = Math.max(strip.x(end) - left - 1, 1.5);
     let from = 0;
     for (const [name] of LOSSES) {
-      if (!entry[name]) continue;
+      if (!counts[name]) continue;
       pen.fillStyle = inksOf[name];
-      pen.fillRect(left, strip.y(from + entry[name]), wide, strip.y(from) - strip.y(from + entry[name]));
-      from += entry[name];
+      pen.fillRect(left, strip.y(from + counts[name]), wide, strip.y(from) - strip.y(from + counts[name]));
+      from += counts[name];
     }
   }
   strip.cursor();
 }
 
 export function drawDrift(canvas, history) {
-  const strip = new Strip(canvas, history, 1, "%");
+  const strip = new Strip(canvas, history, 1);
   if (!strip.ok) return;
   const value = (frame) => frame.head.drift[0], sd = (frame) => frame.head.drift[1] ?? 0;
   const known = strip.frames.filter((frame) => value(frame) !== null);

@@ -1,17 +1,5 @@
 // A surface as triangles: from the places of pixels' centres to the corners between them, two sides and a border.
 
-/** The flat sheet as a cloud: (3, rows, columns) places of the pixels' centres. */
-export function flatCloud(rows, columns, [length, width]) {
-  const cloud = new Float32Array(3 * rows * columns), n = rows * columns;
-  for (let r = 0; r < rows; r++) {
-    for (let c = 0; c < columns; c++) {
-      cloud[r * columns + c] = ((c + 0.5) * length) / columns;
-      cloud[n + r * columns + c] = ((r + 0.5) * width) / rows;
-    }
-  }
-  return cloud;
-}
-
 export class Surface {
   constructor(revision, cloud, rows, columns, sizeMm, thicknessMm) {
     Object.assign(this, { revision, rows, columns, sizeMm, thicknessMm });
@@ -28,6 +16,7 @@ export class Surface {
       high[i % 3] = Math.max(high[i % 3], this.corners[i]);
     }
     this.low = low;
+    this.high = high;
     this.centre = low.map((value, axis) => (value + high[axis]) / 2);
     this.radius = Math.hypot(...low.map((value, axis) => high[axis] - value)) / 2;
   }

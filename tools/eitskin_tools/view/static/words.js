@@ -35,6 +35,20 @@ const WITHHELD = {
   stale: "waited while a newer one came",
 };
 
+export const STAGES = ["decode", "normalise", "gate", "infer", "pack", "publish"];
+export const LOSSES = [["lost", "lost"], ["corrupt", "corrupt"], ["withheld", "withheld"], ["overrun", "late"]];
+export const COUNTED = { lost: "lost on the wire", corrupt: "corrupt on the wire", overrun: "over their time budget" };
+
+export const framesWords = (count, words) => `${count} ${count === 1 ? "frame" : "frames"} ${words}`;
+
+/** A moment of a recording: minutes, seconds and tenths, hours where there are any. */
+export function clockWords(ms) {
+  const tenths = Math.floor(Math.max(ms, 0) / 100), minutes = Math.floor(tenths / 600);
+  const hours = Math.floor(minutes / 60);
+  const seconds = ((tenths % 600) / 10).toFixed(1).padStart(4, "0");
+  return hours ? `${hours}:${String(minutes % 60).padStart(2, "0")}:${seconds}` : `${minutes}:${seconds}`;
+}
+
 export const skippedWords = (code) => SKIPPED[code] ?? code;
 
 export function eventWords(code) {

@@ -1,0 +1,117 @@
+"""Any part of a recording, read without what comes before it, is what the whole of it says."""
+
+from itertools import count, pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eitskin_proto.errors import MismatchError
+from eitskin_tools.recording.layout import CLOUD, WIRE, RecordingError
+from eitskin_tools.recording.script import Script, Step
+from eitskin_tools.recording.seek import moments as moments_module
+from eitskin_tools.recording.seek.moments import Moments
+from eitskin_tools.recording.seek.places import Places
+
+from .conftest import recorded
+
+
+@pytest.fixture
+def chunked(tmp_path: Path, items: list[Any]) -> Path:
+    """A recording of some thirty chunks."""
+    ticks = count()
+    recorded(tmp_path / "c.mcap", items, now_s=lambda: 0.02 * next(ticks))
+    return tmp_path / "c.mcap"
+
+
+def told(step: Step) -> tuple[Any, ...]:
+    """Return what a step says, so that two can be held against each other."""
+    conditions, cloud = step.conditions, step.cloud
+    return (
+        step.frame, step.log_ns, conditions and conditions.revision, cloud and cloud.cloud.tobytes(), step.reference,
+    )  # fmt: skip
+
+
+def at_s(found: Moments, step: Step) -> float:
+    """Return when a frame came, after the first one; a quarter of a ns later, so that no rounding leaves it out."""
+    return (step.log_ns - found.first_ns + 0.25) * 1e-9
+
+
+def test_parts_together_are_the_whole_and_each_begins_with_what_held(chunked: Path) -> None:
+    script, found = Script(chunked), Moments(chunked)
+    assert len(Places(chunked).chunks) > 20
+    assert (found.first_ns, found.last_ns, found.seconds) == (script.first_ns, script.last_ns, script.seconds)
+    whole = list(script.steps())
+    begins = [at_s(found, whole[k]) for k in range(0, 150, 20)]
+    parts = [found.span(begin, end) for begin, end in pairwise([*begins, found.seconds + 1.0])]
+    assert [step.frame for part in parts for step in part.steps] == [step.frame for step in whole]
+    for begin, part in zip(begins, parts, strict=True):
+        first = next(script.steps(begin))
+        assert told(part.steps[0])[2:] == told(first)[2:]
+        assert part.steps[0].reference is not None
+    assert {number for part in parts for number in part.notes} == {step.frame.frame for step in whole}
+
+
+def test_a_part_is_found_without_reading_the_others(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found, read = Moments(chunked), []
+    plain = Places.read
+    monkeypatch.setattr(Places, "read", lambda self, number: read.append(number) or plain(self, number))
+    whole = list(Script(chunked).steps())
+    steps = found.span(at_s(found, whole[100]), at_s(found, whole[104])).steps
+    assert [step.frame for step in steps] == [step.frame for step in whole[100:104]]
+    assert steps[0].cloud is not None
+    assert len(set(read)) < len(Places(chunked).chunks) / 2
+
+
+def test_what_is_kept_does_not_grow_with_the_file(chunked: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(moments_module, "MOST_KEPT", 1)
+    script, found = Script(chunked), Moments(chunked)
+    whole = list(script.steps())
+    for k in (120, 0, 120, 20):  # what was forgotten is read again
+        begin = at_s(found, whole[k])
+        assert told(found.span(begin, begin + 1.0).steps[0])[2:] == told(next(script.steps(begin)))[2:]
+    assert len(found._clouds._found) == 1
+
+
+@pytest.mark.parametrize("share", [0.3, 0.6, 0.9])
+def test_a_cut_file_is_looked_at_as_far_as_it_goes(chunked: Path, share: float) -> None:
+    data = chunked.read_bytes()
+    chunked.write_bytes(data[: int(share * len(data))])
+    script, found = Script(chunked), Moments(chunked)
+    assert "cut off" in found.ending
+    assert 0 < found.seconds <= script.seconds
+    frames = [step.frame for step in found.span(0.0, 10.0).steps]
+    assert frames == [step.frame for step in script.steps()][: len(frames)]
+
+
+def test_a_damaged_chunk_is_left_out_and_said(chunked: Path) -> None:
+    places = Places(chunked)
+    middle = places.chunks[len(places.chunks) // 2]
+    data = bytearray(chunked.read_bytes())
+    data[middle.at + middle.length - 20] ^= 0xFF
+    chunked.write_bytes(bytes(data))
+    found = Moments(chunked)
+    frames = found.span(0.0, 10.0).steps
+    assert 0 < len(frames) < 150
+    assert "damaged" in found.ending
+
+
+def test_the_index_says_which_chunks_have_clouds(chunked: Path) -> None:
+    places = Places(chunked)
+    clouds = places.having(CLOUD.topic)
+    assert 0 < len(clouds) < len(places.having(WIRE.topic))
+    assert all(any(entry.topic == CLOUD.topic for entry in places.read(number)) for number in clouds)
+
+
+def test_without_frames_or_of_another_protocol_it_is_refused(tmp_path: Path, items: list[Any]) -> None:
+    from dataclasses import replace
+
+    from eitskin import SkinState
+
+    states = [item for item in items if isinstance(item, SkinState)]
+    recorded(tmp_path / "none.mcap", states)
+    with pytest.raises(RecordingError, match="holds no frame of the wire"):
+        Moments(tmp_path / "none.mcap")
+    recorded(tmp_path / "other.mcap", [replace(one, protocol_id="0123456789abcdef") for one in states])
+    with pytest.raises(MismatchError, match="protocol_id"):
+        Moments(tmp_path / "other.mcap")

@@ -1,0 +1,297 @@
+"""The commands as a user types them: what cannot be shown is one line; what can is seen in a browser, and recorded."""
+
+import signal
+import subprocess
+import sys
+import time
+from contextlib import contextmanager
+from dataclasses import replace
+from itertools import count
+
+import pytest
+
+from eitskin import Frame, SkinState
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools import cli
+from eitskin_tools.recording import writer as writer_module
+from eitskin_tools.recording.script import Script
+from eitskin_tools.view.recorder import Recorder
+from eitskin_tools.view.source import Source, sources_of
+from eitskin_tools.view.viewer import Viewer
+
+from ..recording.conftest import TINY, measured, recorded
+from .chromium import PROGRAM
+from .conftest import browser, draws_again, picture, pixel
+
+CHROMIUM = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: tools/system-packages.sh chromium")
+
+
+@pytest.fixture(scope="module")
+def items():
+    """A stream that lasts ten seconds on the clock of its machine, touched in its middle third."""
+    found, step_ns = measured(200), 50_000_000
+    read = sorted(item.read_ns for item in found if hasattr(item, "read_ns"))
+    spread = {read_ns: read[0] + step_ns * taken for taken, read_ns in enumerate(read)}
+    for k, item in enumerate(found):
+        if hasattr(item, "read_ns"):
+            found[k] = replace(item, read_ns=spread[item.read_ns])
+        elif isinstance(item, Frame):
+            read_ns = spread[item.host_ns["read"]]
+            moved = {name: stamp - item.host_ns["read"] + read_ns for name, stamp in item.host_ns.items()}
+            found[k] = replace(item, host_ns=moved)
+    return found
+
+
+@pytest.fixture
+def path(tmp_path, items):
+    ticks = count()
+    recorded(tmp_path / "day.mcap", items, now_s=lambda: 0.02 * next(ticks))
+    return tmp_path / "day.mcap"
+
+
+@pytest.fixture
+def handlers():
+    """Signals are handled afterwards as before."""
+    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+def one_line(capsys, *words):
+    """Run a command, and return its status and the one line that it said."""
+    status = cli.main(list(map(str, words)))
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.count("\n") == 1, err
+    return status, err
+
+
+@pytest.mark.parametrize(
+    ("content", "says"),
+    [(None, "no file"), (b"", "is empty"), (b"no recording", "is no MCAP file"),
+     (b"\x89MCAP0\r\n", "ends before it says what it is")],
+)  # fmt: skip
+def test_what_is_no_recording_is_one_line(tmp_path, capsys, handlers, content, says):
+    path = tmp_path / "a.mcap"
+    if content is not None:
+        path.write_bytes(content)
+    status, said = one_line(capsys, "view", path, "--no-open")
+    assert status == 1
+    assert says in said
+
+
+def test_a_newer_version_another_protocol_and_another_skins_bundle_are_one_line(
+    tmp_path, path, items, capsys, handlers, monkeypatch
+):
+    status, said = one_line(capsys, "view", path, "--bundle", TINY.with_name("second.eitskin"))
+    assert (status, "grid_id" in said) == (1, True)
+    status, said = one_line(capsys, "view", path)
+    assert (status, "name it with --bundle" in said) == (1, True)
+    other = [replace(one, protocol_id="0123456789abcdef") if isinstance(one, SkinState) else one for one in items]
+    recorded(tmp_path / "other.mcap", other)
+    status, said = one_line(capsys, "view", tmp_path / "other.mcap", "--bundle", TINY)
+    assert (status, "protocol_id" in said) == (1, True)
+    monkeypatch.setattr(writer_module, "VERSION", 2)
+    recorded(tmp_path / "newer.mcap", items)
+    status, said = one_line(capsys, "view", tmp_path / "newer.mcap", "--bundle", TINY)
+    assert (status, "version 2, this release reads up to 1" in said) == (1, True)
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["a.mcap", "--endpoint", "ipc:///f"], "leave --endpoint out"),
+        (["a.mcap", "--config", "robot.toml"], "leave --config out"),
+        (["--bundle", "b.eitskin"], "leave it out"),
+        (["--config", "robot.toml", "--endpoint", "ipc:///f"], "leave --endpoint out"),
+        (["--port", "99999"], "--port is 99999"),
+        (["--recordings", "/nowhere"], "--recordings is /nowhere"),
+    ],
+)
+def test_bad_usage_is_one_line_and_exit_2(capsys, words, says):
+    status, said = one_line(capsys, "view", *words)
+    assert status == 2
+    assert says in said
+
+
+def test_a_robots_skins_are_found_by_its_file_and_by_its_folder(tmp_path):
+    robot = tmp_path / "robot.toml"
+    robot.write_text(
+        f'format = "eitskin-robot"\nversion = 1\nfolder = "{tmp_path}/s"\n[[skins]]\nname = "arm"\nport = "/dev/x"\n'
+        '[[skins]]\nname = "hand"\nport = "/dev/y"\nskin = "lab"\n[skins.pose]\ntranslation_mm = [1, 2, 3]\n'
+    )
+    arm, hand = sources_of(robot, PAPER)
+    assert (arm.name, arm.skin, arm.endpoint) == ("arm", PAPER, f"ipc://{tmp_path}/s/arm/frames")
+    assert hand.skin.name != PAPER.name
+    assert hand.pose.translation_mm.tolist() == [1.0, 2.0, 3.0]
+    from eitskin.robot.config import load_robot
+    from eitskin.robot.described import ProcessState, write_states
+
+    (tmp_path / "s").mkdir()
+    write_states(tmp_path / "s", 1, [ProcessState(one.skin, "ready") for one in load_robot(robot).skins])
+    assert [(one.name, one.endpoint) for one in sources_of(tmp_path / "s", PAPER)] == [
+        (one.name, one.endpoint) for one in (arm, hand)
+    ]
+
+
+@pytest.mark.process
+def test_a_live_page_needs_no_package_that_recordings_need():
+    code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.live.view; print('mcap' in sys.modules)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == "False\n"
+
+
+@contextmanager
+def started(*words, until):
+    """Run a command; give the line that says it is there."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1,
+    )  # fmt: skip
+    try:
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if until in line:
+                break
+        assert until in said[-1], said
+        yield said[-1]
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)
+
+
+SEEN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history?.shown"
+
+
+@CHROMIUM
+@pytest.mark.process
+@pytest.mark.slow
+def test_any_moment_of_a_recording_is_seen_by_the_bar_and_its_marks(path):
+    with started("view", path, "--bundle", TINY, "--port", 0, "--no-open", until="viewing") as line:
+        address = next(word for word in line.split() if word.startswith("http"))
+        with browser(address) as found:
+            found.wait(f"{SEEN} && eitskin.history.share === 1")
+            assert found.evaluate("document.getElementById('scrub').max") == "9950"  # the whole file
+            assert found.evaluate("eitskin.history.marks().filter((mark) => mark.kind === 'touched').length") == 1
+            found.press(" ")
+            assert found.evaluate("eitskin.clock.mode") == "paused"
+            found.press("n" if found.evaluate("eitskin.clock.at < 3000") else "p")  # to the touch
+            found.wait("eitskin.history.ready(eitskin.clock.at) && eitskin.history.shown.head.touches.length")
+            at_ms = found.evaluate("eitskin.history.shown.t")
+            assert at_ms == pytest.approx(1000 * 200 // 3 * 0.05, abs=60)
+            held = found.evaluate("eitskin.history.shown.head.seq")
+            found.press(".")
+            found.wait(f"eitskin.history.shown.head.seq === {held + 1}")
+            found.press(",")
+            found.press(",")
+            found.wait(f"eitskin.history.shown.head.seq === {held - 1}")
+            for t_ms, touched in ((9500, False), (5000, True), (100, False)):  # forth and back
+                found.evaluate(
+                    f"(() => {{ const s = document.getElementById('scrub'); s.value = {t_ms}; "
+                    "s.dispatchEvent(new Event('input')); })()"
+                )
+                found.wait(f"eitskin.history.ready({t_ms}) && Math.abs(eitskin.history.shown.t - {t_ms}) <= 50")
+                found.wait("document.getElementById('state').dataset.state === 'paused'")
+                assert found.evaluate("eitskin.history.shown.head.touched") == touched
+            found.wait("document.getElementById('when').innerText === '0:00.1 of 0:09.9'")
+            found.wait("document.getElementById('live').hidden && document.getElementById('record').hidden")
+            draws_again(found)
+            marks = found.evaluate("(() => { const b = document.getElementById('marks').getBoundingClientRect(); "
+                                   "return [b.left, b.top, b.width]; })()")  # fmt: skip
+            shot = picture(found)
+            middle, side = ([marks[0] + share * marks[2], marks[1] + 2] for share in (0.5, 0.1))
+            assert pixel(shot, middle, 1)[0] < 60, "touched: blue"
+            assert pixel(shot, side, 1)[0] > 150, "not touched"
+            found.evaluate("document.querySelector('#strip-touches').click()")  # somewhere else
+            found.evaluate("eitskin.clock.go(9700), document.activeElement.blur()")
+            found.press(" ")
+            found.wait("eitskin.clock.mode === 'paused' && eitskin.clock.at === eitskin.clock.end")  # plays to the end
+            found.press(" ")
+            found.wait("eitskin.clock.mode === 'playing' && eitskin.clock.at < 9000")  # and from the beginning
+
+
+@CHROMIUM
+@pytest.mark.process
+@pytest.mark.slow
+def test_a_cut_recording_is_seen_as_far_as_it_goes_and_says_so(path):
+    data = path.read_bytes()
+    path.write_bytes(data[: len(data) // 2])
+    with started("view", path, "--bundle", TINY, "--port", 0, "--no-open", until="viewing") as line:
+        address = next(word for word in line.split() if word.startswith("http"))
+        with browser(address) as found:
+            found.wait(f"{SEEN} && document.getElementById('notice').innerText.includes('it was cut off')")
+            assert 500 < found.evaluate("Number(document.getElementById('scrub').max)") < 9000
+            path.unlink()  # and one that goes away says that
+            found.evaluate("eitskin.history.parts.clear(), eitskin.clock.go(1)")
+            answer = found.evaluate("fetch('part/999').then((answer) => answer.text())")
+            assert "no such part" in answer
+            found.said.clear()
+
+
+@CHROMIUM
+@pytest.mark.process
+@pytest.mark.slow
+def test_the_record_button_makes_a_recording_that_can_be_read(path, tmp_path):
+    endpoint, folder = f"ipc://{tmp_path}/f", tmp_path / "made"
+    folder.mkdir()
+    words = ["replay", path, "--bundle", TINY, "--loop", "--publish", endpoint, "--control", f"ipc://{tmp_path}/c"]
+    with (
+        started(*words, until="ready"),
+        Viewer([Source(PAPER, endpoint)], recordings=folder) as viewer,
+        browser(viewer.address) as found,
+    ):
+        found.wait(f"{SEEN} && !document.getElementById('record').hidden")
+        found.press("r")
+        found.wait("document.getElementById('record').getAttribute('aria-pressed') === 'true'")
+        found.wait("document.getElementById('log').innerText.includes('Recording to eitskin-')")
+        (made,) = wait_for_frames(folder)
+        found.press("r")
+        found.wait("document.getElementById('record').getAttribute('aria-pressed') === 'false'")
+    script = Script(made)
+    assert script.frames > 0
+    assert script.ending == ""
+
+
+@pytest.mark.process
+@pytest.mark.slow
+def test_each_skin_is_recorded_by_its_name_and_one_that_is_not_there_ends_no_other(path, tmp_path):
+    endpoint, folder = f"ipc://{tmp_path}/f", tmp_path / "made"
+    folder.mkdir()
+    words = ["replay", path, "--bundle", TINY, "--loop", "--publish", endpoint, "--control", f"ipc://{tmp_path}/c"]
+    sources = [Source(PAPER, endpoint, "arm"), Source(PAPER, f"ipc://{tmp_path}/none", "hand")]
+    with started(*words, until="ready"):
+        recorder = Recorder([one.endpoint for one in sources], sources, folder)
+        assert recorder.start() == ""
+        assert "is being recorded already" in recorder.start()
+        assert recorder.about()["recording"].count(".mcap") == 2
+        (made,) = wait_for_frames(folder)
+        while "hand.mcap ended: " not in recorder.about()["recorder"]:
+            time.sleep(0.05)
+        assert recorder.about()["recording"] == made.name
+        assert recorder.stop() == ""
+        recorder.close()
+    assert made.name.endswith("-arm.mcap")
+    assert Script(made).ending == ""
+
+
+def wait_for_frames(folder):
+    """Return the files of a folder once the one there has frames."""
+    while True:
+        files = list(folder.glob("*.mcap"))
+        if files and files[0].stat().st_size > 20_000:
+            return files
+
+
+@CHROMIUM
+@pytest.mark.process
+@pytest.mark.slow
+def test_the_demonstration_is_seen_in_the_browser():
+    words = ["demo", "--view", "--seconds", 300, "--bundle", TINY]
+    with started(*words, until="http://") as line:
+        address = next(word for word in line.split() if word.startswith("http"))
+        with browser(address) as found:
+            found.wait(f"{SEEN} && eitskin.history.frames.length > 20")
+            found.wait("eitskin.history.shown.head.cloud > 0")
+            assert found.evaluate("eitskin.history.shown.head.shape") == [30, 45]

@@ -1,0 +1,194 @@
+"""A recording as a page gets it: the maps that were published, second by second, and what the bar has marks for."""
+
+import contextlib
+import json
+import random
+import time
+from dataclasses import replace
+from itertools import count
+
+import numpy as np
+import pytest
+
+from eitskin import Frame, WireFrame
+from eitskin.errors import SkinError
+from eitskin_tools.recording.layout import FRAME, WIRE
+from eitskin_tools.recording.reader import Entry, Recording
+from eitskin_tools.view.film import parts as parts_module
+from eitskin_tools.view.film.noted import count as counted
+from eitskin_tools.view.film.noted import number, texts
+from eitskin_tools.view.film.overview import MOST_MARKS, Overlooking, Overview
+from eitskin_tools.view.film.parts import Film
+from eitskin_tools.view.messages import unpacked
+
+from ..recording.conftest import CLOUD as CLOUD_MM
+from ..recording.conftest import TINY, measured, recorded
+
+
+@pytest.fixture(scope="module")
+def items():
+    return measured(skip_unchanged=True)
+
+
+@pytest.fixture
+def path(tmp_path, items):
+    ticks = count()
+    recorded(tmp_path / "a.mcap", items, now_s=lambda: 0.02 * next(ticks))
+    return tmp_path / "a.mcap"
+
+
+def messages(film):
+    return [message for number in range(film.parts) for message in unpacked(film.part(number))]
+
+
+def test_all_parts_together_show_every_published_frame_with_its_map(path, items, monkeypatch):
+    monkeypatch.setattr(parts_module, "PART_S", 0.1)
+    published = [item for item in items if isinstance(item, Frame)]
+    film = Film(path, TINY)
+    found = [(head, body) for head, body in messages(film) if head["kind"] == "frame"]
+    assert [head["seq"] for head, _ in found] == [frame.sequence for frame in published]
+    same = 0
+    for (head, body), frame in zip(found, published, strict=True):
+        levels = np.rint(np.clip(frame.map, 0.0, 1.0) * 255.0).astype(np.uint8)
+        same += body == levels.tobytes()
+        assert (head["touched"], head["n"], head["cloud"]) == (frame.touched, frame.number, frame.cloud)
+        assert head["counts"] == frame.counts
+    assert same >= len(found) - film.parts, "but for the first of a part, where only noise had changed"
+    times = [head["t_ms"] for head, _ in found]
+    assert times == sorted(times)
+    assert (times[0], times[-1]) == pytest.approx((0.0, 1000.0 * film.seconds))
+
+
+def test_a_part_begins_with_its_surface_and_is_kept_within_bounds(path, items, monkeypatch):
+    monkeypatch.setattr(parts_module, "PART_S", 0.1)
+    film = Film(path, TINY)
+    first = [unpacked(film.part(number))[0][0]["kind"] for number in range(film.parts) if film.part(number)]
+    assert set(first) == {"surface"}
+    head, body = next(message for message in reversed(messages(film)) if message[0]["kind"] == "surface")
+    assert head["revision"] == 1
+    np.testing.assert_allclose(np.frombuffer(body, "<f4").reshape(3, 30, 45), CLOUD_MM, atol=1e-4)
+    assert film.part(0) is film.part(0)
+    monkeypatch.setattr(parts_module, "MOST_BYTES", 1)
+    film = Film(path, TINY)
+    messages(film)
+    assert len(film._made) == 1
+    assert len(film._watches) <= parts_module.MOST_WATCHES
+
+
+def test_touches_keep_their_numbers_from_part_to_part(path, monkeypatch):
+    monkeypatch.setattr(parts_module, "PART_S", 0.02)
+    film = Film(path, TINY)
+    heads = [head for head, _ in messages(film) if head["kind"] == "frame" and head["touches"]]
+    newest = [max(touch["id"] for touch in head["touches"]) for head in heads]
+    assert newest == sorted(newest), "none begins anew"
+    assert all("began" not in str(head["touch_events"]) for head in heads)
+
+
+def test_a_recording_of_the_wire_alone_has_maps_too(tmp_path, items):
+    alone = [
+        replace(item, frame=None, solver="none", map_seq=None) if isinstance(item, WireFrame) else item
+        for item in items if not isinstance(item, Frame)
+    ]  # fmt: skip
+    recorded(tmp_path / "w.mcap", alone)
+    found = [(head, body) for head, body in messages(Film(tmp_path / "w.mcap", TINY)) if head["kind"] == "frame"]
+    touched = [max(body) for head, body in found if head["touched"]]
+    assert len(touched) > 20
+    assert all(0 <= value <= 255 for value in touched)
+    assert any(touched)
+
+
+def test_the_overview_has_what_happened_when(path, items):
+    film, told = Film(path, TINY), []
+    with Overlooking(path, Overview(film.seconds, film.first_ns), told.append):
+        while not told:
+            time.sleep(0.01)
+    assert unpacked(told[-1])[0][0]["share"] == 1.0
+    overview = Overview(film.seconds, film.first_ns)
+    for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
+        overview.take(entry)
+    ((head, _),) = unpacked(overview.message(done=True))
+    assert head["share"] == 1.0
+    touched = [item for item in items if isinstance(item, Frame) and item.touched]
+    assert len(head["touched"]) == 1
+    begin, end = head["touched"][0]
+    assert 0.0 < begin < end < film.seconds
+    assert len(touched) > 20
+    assert sum(row["losses"]["lost"] for row in head["rows"]) == 0
+    assert max(row["peak"] for row in head["rows"]) == pytest.approx(max(item.map.max() for item in touched), abs=1e-3)
+    assert all(0.0 <= row["t"] <= film.seconds for row in head["rows"])
+
+
+def note(at_s, **fields):
+    return Entry(FRAME.topic, int(at_s * 1e9), 0, json.dumps(fields).encode())
+
+
+def test_losses_and_events_are_marked_once_and_within_bounds():
+    overview = Overview(100.0, 0)
+    for k in range(100):
+        overview.take(note(k, events=["saturated"], counts={"lost": k, "corrupt": 5 if k >= 50 else 0}))
+        overview.take(note(k + 0.1, events=["saturated"]))
+    for k in range(2 * MOST_MARKS):
+        overview.take(note(0.01 * k, events=[f"electrode:{k}"]))
+    ((head, _),) = unpacked(overview.message(done=False))
+    assert [text for _, text in head["events"]].count("saturated") == 100
+    assert len(head["events"]) == MOST_MARKS
+    assert [(row["t"], row["losses"]["corrupt"]) for row in head["rows"] if row["losses"]["corrupt"]] == [
+        (pytest.approx(50.0, abs=0.2), 5)
+    ]
+    assert head["share"] == pytest.approx(0.99, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    "data",
+    [b"", b"[]", b"{", b'{"number": "x"}', b'{"host_ns": 3, "counts": [], "events": {}, "peak": "high", "drift": NaN}',
+     b'{"counts": {"corrupt": -5}, "host_ns": {"read": 1e400}, "events": [1, null, "a"]}'],
+)  # fmt: skip
+def test_a_note_that_makes_no_sense_is_nothing_worse(data):
+    overview = Overview(1.0, 0)
+    overview.take(Entry(FRAME.topic, 5, 0, data))
+    overview.take(Entry(WIRE.topic, 5, 0, data))
+    assert unpacked(overview.message(done=True))
+
+
+def test_what_is_no_number_is_none():
+    assert [counted(value) for value in (3, -1, 2.0, True, None, "3", 1 << 60)] == [3, 0, 0, 0, 0, 0, 0]
+    assert [number(value) for value in (1, 0.5, float("nan"), float("inf"), "1", None)] == [
+        1.0,
+        0.5,
+        None,
+        None,
+        None,
+        None,
+    ]
+    assert texts(["a", 3, "b" * 1000, None]) == ("a", "b" * 128)
+    assert texts("abc") == ()
+
+
+def test_whatever_is_damaged_ends_in_one_line_or_is_left_out(path):
+    rng, whole, outcomes = random.Random(3), path.read_bytes(), set()
+    for _ in range(40):
+        data = bytearray(whole)
+        for _ in range(rng.choice((1, 8))):
+            data[rng.randrange(len(data))] = rng.randrange(256)
+        path.write_bytes(bytes(data[: rng.choice((len(data), rng.randrange(len(data))))]))
+        try:
+            film = Film(path, TINY)
+            messages(film)
+        except (SkinError, OSError, ValueError) as error:
+            outcomes.add("two lines" if "\n" in str(error) else "refused")
+        else:
+            outcomes.add("seen")
+        overview = Overview(1.0, 0)
+        with contextlib.suppress(SkinError):
+            for entry in Recording(path).entries({WIRE.topic, FRAME.topic}):
+                overview.take(entry)
+        assert unpacked(overview.message(done=True))
+    assert outcomes == {"refused", "seen"}
+
+
+def test_a_solver_that_the_bundle_lacks_is_said_and_nothing_more(tmp_path, items):
+    strange = [replace(item, solver="magic") if isinstance(item, WireFrame) else item for item in items]
+    recorded(tmp_path / "s.mcap", strange)
+    film = Film(tmp_path / "s.mcap", TINY)
+    with pytest.raises(ValueError, match="'magic' does not exist"):
+        messages(film)

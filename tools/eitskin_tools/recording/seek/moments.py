@@ -1,0 +1,170 @@
+"""Any span of a recording: its frames, what was published of them, and what held at its beginning.
+
+What is kept in memory does not grow with the file: the places of its chunks, and the clouds and conditions that were
+looked at last.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable
+from dataclasses import dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin.errors import FrameError
+from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
+from eitskin_tools.recording.codec import unpack_json
+from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, WIRE, RecordingError
+from eitskin_tools.recording.reader import Entry, Recording
+from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.seek.places import Places
+from eitskin_tools.recording.told import Told
+
+MOST_KEPT: Final = 256
+"""Clouds, and conditions, that are kept: some megabytes."""
+
+FARTHEST: Final = 16
+"""Chunks that are looked at for what held; the one before the frame has it, unless it is damaged."""
+
+
+@dataclass(frozen=True, slots=True)
+class Span:
+    """Some of a recording."""
+
+    steps: tuple[Step, ...]
+    """The frames of the wire; the first has all that held then."""
+    notes: dict[int, dict[str, Any]]
+    """What was published, by the number of the published frame; as far as it was recorded."""
+
+
+class Moments(Told):
+    """A recording that is looked at here and there.
+
+    Args:
+        path: Of the file.
+
+    Raises:
+        RecordingError: It cannot be used, or holds no frame.
+        MismatchError: It is of another protocol.
+        OSError: It cannot be read.
+    """
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(Recording(path))
+        self._places = Places(path)
+        self._references = {sha256(data).hexdigest(): data for data in self._places.attached.values()}
+        self._clouds = _Kept(CloudInUse.of)
+        self._conditions = _Kept(Conditions.of)
+        first, last = self._end(1), self._end(-1)
+        if first is None or last is None:
+            raise RecordingError(f"{path} holds no frame of the wire{self.ending}")
+        self.first_ns, self.last_ns = first, last
+        """Wall clock of the first and the last frame."""
+
+    @property
+    def ending(self) -> str:
+        """What is wrong with the file's end or middle, as a clause; "" if nothing is."""
+        found = "; it was cut off, what is there ends before its time" if self._places.cut else ""
+        return found + ("; damaged chunks are left out" if self._places.damaged else "")
+
+    @property
+    def seconds(self) -> float:
+        """From the first frame to the last."""
+        return max(self.last_ns - self.first_ns, 0) * 1e-9
+
+    def _end(self, way: int) -> int | None:
+        for number in self._places.having(WIRE.topic)[::way]:
+            if found := [entry.log_ns for entry in self._read(number) if entry.topic == WIRE.topic]:
+                return found[0] if way > 0 else found[-1]
+        return None
+
+    def reference(self) -> bytes:
+        """Return what the first frame is held against, as in :class:`Told`."""
+        steps = self.span(0.0, 1.0).steps
+        if steps and (found := steps[0].reference) is not None:
+            return found
+        raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
+
+    def span(self, from_s: float, to_s: float) -> Span:
+        """Return a part.
+
+        Args:
+            from_s: Its beginning, after the first frame.
+            to_s: Its end, which belongs to the next part.
+
+        Raises:
+            OSError: The file cannot be read any more.
+        """
+        begin_ns, end_ns = self.first_ns + round(from_s * 1e9), self.first_ns + round(to_s * 1e9)
+        steps: list[Step] = []
+        notes: dict[int, dict[str, Any]] = {}
+        before: Conditions | None = None
+        for number in self._places.between(begin_ns, end_ns):
+            for entry in self._read(number):
+                if entry.topic not in (WIRE.topic, FRAME.topic) or not begin_ns <= entry.log_ns < end_ns:
+                    continue
+                try:
+                    if entry.topic == FRAME.topic:
+                        note = unpack_json(entry.data)
+                        notes[int(note["number"])] = note
+                        continue
+                    frame = WireFrame.of(entry.data, n=entry.sequence)
+                except (FrameError, RecordingError, KeyError, TypeError, ValueError):
+                    continue
+                now = self._held(self._conditions, CONDITIONS.topic, frame.conditions, number)
+                steps.append(self._step(frame, entry.log_ns, now, before, number))
+                before = now or before
+        return Span(tuple(steps), notes)
+
+    def _step(
+        self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int
+    ) -> Step:
+        if now is None or now is before:
+            return Step(frame, log_ns)
+        cloud = None
+        if before is None or before.cloud != now.cloud:
+            cloud = self._held(self._clouds, CLOUD.topic, now.cloud, number)
+        changed = before is None or before.reference != now.reference
+        return Step(frame, log_ns, now, cloud, self._references.get(now.reference) if changed else None)
+
+    def _held(self, kept: "_Kept", topic: str, revision: int, number: int) -> Any:
+        """Return what had a revision when a chunk was written; None where it is not there any more."""
+        if (found := kept.get(revision)) is not None:
+            return found
+        having = [one for one in self._places.having(topic) if one <= number]
+        for one in having[: -FARTHEST - 1 : -1]:
+            self._read(one)
+            if (found := kept.get(revision)) is not None:
+                return found
+        return None
+
+    def _read(self, number: int) -> list[Entry]:
+        """Return the messages of a chunk, having kept what lasts."""
+        entries = self._places.read(number)
+        for entry in entries:
+            if entry.topic == CLOUD.topic:
+                self._clouds.take(entry.data)
+            elif entry.topic == CONDITIONS.topic:
+                self._conditions.take(entry.data)
+        return entries
+
+
+class _Kept:
+    """What has a revision, the newest of it."""
+
+    def __init__(self, made: Callable[[bytes], Any]) -> None:
+        self._made, self._found = made, OrderedDict[int, Any]()
+
+    def take(self, data: bytes) -> None:
+        try:
+            found = self._made(data)
+        except FrameError:
+            return
+        if found.revision not in self._found:  # the same one stays the same object, which says that nothing changed
+            self._found[found.revision] = found
+        self._found.move_to_end(found.revision)
+        while len(self._found) > MOST_KEPT:
+            self._found.popitem(last=False)
+
+    def get(self, revision: int) -> Any:
+        return self._found.get(revision)

@@ -1,0 +1,89 @@
+// One skin as the page knows it: what it is, what came of it, how it goes.
+
+import { Diary } from "./diary.js";
+import { Film } from "./film.js";
+import { History } from "./history.js";
+import { Surface } from "./surface.js";
+
+export class Skin {
+  constructor(head, cloud, clock, token, onChange) {
+    Object.assign(this, { head, clock, of: head.of, name: head.name || head.skin });
+    this.flatSurface = this.surfaceOf(0, head.shape, cloud);
+    this.surface = null;
+    this.status = null;
+    this.state = null;
+    if (head.file) {
+      const surfaceOf = (revision, shape, cloud_mm) => this.surfaceOf(revision, shape, cloud_mm);
+      this.history = new Film(clock, head, token, surfaceOf, onChange);
+      clock.show(this.history);
+    } else {
+      this.history = new History(clock);
+      this.diary = new Diary(this.history.log);
+    }
+  }
+
+  surfaceOf(revision, [rows, columns], cloud) {
+    return new Surface(revision, cloud, rows, columns, this.head.size_mm, this.head.thickness_mm);
+  }
+
+  /** It sends nothing, and now is what is looked at. */
+  get silent() { return this.status?.state === "silent" && this.clock.mode === "live"; }
+
+  get drawn() { return this.history.shown?.surface ?? this.flatSurface; }
+
+  take(head, body) {
+    if (head.kind === "surface") {
+      this.surface = this.surfaceOf(head.revision, head.shape, new Float32Array(body.buffer));
+      this.surface.run = head.run;
+    } else if (head.kind === "frame") this.takeFrame(head, body);
+    else if (head.kind === "state") this.takeState(head);
+    else if (head.kind === "status") this.takeStatus(head);
+    else if (head.kind === "overview") this.history.takeOverview(head);
+  }
+
+  takeFrame(head, body) {
+    const before = this.history.newest;
+    const frame = { t: head.t_ms, head, map: body, surface: this.surfaceFor(head) };
+    this.history.add(frame);
+    this.diary.note(frame.t, head, before?.head, this.state?.run === head.run);
+  }
+
+  takeStatus(head) {
+    const before = this.status;
+    this.status = head;
+    if (!this.diary) return;
+    const t = this.history.newest?.t ?? 0;
+    if (head.recording && head.recording !== before?.recording) this.diary.say(t, `Recording to ${head.recording}`);
+    if (head.recorder && head.recorder !== before?.recorder) this.diary.say(t, head.recorder);
+  }
+
+  /** What happened since the message before, at all frames, those between two pictures too. */
+  takeState(head) {
+    const before = this.state;
+    this.state = head;
+    if (before?.run !== head.run || before.n >= head.n) return;
+    for (const code of head.events) this.diary.event(this.history.newest?.t ?? 0, code);
+  }
+
+  /** The surface that a frame is drawn on: that in use, the one before until it has come, or none. */
+  surfaceFor(head) {
+    if (!head.cloud) return this.flatSurface;
+    return this.surface && this.surface.run === head.run ? this.surface : this.flatSurface;
+  }
+
+  /** Frames a second that the runtime publishes, over the last second. */
+  rateAt(frame) {
+    const before = this.history.frames[this.history.index(frame.t - 1000)];
+    const seconds = (frame.t - before.t) / 1000;
+    return seconds > 0.2 && before.head.run === frame.head.run ? (frame.head.n - before.head.n) / seconds : 0;
+  }
+}
+
+/** The box about all surfaces: what the camera looks at. */
+export function boxOf(surfaces) {
+  if (surfaces.length === 1) return surfaces[0];
+  const low = [0, 1, 2].map((k) => Math.min(...surfaces.map((one) => one.low[k])));
+  const high = [0, 1, 2].map((k) => Math.max(...surfaces.map((one) => one.high[k])));
+  return { low, high, centre: low.map((value, k) => (value + high[k]) / 2),
+    radius: (0.95 * Math.hypot(...low.map((value, k) => high[k] - value))) / 2 };
+}
