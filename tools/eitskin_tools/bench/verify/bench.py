@@ -10,6 +10,7 @@ import json
 from typing import Any
 
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.threads import one_blas_thread
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
+    one_blas_thread()
     from eitskin_tools.bench.verify.conditions import conditions
     from eitskin_tools.bench.verify.maps import measure
     from eitskin_tools.bench.verify.matched import candidates, matched
