@@ -15,6 +15,7 @@ from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
+from eitskin_sim.verification.unit_exchange import Exchange
 from eitskin_sim.verification.unit_price import LOG_SD, OTHERS, UnitPrice
 
 CONTENT: Final = 0.05
@@ -47,6 +48,7 @@ class Search:
         contrast: The usual one.
         deadline: What the clock shows when it ends.
         clock: In seconds.
+        coarse: The same sheet of a lower rank, for exchanges; None is the model itself.
     """
 
     def __init__(
@@ -58,24 +60,28 @@ class Search:
         contrast: float,
         deadline: float,
         clock: Callable[[], float] = time.perf_counter,
+        coarse: ReducedModel | None = None,
     ) -> None:
         self._model, self._flat, self._frame, self._prior = model, flat_V, frame, prior
         self._usual, self._deadline, self._clock = contrast, deadline, clock
         self._columns = model.shape[1]
+        self._coarse = coarse or model
         self._content = least_chi_squared(CONTENT, len(frame.white))
         self._price = UnitPrice(model.shape, prior, contrast)
         self.evaluations = 0
 
     def on(self, frame: Frame) -> "Search":
         """Return the same search on the frame with another covariance."""
-        found = Search(self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock)
+        found = Search(
+            self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock, self._coarse
+        )
         found.evaluations, found._price = self.evaluations, self._price
         return found
 
     def best_of(self, sets: Sequence[tuple[Index, Array]]) -> State:
         """Return the best of some sets; none is the untouched sheet."""
         different = {tuple(units.tolist()): (units, contrasts) for units, contrasts in sets}
-        self._price.starts = [frozenset(units) for units in different]
+        self._price.begin([units for units, _ in different.values()])
         states = [self._state(*one) for one in different.values()] or [self._nothing()]
         costs = [self._cost(state, self._chi(state)) for state in states]
         return states[int(np.argmin(costs))]
@@ -87,7 +93,7 @@ class Search:
 
     def run(self, start: State) -> State:
         """Return the best set that time allows."""
-        best = self._descended(start)
+        best = start if self._satisfied(start) else self._exchanged(start)
         if self._explained(best) or self._late():
             return best
         best = self._better(best, self._contrasts_fitted(best))
@@ -96,6 +102,25 @@ class Search:
                 break
             best = self._better(best, other(best))
         return best
+
+    def _satisfied(self, state: State) -> bool:
+        """Return whether a set explains the frame, and none of its units is one too many."""
+        return self._explained(state) and self._removed(state, self._chi(state)) is None
+
+    def _exchanged(self, state: State) -> State:
+        """Return a set with units of one contrast exchanged for others, judged on the whole model."""
+        if self._late() or len(np.unique(state.contrasts)) > 1:
+            return state
+        contrast = float(state.contrasts[0]) if len(state.units) else self._usual
+
+        def explains(units: Index, contrast: float) -> bool:
+            return self._explained(self._state(units, np.full(len(units), contrast)))
+
+        exchange = Exchange(self._coarse, self._flat, self._frame, self._price, self._content, explains, self._late)
+        units = exchange.improved([state.units, *self._price.starts], contrast)
+        self.evaluations += exchange.evaluations
+        found = self._state(units, np.full(len(units), contrast))
+        return self._descended(self._better(state, found), (contrast,))
 
     def _late(self) -> bool:
         return self._clock() >= self._deadline

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import os
 import sys
 import time
 from dataclasses import asdict, replace
@@ -10,7 +11,6 @@ from typing import Any
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
-from eitskin_tools.processes.threads import one_blas_thread
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +110,7 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate, and print an object or a table."""
-    one_blas_thread()
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
     from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_tools.evaluation.solvers import NAMES, Request
