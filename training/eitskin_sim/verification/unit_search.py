@@ -33,8 +33,14 @@ MOST_TOUCHED: Final = 20
 REACH: Final = 2
 """A unit is moved by at most so many, along and across, before it is moved anywhere."""
 
+FAR: Final = 0.7
+"""A unit of another contrast must leave such a part of what one of the usual contrast leaves, to be looked at first."""
+
 STEPS: Final = 4
 """Of Gauss-Newton, for contrasts."""
+
+
+_NONE: Final[Index] = np.zeros(0, dtype=np.intp)
 
 
 class Search:
@@ -93,31 +99,43 @@ class Search:
 
     def run(self, start: State) -> State:
         """Return the best set that time allows."""
-        best = start if self._satisfied(start) else self._exchanged(start)
-        if self._explained(best) or self._late():
-            return best
-        best = self._better(best, self._contrasts_fitted(best))
-        for other in (self._from_nothing, self._refitted, self._pairs):
+        if self._satisfied(start) or self._late():
+            return start
+        best = self._fitted(start, common=True) if len(start.units) else start
+        best = best if self._explained(best) else start
+        for contrast in self._levels():
+            if self._explained(best) or self._late():
+                return best
+            best = self._better(best, self._exchanged(best, contrast))
+            if not self._explained(best):
+                best = self._better(best, self._contrasts_fitted(best))
+        for other in (self._from_nothing, self._refitted):
             if self._explained(best) or self._late():
                 break
             best = self._better(best, other(best))
         return best
 
+    def _levels(self) -> list[float]:
+        """Return contrasts to search with: another than the usual one first where one unit of it explains far more."""
+        nothing, every = state_of(self._coarse, _NONE, np.zeros(0)), np.arange(self._coarse.n_units)
+        levels = (self._usual, *OTHERS)
+        chi = [float(self._chis(nothing.with_each(every, one)).min()) for one in levels]
+        at = int(np.argmin(chi))
+        return [levels[at], self._usual] if chi[at] < FAR * chi[0] else [self._usual]
+
     def _satisfied(self, state: State) -> bool:
         """Return whether a set explains the frame, and none of its units is one too many."""
         return self._explained(state) and self._removed(state, self._chi(state)) is None
 
-    def _exchanged(self, state: State) -> State:
-        """Return a set with units of one contrast exchanged for others, judged on the whole model."""
-        if self._late() or len(np.unique(state.contrasts)) > 1:
-            return state
-        contrast = float(state.contrasts[0]) if len(state.units) else self._usual
+    def _exchanged(self, state: State, contrast: float) -> State:
+        """Return a set of units of one contrast, exchanged for others on the coarse model until they explain it."""
+        nothing = [] if contrast == self._usual else [_NONE]
 
         def explains(units: Index, contrast: float) -> bool:
             return self._explained(self._state(units, np.full(len(units), contrast)))
 
         exchange = Exchange(self._coarse, self._flat, self._frame, self._price, self._content, explains, self._late)
-        units = exchange.improved([state.units, *self._price.starts], contrast)
+        units = exchange.improved([state.units, *self._price.starts, *nothing], contrast)
         self.evaluations += exchange.evaluations
         found = self._state(units, np.full(len(units), contrast))
         return self._descended(self._better(state, found), (contrast,))
@@ -126,7 +144,7 @@ class Search:
         return self._clock() >= self._deadline
 
     def _nothing(self) -> State:
-        return self._state(np.zeros(0, dtype=np.intp), np.zeros(0))
+        return self._state(_NONE, np.zeros(0))
 
     def _state(self, units: Index, contrasts: Array) -> State:
         self.evaluations += 1
@@ -280,18 +298,3 @@ class Search:
             found = self._better(found, self._fitted(found, common=False))
             found = self._better(found, self._descended(found, (self._usual, *OTHERS)))
         return found
-
-    def _pairs(self, best: State) -> State:
-        """Return the best set with two units taken out and what is best put in for them, pair by pair."""
-        contrasts = (self._usual,) if np.all(best.contrasts == self._usual) else (self._usual, *OTHERS)
-        for first in range(len(best.units)):
-            for second in range(first):
-                if self._late():
-                    return best
-                rest = best.without(first).without(second)
-                for _ in range(2):
-                    unit, contrast, _chi = self._best_addition(rest, contrasts, None)
-                    rest = self._state(np.append(rest.units, unit), np.append(rest.contrasts, contrast))
-                if self._better(best, rest) is rest:
-                    return self._descended(rest, contrasts)
-        return best

@@ -46,7 +46,10 @@ FORBIDDEN: Final = 0.05
 STEPS: Final = np.array([6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5])
 """The longest step of each parameter."""
 
-ENOUGH: Final = 0.05
+Linear = tuple[Array, Array, npt.NDArray[np.bool_]]
+"""Residuals, derivatives, and what is free."""
+
+ENOUGH: Final = 0.3
 """A step that gains less of what is minimised is the last."""
 
 
@@ -93,7 +96,7 @@ class Frame:
         solved, change = self.model.solve(pieces)
         residual = self.white.whiten(self.change - self.expected - change)
         cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
-        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch)
+        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch, self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +112,20 @@ class Fit:
     """(rows,) whitened."""
     prior: float
     per_touch: float
+    frame: "Frame"
+    """What it was fitted to."""
+    _linear: "list[Linear]" = field(default_factory=list, repr=False)
+    """Its derivatives, once somebody asked for them."""
+
+    @property
+    def linear(self) -> "Linear":
+        """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
+        if not self._linear:
+            own = _free(self.pieces, self.turning)
+            by = -self.frame.white.whiten(self.frame.model.jacobian(self.solved, own).T).T
+            cost, rate = _prior(self.pieces, own, self.frame.usual)
+            self._linear.append((np.concatenate([self.residual, cost]), np.concatenate([by, rate]), own))
+        return self._linear[0]
 
     @property
     def chi_squared(self) -> float:
@@ -164,14 +181,6 @@ def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Arr
     return np.array(cost), np.array(by)
 
 
-def linearised(frame: Frame, fit: Fit) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
-    own = _free(fit.pieces, fit.turning)
-    by = -frame.white.whiten(frame.model.jacobian(fit.solved, own).T).T
-    cost, rate = _prior(fit.pieces, own, frame.usual)
-    return np.concatenate([fit.residual, cost]), np.concatenate([by, rate]), own
-
-
 def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
@@ -184,7 +193,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
     for _ in range(steps):
         if not len(fit.pieces):
             return fit
-        residual, by, own = linearised(frame, fit)
+        residual, by, own = fit.linear
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
         best = None

@@ -140,11 +140,11 @@ class FreeVerifier:
             fit = self._usually(frame, fit)
         if trail and left() > 0.0:
             fit = self._fewer(frame, fit)
-        freedom = max(degrees_of_freedom(frame, fit), 1)
+        freedom = max(degrees_of_freedom(fit), 1)
         seconds = time.perf_counter() - begin - (self.setup_s - setup)
         p = p_value(fit.chi_squared, freedom)
         return FreeVerdict(
-            touches_of(frame, fit),
+            touches_of(fit),
             fit.chi_squared,
             freedom,
             p,
@@ -231,7 +231,7 @@ class FreeVerifier:
         return other if other.cost < fit.cost else fit
 
     def _explained(self, frame: Frame, fit: Fit) -> bool:
-        return p_value(fit.chi_squared, max(degrees_of_freedom(frame, fit), 1)) > 5.0 * LEVEL
+        return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1)) > 5.0 * LEVEL
 
     def _moved(self, frame: Frame, fit: Fit, left: Callable[[], float]) -> tuple[str, Fit | None]:
         """Return the move that pays, or none."""
