@@ -65,14 +65,16 @@ class Usual:
     aspect_sd: float = 0.8
     border_mm: float = 3.0
     border_sd: float = 2.0
+    sign: int = 0
+    """Of every log contrast: 1 where touches raise conductance, -1 where they lower it, 0 where both happen."""
     touches: Prior = field(default_factory=lambda: Prior(places=60, expected=3.0))
 
 
 def usual_of(kind: TouchKind) -> Usual:
     """Return what is usual of a skin whose touches go one way, or both."""
     if kind == "lowering":
-        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6)
-    return Usual() if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
+        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6, sign=-1)
+    return Usual(sign=1) if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,6 +232,8 @@ def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array
     halves = [HALF_LENGTH, HALF_WIDTH]
     values[:, halves] = np.clip(values[:, halves], LEAST_HALF_MM, MOST_HALF_MM)
     log = np.clip(values[:, LOG_CONTRAST], *np.log(CONTRASTS))
+    if frame.usual.sign:
+        log = frame.usual.sign * np.maximum(frame.usual.sign * log, FORBIDDEN)
     values[:, LOG_CONTRAST] = np.where(np.abs(log) < FORBIDDEN, np.where(before < 0.0, -FORBIDDEN, FORBIDDEN), log)
     graded = pieces[:, 7] > 0.0
     narrow = 2.0 * values[:, halves].min(axis=1)
