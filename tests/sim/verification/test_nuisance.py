@@ -10,7 +10,8 @@ from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet
 from eitskin_sim.verification.material import MATERIAL, moved, unseen_shifts
-from eitskin_sim.verification.nuisance import ELEMENT_MM, Modes, Spreads, modes_of
+from eitskin_sim.verification.nuisance import ELEMENT_MM, Modes, modes_of
+from eitskin_sim.verification.spreads import Spreads
 
 BEND = Bend(angle_deg=100.0, skew=0.3, twist_deg=10.0, stretch_along=1.1, stretch_across=0.97)
 MESH = scene_mesh(replace(Scene(), element_size_mm=ELEMENT_MM))

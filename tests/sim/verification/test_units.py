@@ -163,7 +163,7 @@ def test_units_side_by_side_are_one_touch_and_starts_are_evidence() -> None:
     assert price.pieces(np.array([0, 1, 7])) == 1
     assert price.pieces(np.array([0, 7])) == 2  # a corner does not join
     assert price.pieces(np.array([5, 6])) == 2  # the end of a row and the beginning of the next
-    price.starts = [frozenset({0, 1})]
+    price.begin([np.array([0, 1])])
     usual = np.full(2, 50.0)
     assert price.of(np.array([0, 1]), usual) == pytest.approx(Prior(places=UNITS).cost(1) + BESIDE)
     more = price.more(np.array([1, 2]), np.array([0]))

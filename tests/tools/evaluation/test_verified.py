@@ -13,7 +13,7 @@ from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
-from eitskin_tools.bench.verify.conditions import Condition, conditions
+from eitskin_tools.bench.verify.conditions import Condition, anywhere_conditions, unit_conditions
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
 from eitskin_tools.evaluation.verified.shapes import VerifiedFree
@@ -74,7 +74,7 @@ def test_mixed_contrasts_are_of_either_sign_and_within_their_range() -> None:
     assert drawn.max() <= 200.0
     assert 0.4 < np.mean(drawn < 1.0) < 0.6
     assert not np.any((drawn > 0.6) & (drawn < 2.0))
-    names = [one.name for one in conditions()]
+    names = [one.name for one in (*unit_conditions(), *anywhere_conditions())]
     assert len(set(names)) == len(names)
 
 

@@ -1,9 +1,12 @@
 """``--skin``: the description that a command follows; the paper's skin where none is named."""
 
 import argparse
+from typing import TYPE_CHECKING
 
-from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_tools.command_line import files
+
+if TYPE_CHECKING:
+    from eitskin_proto.skin.skin import Skin
 
 
 def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
@@ -19,17 +22,19 @@ def add_skin(parser: argparse.ArgumentParser, what: str) -> None:
     )
 
 
-def chosen(arguments: argparse.Namespace) -> Skin:
+def chosen(arguments: argparse.Namespace) -> "Skin":
     """Return the skin that was named, or the paper's.
 
     Raises:
         MissingFileError: There is no such file.
         ValueError: It is no skin's description; the text names file and key.
     """
+    from eitskin_proto.skin.skin import PAPER
+
     return PAPER if arguments.skin is None else read(arguments.skin)
 
 
-def read(name: str) -> Skin:
+def read(name: str) -> "Skin":
     """Return the skin of a file, or of one that comes with the package; as for :func:`chosen`."""
     from eitskin_proto.skin.toml import load
 

@@ -10,7 +10,7 @@ by Galerkin: symmetric, reciprocal to the last digit, and of second order in wha
 under a contact, where conductance is not proportional to conductivity; there it is a polynomial in log c.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -94,6 +94,34 @@ class ReducedModel:
     def untouched_V(self) -> Array:
         """Return (104,) V under 1 A with nothing touched."""
         return rows_of(self.untouched)
+
+    def of_rank(self, rank: int) -> "ReducedModel":
+        """Return the model with the first patterns of each unit alone: several times faster, and coarser.
+
+        Raises:
+            ValueError: There are not so many.
+        """
+        if not 1 <= rank <= self.rank:
+            raise ValueError(f"{rank} patterns a unit; expected from 1 to {self.rank}")
+        n, r = self.n_units, self.rank
+        blocks = self.coupling.reshape(n, r, n, r)[:, :rank, :, :rank]
+        return replace(
+            self,
+            coupling=np.ascontiguousarray(blocks).reshape(n * rank, n * rank),
+            loads=self.loads.reshape(n, r, -1)[:, :rank].reshape(n * rank, -1),
+            polynomials=np.ascontiguousarray(self.polynomials[:, :, :rank, :rank]),
+        )
+
+    def between(self, rows: Index, columns: Index) -> Array:
+        """Return (n r, m r) H between units (n,) and units (m,)."""
+        n, r = self.n_units, self.rank
+        found = self.coupling.reshape(n, r, n, r)[rows].reshape(len(rows) * r, n, r)[:, columns]
+        return found.reshape(len(rows) * r, len(columns) * r).astype(np.float64)
+
+    def paired(self, first: Index, second: Index) -> Array:
+        """Return (n, r, r) H between each of some units (n,) and another one (n,)."""
+        n, r = self.n_units, self.rank
+        return self.coupling.reshape(n, r, n, r)[first, :, second, :].astype(np.float64)
 
     def own(self, unit: int, contrast: float) -> tuple[Array, Array]:
         """Return the (r, r) M of a unit at a contrast, and its derivative by log c."""

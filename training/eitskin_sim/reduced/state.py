@@ -6,7 +6,8 @@ With s = sqrt|c - 1| the set's matrix is A = +-M + s H s, its inverse B, and X =
     with v as well   V - Z^T K^-1 Z,    Z = W_v - H_vS s X,     K = M_v / (c - 1) + H_vv - H_vS s B s H_Sv
     d / d log c_u    a_u^T (dA_u / d log c) a_u,            a = s X
 
-so that all units are tried beside a set for one product of matrices, 10 to 30 us each.
+so that all units are tried beside a set for one product of matrices, 10 to 30 us each, and pairs of them by K and Z of
+both, for one small solve each.
 """
 
 from dataclasses import dataclass
@@ -32,8 +33,6 @@ class State:
     """(k r, k r) B."""
     _scaled: Array
     """(k r, 16) X."""
-    _rows: Array
-    """(k r, units * r) s H."""
     _scale: Array
     """(k r,) s."""
 
@@ -68,7 +67,6 @@ class State:
             self.drives + self._scaled[gone].T @ solved[:, size:],
             self._inverse[np.ix_(kept, kept)] - cross.T @ solved[:, :size],
             self._scaled[kept] - cross.T @ solved[:, size:],
-            self._rows[kept],
             self._scale[kept],
         )
 
@@ -79,14 +77,17 @@ class State:
             units: Candidates.
             contrast: Of each.
         """
+        return self.beside(units, contrast).one()
+
+    def beside(self, units: Index, contrast: float) -> "Beside":
+        """Return some units (n,), none of them in the set, as candidates of one contrast beside it."""
         model, r, n = self.model, self.model.rank, len(units)
-        places = (units[:, None] * r + np.arange(r)).ravel()
-        across = self._rows[:, places]  # (k r, n r)
-        load = (model.loads[places] - across.T @ self._scaled).reshape(n, r, -1)
-        held = (self._inverse @ across).reshape(-1, n, r)
-        own = model.diagonal[units] + _own_of(model, units, contrast) / (contrast - 1.0)
-        own -= np.matmul(across.reshape(-1, n, r).transpose(1, 2, 0), held.transpose(1, 0, 2))
-        return rows_of(self.drives - np.matmul(load.transpose(0, 2, 1), np.linalg.solve(own, load)))
+        across = model.between(self.units, units) * self._scale[:, None]
+        load = model.loads[_places(units, r)] - across.T @ self._scaled
+        held = (self._inverse @ across).reshape(-1, n, r).transpose(1, 0, 2)
+        across = across.reshape(-1, n, r).transpose(1, 2, 0)
+        own = model.diagonal[units] + _own_of(model, units, contrast) / (contrast - 1.0) - np.matmul(across, held)
+        return Beside(self, units, load.reshape(n, r, -1), own, across, held)
 
     def slopes(self) -> Array:
         """Return (k, 104) dV / d log c of each unit."""
@@ -98,6 +99,40 @@ class State:
             by_log = slope / (contrast - 1.0) - own * (contrast / (contrast - 1.0) ** 2)
             found[number] = abs(contrast - 1.0) * (x.T @ by_log @ x)
         return rows_of(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beside:
+    """Candidates beside a set; see the module."""
+
+    state: State
+    units: Index
+    """(n,)"""
+    _load: Array
+    """(n, r, 16) Z."""
+    _own: Array
+    """(n, r, r) K."""
+    _across: Array
+    """(n, r, k r) s H from each to the set."""
+    _held: Array
+    """(n, k r, r) B times its transpose."""
+
+    def one(self) -> Array:
+        """Return (n, 104) V with each of them touched as well."""
+        return self._less(self._load, self._own)
+
+    def two(self, first: Index, second: Index) -> Array:
+        """Return (m, 104) V with two of them touched as well, by their numbers (m,) each, none with itself."""
+        r = self.state.model.rank
+        between = self.state.model.paired(self.units[first], self.units[second])
+        between = between - np.matmul(self._across[first], self._held[second])
+        own = np.empty((len(first), 2 * r, 2 * r))
+        own[:, :r, :r], own[:, r:, r:] = self._own[first], self._own[second]
+        own[:, :r, r:], own[:, r:, :r] = between, between.transpose(0, 2, 1)
+        return self._less(np.concatenate([self._load[first], self._load[second]], axis=1), own)
+
+    def _less(self, load: Array, own: Array) -> Array:
+        return rows_of(self.state.drives - np.matmul(load.transpose(0, 2, 1), np.linalg.solve(own, load)))
 
 
 def state_of(model: ReducedModel, units: Index, contrasts: Array) -> State:
@@ -116,24 +151,32 @@ def state_of(model: ReducedModel, units: Index, contrasts: Array) -> State:
         raise ValueError(f"{units.shape} units with {contrasts.shape} contrasts; expected one for each")
     if not (np.all(contrasts > 0.0) and np.all(contrasts != 1.0) and np.isfinite(contrasts).all()):
         raise ValueError(f"contrasts {contrasts.tolist()}: expected above 0, and none of 1, which changes nothing")
-    r = model.rank
-    places = (units[:, None] * r + np.arange(r)).ravel()
+    r, k = model.rank, len(units)
     scale = np.repeat(np.sqrt(np.abs(contrasts - 1.0)), r)
-    rows = model.coupling[places].astype(np.float64) * scale[:, None]
-    matrix = rows[:, places] * scale
-    for number, (unit, contrast) in enumerate(zip(units.tolist(), contrasts.tolist(), strict=True)):
+    matrix = model.between(units, units) * scale[:, None] * scale
+    matrix.reshape(-1)[:: k * r + 1] += np.repeat(np.sign(contrasts - 1.0), r)
+    for number in np.flatnonzero(np.isin(units, model.contacts)).tolist():
         at = slice(number * r, (number + 1) * r)
-        matrix[at, at] += np.sign(contrast - 1.0) * model.own(unit, contrast)[0]
+        own = model.own(int(units[number]), float(contrasts[number]))[0] - np.eye(r)
+        matrix[at, at] += np.sign(contrasts[number] - 1.0) * own
     inverse = np.linalg.inv(matrix)
-    load = model.loads[places] * scale[:, None]
+    load = model.loads[_places(units, r)] * scale[:, None]
     scaled = inverse @ load
-    return State(model, units, contrasts, model.untouched - load.T @ scaled, inverse, scaled, rows, scale)
+    return State(model, units, contrasts, model.untouched - load.T @ scaled, inverse, scaled, scale)
+
+
+def _places(units: Index, rank: int) -> Index:
+    """Return (n r,) the places of units' patterns."""
+    return np.asarray((units[:, None] * rank + np.arange(rank)).ravel())
 
 
 def _own_of(model: ReducedModel, units: Index, contrast: float) -> Array:
     """Return (n, r, r) M of some units at one contrast."""
-    found = np.tile(np.eye(model.rank), (len(units), 1, 1))
-    every = model.own_of_contacts(contrast)
-    for number, unit in enumerate(model.contacts.tolist()):
-        found[units == unit] = every[number]
+    found = np.broadcast_to(np.eye(model.rank), (len(units), model.rank, model.rank))
+    place = np.searchsorted(model.contacts, units)
+    under = np.take(model.contacts, place, mode="clip") == units
+    if not under.any():
+        return found
+    found = found.copy()
+    found[under] = model.own_of_contacts(contrast)[place[under]]
     return found

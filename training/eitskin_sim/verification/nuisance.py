@@ -27,6 +27,7 @@ from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.verification.material import MATERIAL, moved, spreads_of
+from eitskin_sim.verification.spreads import Spreads, usual
 
 Array = npt.NDArray[np.float64]
 ELEMENT_MM: Final = 4.5
@@ -34,21 +35,6 @@ ELEMENT_MM: Final = 4.5
 
 STEP: Final = 0.05
 """Amplitudes of material between whose ends the derivative is taken."""
-
-
-@dataclass(frozen=True, slots=True)
-class Spreads:
-    """Standard deviations of nuisances, before anything is measured; 0 leaves one out."""
-
-    drift: float = 0.05
-    tilt: float = 0.02
-    gauge: float = 0.5
-    material: float = 1.0
-    """Of material that lies elsewhere: over what the skin's deformations say."""
-
-
-USUAL: Final = Spreads()
-"""What a verifier assumes that is told nothing of the device."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,14 +63,15 @@ def factor_of(metric: Metric, skin: Skin = PAPER) -> Factor:
     return assemble(mesh, nominal_sheet(skin), nominal_electrodes(skin), metric).factorise()
 
 
-def modes_of(metric: Metric, skin: Skin = PAPER, spreads: Spreads = USUAL) -> Modes:
+def modes_of(metric: Metric, skin: Skin = PAPER, spreads: Spreads | None = None) -> Modes:
     """Return the nuisances of an untouched sheet of some metric, those of no spread left out.
 
     Args:
         metric: Of the sheet as it is scanned.
         skin: Whose sheet.
-        spreads: How large they are expected to be.
+        spreads: How large they are expected to be; None is what the skin says.
     """
+    spreads = spreads or usual(skin)
     factor = factor_of(metric, skin)
     system, volts = factor.system, factor.voltages()
     sigma = np.full(system.mesh.n_elements, system.background)

@@ -1,7 +1,6 @@
 """Everything that verifying needs of one cloud, made once when it comes."""
 
 from functools import lru_cache
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -14,18 +13,16 @@ from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.verification.frame import Doubts
 from eitskin_sim.verification.material import moved
 from eitskin_sim.verification.model_error import scan_columns
-from eitskin_sim.verification.nuisance import USUAL, Spreads, modes_of
+from eitskin_sim.verification.nuisance import modes_of
 from eitskin_sim.verification.residual import Array
+from eitskin_sim.verification.spreads import Spreads, usual
 from eitskin_sim.verification.units import UnitVerifier
-
-SCAN_NOISE_MM: Final = 0.1
-"""Of a scanner, where the skin does not say."""
 
 
 def prepared(
     cloud_mm: npt.ArrayLike,
     skin: Skin = PAPER,
-    spreads: Spreads = USUAL,
+    spreads: Spreads | None = None,
     model: ReducedModel | None = None,
     material: tuple[float, ...] = (0.0, 0.0, 0.0),
 ) -> UnitVerifier:
@@ -34,18 +31,18 @@ def prepared(
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose.
-        spreads: How large nuisances are expected to be.
+        spreads: How far sheet and scan may be off; None is what the skin says.
         model: The cloud's, where it is there already.
         material: Amplitudes by which frames of this shape have shown material to lie elsewhere; the model has them.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
+    spreads = spreads or usual(skin)
     metric = moved(fit_cloud(cloud_mm, skin.grid).metric, material, skin)
     made = model or reduced(exact_sheet(metric, skin), skin, cloud_digest=cloud_digest(np.asarray(cloud_mm)))
     modes = modes_of(metric, skin, spreads)
-    noise_mm = float(np.mean(skin.may_be_off.scan_noise_mm)) or SCAN_NOISE_MM
-    return UnitVerifier(made, flat_of(skin), Doubts(modes, scan_columns(noise_mm, skin)))
+    return UnitVerifier(made, flat_of(skin), Doubts(modes, scan_columns(spreads.scan_mm, skin)))
 
 
 @lru_cache(maxsize=4)

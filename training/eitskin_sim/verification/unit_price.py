@@ -4,6 +4,7 @@ Units side by side are one touch. A set that differs from where the search began
 what the network, or the last frame, says is evidence too.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -40,8 +41,18 @@ class UnitPrice:
         self._prior, self._usual = prior, usual
         row, column = np.divmod(np.arange(shape[0] * shape[1]), shape[1])
         self._beside = np.abs(row[:, None] - row) + np.abs(column[:, None] - column) == 1
-        self.starts: list[frozenset[int]] = []
-        """Where the search began."""
+        self._started = np.zeros((0, len(row)), dtype=np.bool_)
+
+    @property
+    def starts(self) -> list[Index]:
+        """Return the units of each start."""
+        return [np.flatnonzero(one) for one in self._started]
+
+    def begin(self, starts: Sequence[Index]) -> None:
+        """Say where the search begins."""
+        self._started = np.zeros((len(starts), len(self._beside)), dtype=np.bool_)
+        for own, units in zip(self._started, starts, strict=True):
+            own[units] = True
 
     def of(self, units: Index, contrasts: Array) -> float:
         """Return what a set costs: its touches, its contrasts, and what starts did not say."""
@@ -55,9 +66,11 @@ class UnitPrice:
     def more(self, units: Index, without: Index) -> Array:
         """Return (n,) what each of some units adds to the price of a set that does not hold it."""
         beside = self._beside[np.ix_(units, without)].any(axis=1)
-        own, now = frozenset(without.tolist()), self._against(without)
-        sets = [own | {unit} for unit in units.tolist()]
-        further = np.array([min((len(one ^ start) for start in self.starts), default=0) - now for one in sets])
+        apart = self._apart(without)
+        further = np.zeros(len(units))
+        if apart.size:
+            one_more = np.where(self._started[:, units], -1, 1)
+            further = (apart[:, None] + one_more).min(axis=0) - apart.min()
         return np.asarray(np.where(beside, BESIDE, self._prior.cost(1)) + AGAINST * further)
 
     def pieces(self, units: Index) -> int:
@@ -73,7 +86,13 @@ class UnitPrice:
                 reached += near
         return pieces
 
+    def _apart(self, units: Index) -> Index:
+        """Return (starts,) in how many units a set differs from each start."""
+        own = np.zeros(self._started.shape[1], dtype=np.bool_)
+        own[units] = True
+        return np.asarray((self._started ^ own).sum(axis=1))
+
     def _against(self, units: Index) -> int:
         """Return in how many units a set differs from the start that is nearest to it."""
-        own = frozenset(units.tolist())
-        return min((len(own ^ one) for one in self.starts), default=0)
+        apart = self._apart(units)
+        return int(apart.min()) if apart.size else 0

@@ -15,6 +15,7 @@ from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
+from eitskin_sim.verification.unit_exchange import Exchange
 from eitskin_sim.verification.unit_price import LOG_SD, OTHERS, UnitPrice
 
 CONTENT: Final = 0.05
@@ -32,8 +33,14 @@ MOST_TOUCHED: Final = 20
 REACH: Final = 2
 """A unit is moved by at most so many, along and across, before it is moved anywhere."""
 
+FAR: Final = 0.7
+"""A unit of another contrast must leave such a part of what one of the usual contrast leaves, to be looked at first."""
+
 STEPS: Final = 4
 """Of Gauss-Newton, for contrasts."""
+
+
+_NONE: Final[Index] = np.zeros(0, dtype=np.intp)
 
 
 class Search:
@@ -47,6 +54,7 @@ class Search:
         contrast: The usual one.
         deadline: What the clock shows when it ends.
         clock: In seconds.
+        coarse: The same sheet of a lower rank, for exchanges; None is the model itself.
     """
 
     def __init__(
@@ -58,24 +66,28 @@ class Search:
         contrast: float,
         deadline: float,
         clock: Callable[[], float] = time.perf_counter,
+        coarse: ReducedModel | None = None,
     ) -> None:
         self._model, self._flat, self._frame, self._prior = model, flat_V, frame, prior
         self._usual, self._deadline, self._clock = contrast, deadline, clock
         self._columns = model.shape[1]
+        self._coarse = coarse or model
         self._content = least_chi_squared(CONTENT, len(frame.white))
         self._price = UnitPrice(model.shape, prior, contrast)
         self.evaluations = 0
 
     def on(self, frame: Frame) -> "Search":
         """Return the same search on the frame with another covariance."""
-        found = Search(self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock)
+        found = Search(
+            self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock, self._coarse
+        )
         found.evaluations, found._price = self.evaluations, self._price
         return found
 
     def best_of(self, sets: Sequence[tuple[Index, Array]]) -> State:
         """Return the best of some sets; none is the untouched sheet."""
         different = {tuple(units.tolist()): (units, contrasts) for units, contrasts in sets}
-        self._price.starts = [frozenset(units) for units in different]
+        self._price.begin([units for units, _ in different.values()])
         states = [self._state(*one) for one in different.values()] or [self._nothing()]
         costs = [self._cost(state, self._chi(state)) for state in states]
         return states[int(np.argmin(costs))]
@@ -87,21 +99,52 @@ class Search:
 
     def run(self, start: State) -> State:
         """Return the best set that time allows."""
-        best = self._descended(start)
-        if self._explained(best) or self._late():
-            return best
-        best = self._better(best, self._contrasts_fitted(best))
-        for other in (self._from_nothing, self._refitted, self._pairs):
+        if self._satisfied(start) or self._late():
+            return start
+        best = self._fitted(start, common=True) if len(start.units) else start
+        best = best if self._explained(best) else start
+        for contrast in self._levels():
+            if self._explained(best) or self._late():
+                return best
+            best = self._better(best, self._exchanged(best, contrast))
+            if not self._explained(best):
+                best = self._better(best, self._contrasts_fitted(best))
+        for other in (self._from_nothing, self._refitted):
             if self._explained(best) or self._late():
                 break
             best = self._better(best, other(best))
         return best
 
+    def _levels(self) -> list[float]:
+        """Return contrasts to search with: another than the usual one first where one unit of it explains far more."""
+        nothing, every = state_of(self._coarse, _NONE, np.zeros(0)), np.arange(self._coarse.n_units)
+        levels = (self._usual, *OTHERS)
+        chi = [float(self._chis(nothing.with_each(every, one)).min()) for one in levels]
+        at = int(np.argmin(chi))
+        return [levels[at], self._usual] if chi[at] < FAR * chi[0] else [self._usual]
+
+    def _satisfied(self, state: State) -> bool:
+        """Return whether a set explains the frame, and none of its units is one too many."""
+        return self._explained(state) and self._removed(state, self._chi(state)) is None
+
+    def _exchanged(self, state: State, contrast: float) -> State:
+        """Return a set of units of one contrast, exchanged for others on the coarse model until they explain it."""
+        nothing = [] if contrast == self._usual else [_NONE]
+
+        def explains(units: Index, contrast: float) -> bool:
+            return self._explained(self._state(units, np.full(len(units), contrast)))
+
+        exchange = Exchange(self._coarse, self._flat, self._frame, self._price, self._content, explains, self._late)
+        units = exchange.improved([state.units, *self._price.starts, *nothing], contrast)
+        self.evaluations += exchange.evaluations
+        found = self._state(units, np.full(len(units), contrast))
+        return self._descended(self._better(state, found), (contrast,))
+
     def _late(self) -> bool:
         return self._clock() >= self._deadline
 
     def _nothing(self) -> State:
-        return self._state(np.zeros(0, dtype=np.intp), np.zeros(0))
+        return self._state(_NONE, np.zeros(0))
 
     def _state(self, units: Index, contrasts: Array) -> State:
         self.evaluations += 1
@@ -255,18 +298,3 @@ class Search:
             found = self._better(found, self._fitted(found, common=False))
             found = self._better(found, self._descended(found, (self._usual, *OTHERS)))
         return found
-
-    def _pairs(self, best: State) -> State:
-        """Return the best set with two units taken out and what is best put in for them, pair by pair."""
-        contrasts = (self._usual,) if np.all(best.contrasts == self._usual) else (self._usual, *OTHERS)
-        for first in range(len(best.units)):
-            for second in range(first):
-                if self._late():
-                    return best
-                rest = best.without(first).without(second)
-                for _ in range(2):
-                    unit, contrast, _chi = self._best_addition(rest, contrasts, None)
-                    rest = self._state(np.append(rest.units, unit), np.append(rest.contrasts, contrast))
-                if self._better(best, rest) is rest:
-                    return self._descended(rest, contrasts)
-        return best

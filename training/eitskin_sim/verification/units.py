@@ -31,6 +31,9 @@ from eitskin_sim.verification.verdict import Verdict
 CONTRAST: Final = 50.0
 """Of a touched unit, where nothing else is known."""
 
+COARSE: Final = 8
+"""Patterns a unit of the model on which units are exchanged: chi-squared of a true set is a quarter higher by it."""
+
 BUDGET_S: Final = 0.02
 """What a frame may take."""
 
@@ -66,6 +69,7 @@ class UnitVerifier:
         level: float = LEVEL,
     ) -> None:
         self._model, self._flat, self._doubts, self._level = model, flat_V, doubts, level
+        self._coarse = model.of_rank(min(COARSE, model.rank))
         self._contrast, self._prior = contrast, prior or Prior(places=model.n_units)
 
     def verify(
@@ -103,7 +107,9 @@ class UnitVerifier:
         if before:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
         frame = Frame(dv, held, noise, self._doubts, rows)
-        search = Search(self._model, self._flat, frame, self._prior, self._contrast, clock() + budget_s, clock)
+        search = Search(
+            self._model, self._flat, frame, self._prior, self._contrast, clock() + budget_s, clock, self._coarse
+        )
         best = search.best_of(sets)
         if self._doubts is not None:
             frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))

@@ -11,6 +11,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.verification.free.fit import bounded, usual_of
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import starts_of
@@ -134,3 +135,19 @@ def test_without_a_deformation_or_time_it_says_so() -> None:
     own = FreeVerifier(np.ones(104), Noise("N2", 50.0))
     with pytest.raises(ValueError, match="give its cloud first"):
         own.verify(np.ones(104), share(SQUARE))
+
+
+def test_a_skin_whose_touches_go_one_way_gets_none_of_the_other() -> None:
+    own = verifier()
+    change = seen(SQUARE) / flat_V() - 1.0
+    frame = own._frame(change)
+    assert frame.usual.sign == 1
+    fit = frame.at(SQUARE)
+    free = np.zeros((1, 7), dtype=np.bool_)
+    free[0, 5] = True
+    held = bounded(frame, fit.pieces, free, np.array([-9.0]))
+    for _ in range(9):
+        held = bounded(frame, held, free, np.array([-9.0]))
+    assert held[0, 6] > 1.0
+    assert usual_of("lowering").sign == -1
+    assert usual_of("both").sign == 0

@@ -1,23 +1,38 @@
 """``eitskin bench verify``: what the verifier of touches survives, and whether its p-values keep their word.
 
-Sets of units at deformations that no network has seen, on devices that differ from the nominal one, are solved on a
-mesh of their own; the network answers, and the verifier starts from there. A row says how many sets came out exact, how
-many wrong ones were not flagged, and how many right ones were. Times are of the processor, one core.
+Touches at deformations that no network has seen, on devices that differ from the nominal one, are solved on a mesh of
+their own; the network answers, and the verifier starts from there. A row says how many answers came out right, how many
+wrong ones were not flagged, and how many right ones were. Rows are shown on stderr as they are found; p's calibration,
+what a step costs, and JSON come at the end. Times are of the processor, one core.
 """
 
 import argparse
 import json
+import sys
+import time
+from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.threads import one_blas_thread
+
+Row = dict[str, Any]
+
+CALIBRATION = "calibration of p"
+"""What ``--only`` calls the last table."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--deformations", type=int, default=10, metavar="N", help="of family A (default 10)")
-    parser.add_argument("--each", type=int, default=5, metavar="N", help="touch sets at each of them (default 5)")
-    parser.add_argument("--budget-ms", type=float, default=20.0, metavar="T", help="for each frame (default 20)")
-    parser.add_argument("--only", metavar="TEXT", help="rows whose name has this in it")
+    parser.add_argument("--deformations", type=int, default=6, metavar="N", help="of family A (default 6)")
+    parser.add_argument("--each", type=int, default=4, metavar="N", help="touch sets at each of them (default 4)")
+    parser.add_argument(
+        "--budget-ms", type=float, default=20.0, metavar="T", help="for each frame of touched units (default 20)"
+    )
+    parser.add_argument(
+        "--only", action="append", metavar="ROW", help="rows whose name has this in it; may be given again"
+    )
     parser.add_argument(
         "--sets",
         type=int,
@@ -25,58 +40,86 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="N",
         help="sets that p is counted on, 20 draws each (default 50; 0: none)",
     )
+    parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw how p keeps its word")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
-    from eitskin_tools.bench.verify.conditions import conditions
-    from eitskin_tools.bench.verify.maps import measure
-    from eitskin_tools.bench.verify.matched import candidates, matched
-
+    one_blas_thread()
     if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0 or not arguments.budget_ms >= 0.0:
         raise UsageError("--deformations and --each must be at least 1, --sets and --budget-ms at least 0")
-    chosen = [one for one in conditions() if arguments.only is None or arguments.only in one.name]
-    if not chosen:
-        known = ", ".join(one.name for one in conditions())
-        raise UsageError(f"--only {arguments.only!r}: expected a part of one of: {known}")
-    rows = measure(chosen, arguments.deformations, arguments.each, 1e-3 * arguments.budget_ms)
-    summary = {
-        "maps": sum(row["maps"] for row in rows),
-        "wrong_unflagged": sum(row["wrong_unflagged"] for row in rows),
-    }
-    stated = matched(arguments.sets) if arguments.sets else []
-    steps = candidates() if arguments.sets else []
+    if arguments.plot is not None:
+        files.writable(arguments.plot)
+    from eitskin_tools.bench.verify.printed import tables
+
+    units, anywhere = _rows(arguments, _chosen(arguments.only))
+    stated, steps = _calibration(arguments, units)
     if arguments.json:
-        print(json.dumps({"rows": rows + stated + steps, "summary": summary}))
+        every = [*units, *anywhere]
+        summary = {key: sum(row[key] for row in every) for key in ("maps", "wrong", "wrong_unflagged")}
+        print(json.dumps({"rows": every + stated + steps, "summary": summary}))
     else:
-        print(table(rows, stated, steps))
+        print(tables(units, anywhere, stated, steps))
     return 0
 
 
-def table(rows: list[dict[str, Any]], stated: list[dict[str, Any]], steps: list[dict[str, Any]]) -> str:
-    """Return the tables as Markdown."""
-    lines = [
-        "| condition | maps | network exact | exact | wrong, unflagged | right, flagged | chi-squared | ms p50 / p95 |",
-        "|---|---|---|---|---|---|---|---|",
-    ]
-    lines += [
-        f"| {row['what']} | {row['maps']} | {_percent(row['network_exact'])} | {_percent(row['exact'])} "
-        f"| {row['wrong_unflagged']} of {row['wrong']} | {row['right_flagged']} of {row['maps'] - row['wrong']} "
-        f"| {row['chi_squared_median']:.0f} | {row['cpu_ms_median']:.1f} / {row['cpu_ms_p95']:.1f} |"
-        for row in rows
-    ]
-    if stated:
-        lines += ["", "| p | stated | found | +- |", "|---|---|---|---|"]
-        lines += [f"| {one['what']} | {one['stated']:g} | {one['found']:.4f} | {one['error']:.4f} |" for one in stated]
-    if steps:
-        lines += ["", "| step | us | a set alone, us | model, MB |", "|---|---|---|---|"]
-        lines += [
-            f"| {one['what']} | {one['cpu_us']:.0f} | {one['set_cpu_us']:.0f} | {one['model_MB']:.1f} |"
-            for one in steps
-        ]
-    return "\n".join(lines)
+def _chosen(only: list[str] | None) -> set[str]:
+    """Return the names of the rows that were asked for.
+
+    Raises:
+        UsageError: There is none.
+    """
+    from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
+
+    units, anywhere = unit_conditions(), anywhere_conditions()
+    known = [*(one.name for one in units), *(one.name for one in anywhere), CALIBRATION]
+    found = {name for name in known if not only or any(text in name for text in only)}
+    if not found:
+        texts = " ".join(repr(text) for text in only or ())
+        raise UsageError(f"--only {texts}: expected a part of one of: {', '.join(known)}")
+    return found
 
 
-def _percent(share: float) -> str:
-    return f"{100.0 * share:.0f} %"
+def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], list[Row]]:
+    """Return the rows of touched units and those of touches anywhere, each shown as it is found."""
+    from eitskin_tools.bench.verify.anywhere import row
+    from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
+    from eitskin_tools.bench.verify.printed import anywhere_line, units_line
+    from eitskin_tools.bench.verify.units import Units
+
+    units: list[Row] = []
+    anywhere: list[Row] = []
+    measured: Units | None = None
+    for condition in unit_conditions():
+        if condition.name in chosen:
+            measured = measured or Units(arguments.deformations, arguments.each, 1e-3 * arguments.budget_ms)
+            start = time.process_time()
+            units.append(measured.row(condition))
+            _say(units_line(units[-1]), start)
+    for place in anywhere_conditions():
+        if place.name in chosen:
+            start = time.process_time()
+            anywhere.append(row(place, arguments.deformations, arguments.each))
+            _say(anywhere_line(anywhere[-1]), start)
+    return units, anywhere
+
+
+def _calibration(arguments: argparse.Namespace, units: list[Row]) -> tuple[list[Row], list[Row]]:
+    """Return how p keeps its word, and what a step costs; both empty if they were not asked for."""
+    from eitskin_tools.bench.verify.matched import candidates, matched, of_rows
+
+    if CALIBRATION not in _chosen(arguments.only) or not arguments.sets:
+        return [], []
+    start = time.process_time()
+    stated = matched(arguments.sets) + of_rows(units)
+    _say(CALIBRATION, start)
+    if arguments.plot is not None:
+        from eitskin_tools.bench.verify.plot import draw
+
+        draw(arguments.plot, stated)
+    return stated, candidates()
+
+
+def _say(line: str, start_s: float) -> None:
+    print(f"eitskin bench verify: {line} {time.process_time() - start_s:.0f} CPU-s", file=sys.stderr, flush=True)

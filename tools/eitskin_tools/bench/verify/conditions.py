@@ -1,20 +1,35 @@
 """What a verifier is put through: touches, noise, and how the true device differs from the one it knows."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 
+from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.mismatch import IDEAL, LAB, Mismatch
+from eitskin_sim.evaluation.trials import Softness
 from eitskin_sim.measurement.noise import Kind
+from eitskin_sim.scene.family import Family
+from eitskin_sim.scene.parts import Phantom
+from eitskin_tools.bench.verify.paper_like import paper_like
 
 ANY: Final = (0.1, 200.0)
 """Contrasts of mixed sets: half of them below 1."""
 
+SINGLE_MM: Final = 10.0
+"""Side of a single touch."""
+
+PRESS_MM: Final = 16.0
+"""Diameter of a press."""
+
+PRESS_BORDER_MM: Final = 4.0
+"""Of its graded border."""
+
 
 @dataclass(frozen=True, slots=True)
 class Condition:
-    """One row of the table."""
+    """One row of touched units."""
 
     name: str
     mismatch: Mismatch = IDEAL
@@ -23,6 +38,8 @@ class Condition:
     """Least and most units."""
     contrast: float | None = 50.0
     """Of all units; None is mixed."""
+    border_mm: float = 0.0
+    """Width of the units' graded borders."""
     missing: bool = False
     """One electrode is gone, another one for each map."""
 
@@ -35,8 +52,19 @@ class Condition:
         return list(np.where(rng.random(count) < 0.5, raised, lowered).tolist())
 
 
-def conditions() -> list[Condition]:
-    """Return the table's rows."""
+@dataclass(frozen=True, slots=True)
+class Anywhere:
+    """One row of touches anywhere."""
+
+    name: str
+    phantoms: Callable[[int, int], list[Phantom]]
+    """From a number of deformations and touch sets at each to as many phantoms, deformation after deformation."""
+    mismatch: Mismatch = IDEAL
+    noise: Kind = "N2"
+
+
+def unit_conditions() -> list[Condition]:
+    """Return the rows of touched units; those of the ideal device stand together."""
     off = {
         "contacts x3": Mismatch(impedance_factor=3.0),
         "reference stale by 5 % of drift": Mismatch(drift_percent=5.0),
@@ -55,5 +83,33 @@ def conditions() -> list[Condition]:
         Condition("one electrode gone", missing=True),
         *(Condition(f"contrast {contrast:g}", contrast=contrast) for contrast in (0.1, 0.5, 2.0, 10.0, 200.0)),
         Condition("contrasts mixed, of either sign", contrast=None),
+        *(Condition(f"soft borders of {border:g} mm", border_mm=border) for border in (2.0, 4.0)),
         *(Condition(name, mismatch) for name, mismatch in off.items()),
     ]
+
+
+def anywhere_conditions() -> list[Anywhere]:
+    """Return the rows of touches anywhere."""
+    return [
+        *(Anywhere(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
+        Anywhere("single touches of 10 mm", _singles()),
+        *(Anywhere(f"pairs 10 mm apart, family {family}", _pairs(family)) for family in ("A", "B")),
+        *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
+        Anywhere("lab device, single touches", _singles(), LAB),
+        Anywhere("contrast 2, single touches", _singles(2.0)),
+    ]
+
+
+def _singles(contrast: float = 50.0) -> Callable[[int, int], list[Phantom]]:
+    return lambda deformations, each: trials.single(
+        SINGLE_MM, deformations, each, "A", Softness(contrast) if contrast != 50.0 else trials.HARD
+    )
+
+
+def _pairs(family: Family) -> Callable[[int, int], list[Phantom]]:
+    return lambda deformations, each: trials.pair(10.0, deformations, each, family)
+
+
+def _presses(contrast: float) -> Callable[[int, int], list[Phantom]]:
+    softness = Softness(contrast, PRESS_BORDER_MM, disc=True)
+    return lambda deformations, each: trials.single(PRESS_MM, deformations, each, "A", softness)

@@ -1,5 +1,6 @@
 """Whether p keeps its word where the model is right: the same sheet, exactly condensed, with nothing but noise."""
 
+import time
 from typing import Any, Final
 
 import numpy as np
@@ -54,10 +55,20 @@ def matched(sets: int) -> list[dict[str, Any]]:
     return rows
 
 
+def of_rows(units: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the same of the right answers of rows in which nothing but the scan's noise is off."""
+    rows = []
+    for row in units:
+        if row["what"].startswith("1 to 6 units") and row["p_values"]:
+            rows += [
+                {"what": f"p, {row['what']}, scanned", "stated": one.stated, "found": one.found, "error": one.error}
+                for one in calibration(row["p_values"], LEVELS)
+            ]
+    return rows
+
+
 def candidates() -> list[dict[str, Any]]:
     """Return what a step costs: microseconds of the processor for one candidate beside sets of 1 to 12 units."""
-    import time
-
     model = reduced(exact_sheet(bend_metric(trials.deformations_of(2, "A")[1], Sheet())))
     rng, rows = np.random.default_rng(8), []
     for count in (1, 3, 6, 12):

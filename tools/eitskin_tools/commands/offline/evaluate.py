@@ -2,12 +2,12 @@
 
 import argparse
 import json
+import os
 import sys
 import time
 from dataclasses import asdict, replace
 from typing import Any
 
-from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
@@ -110,6 +110,8 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate, and print an object or a table."""
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_tools.evaluation.solvers import NAMES, Request
 

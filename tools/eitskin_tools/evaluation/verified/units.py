@@ -43,6 +43,8 @@ MOST: Final = 0.3
 """No amplitude of a real sheet is larger."""
 
 Material = tuple[float, ...]
+Made = dict[bytes, tuple[UnitVerifier, Material]]
+"""Verifiers by their cloud, each with the material that frames of its shape have shown."""
 STILL: Final = (0.0, 0.0, 0.0)
 NOTHING: Final = Fitted("", 0.0, 0.0)
 
@@ -76,7 +78,7 @@ class Verified:
         budget_s: What a frame may take.
         missing: Electrodes that are gone: their rows are not looked at, and filled in for the network.
         filler: Fills them in.
-        made: Verifiers of clouds as scanned, kept from one run to another; None keeps none.
+        made: Verifiers of one device's shapes, kept from one run to another; None keeps that of the last shape.
     """
 
     def __init__(
@@ -87,13 +89,13 @@ class Verified:
         budget_s: float = BUDGET_S,
         missing: tuple[int, ...] = (),
         filler: Filler | None = None,
-        made: dict[bytes, UnitVerifier] | None = None,
+        made: Made | None = None,
     ) -> None:
         self._network, self._noise, self._skin, self._budget_s = network, noise, skin, budget_s
-        self._missing, self._filler, self._made = missing, filler, made
+        self._missing, self._filler = missing, filler
+        self._keeps, self._made = made is not None, {} if made is None else made
         self.checked: list[Checked[Verdict[UnitTouch]]] = []
         """Verdicts in the order of the cases."""
-        self._shape: tuple[bytes, UnitVerifier, Material] | None = None
 
     @property
     def run(self) -> Run:
@@ -134,7 +136,7 @@ class Verified:
             begin = time.process_time()
             verifier = prepared(case.sheet.cloud_mm, self._skin, material=material)
             setup_ms += 1e3 * (time.process_time() - begin)
-            self._shape = case.sheet.cloud_mm.tobytes(), verifier, material
+            self._keep(case.sheet.cloud_mm.tobytes(), verifier, material)
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
         touched = np.zeros(grid.n_units)
         touched[[one.unit for one in verdict.touches]] = 1.0
@@ -143,16 +145,16 @@ class Verified:
     def _of(self, case: Case) -> tuple[UnitVerifier, Material, float]:
         """Return the verifier of a case's shape, the material in it, and ms that it took: 0 for the shape just seen."""
         cloud = case.sheet.cloud_mm.tobytes()
-        if self._shape is not None and self._shape[0] == cloud:
-            return self._shape[1], self._shape[2], 0.0
+        if cloud in self._made:
+            return *self._made[cloud], 0.0
         begin = time.process_time()
-        verifier = None if self._made is None else self._made.get(cloud)
-        if verifier is None:
-            verifier = prepared(case.sheet.cloud_mm, self._skin)
-            if self._made is not None:
-                self._made[cloud] = verifier
-        self._shape = cloud, verifier, STILL
-        return verifier, STILL, 1e3 * (time.process_time() - begin)
+        self._keep(cloud, prepared(case.sheet.cloud_mm, self._skin), STILL)
+        return *self._made[cloud], 1e3 * (time.process_time() - begin)
+
+    def _keep(self, cloud: bytes, verifier: UnitVerifier, material: Material) -> None:
+        if not self._keeps:
+            self._made.clear()
+        self._made[cloud] = verifier, material
 
 
 def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material | None:

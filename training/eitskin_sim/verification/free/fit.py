@@ -46,7 +46,10 @@ FORBIDDEN: Final = 0.05
 STEPS: Final = np.array([6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5])
 """The longest step of each parameter."""
 
-ENOUGH: Final = 0.05
+Linear = tuple[Array, Array, npt.NDArray[np.bool_]]
+"""Residuals, derivatives, and what is free."""
+
+ENOUGH: Final = 0.3
 """A step that gains less of what is minimised is the last."""
 
 
@@ -62,14 +65,16 @@ class Usual:
     aspect_sd: float = 0.8
     border_mm: float = 3.0
     border_sd: float = 2.0
+    sign: int = 0
+    """Of every log contrast: 1 where touches raise conductance, -1 where they lower it, 0 where both happen."""
     touches: Prior = field(default_factory=lambda: Prior(places=60, expected=3.0))
 
 
 def usual_of(kind: TouchKind) -> Usual:
     """Return what is usual of a skin whose touches go one way, or both."""
     if kind == "lowering":
-        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6)
-    return Usual() if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
+        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6, sign=-1)
+    return Usual(sign=1) if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,7 +98,7 @@ class Frame:
         solved, change = self.model.solve(pieces)
         residual = self.white.whiten(self.change - self.expected - change)
         cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
-        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch)
+        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch, self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +114,20 @@ class Fit:
     """(rows,) whitened."""
     prior: float
     per_touch: float
+    frame: "Frame"
+    """What it was fitted to."""
+    _linear: "list[Linear]" = field(default_factory=list, repr=False)
+    """Its derivatives, once somebody asked for them."""
+
+    @property
+    def linear(self) -> "Linear":
+        """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
+        if not self._linear:
+            own = _free(self.pieces, self.turning)
+            by = -self.frame.white.whiten(self.frame.model.jacobian(self.solved, own).T).T
+            cost, rate = _prior(self.pieces, own, self.frame.usual)
+            self._linear.append((np.concatenate([self.residual, cost]), np.concatenate([by, rate]), own))
+        return self._linear[0]
 
     @property
     def chi_squared(self) -> float:
@@ -164,14 +183,6 @@ def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Arr
     return np.array(cost), np.array(by)
 
 
-def linearised(frame: Frame, fit: Fit) -> tuple[Array, Array, npt.NDArray[np.bool_]]:
-    """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
-    own = _free(fit.pieces, fit.turning)
-    by = -frame.white.whiten(frame.model.jacobian(fit.solved, own).T).T
-    cost, rate = _prior(fit.pieces, own, frame.usual)
-    return np.concatenate([fit.residual, cost]), np.concatenate([by, rate]), own
-
-
 def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
@@ -184,7 +195,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
     for _ in range(steps):
         if not len(fit.pieces):
             return fit
-        residual, by, own = linearised(frame, fit)
+        residual, by, own = fit.linear
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
         best = None
@@ -221,6 +232,8 @@ def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array
     halves = [HALF_LENGTH, HALF_WIDTH]
     values[:, halves] = np.clip(values[:, halves], LEAST_HALF_MM, MOST_HALF_MM)
     log = np.clip(values[:, LOG_CONTRAST], *np.log(CONTRASTS))
+    if frame.usual.sign:
+        log = frame.usual.sign * np.maximum(frame.usual.sign * log, FORBIDDEN)
     values[:, LOG_CONTRAST] = np.where(np.abs(log) < FORBIDDEN, np.where(before < 0.0, -FORBIDDEN, FORBIDDEN), log)
     graded = pieces[:, 7] > 0.0
     narrow = 2.0 * values[:, halves].min(axis=1)

@@ -15,7 +15,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
 from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
-from eitskin_sim.verification.free.fit import Fit, Frame, linearised
+from eitskin_sim.verification.free.fit import Fit
 
 WITHIN: Final = 2.0
 """Standard deviations of the ranges."""
@@ -49,11 +49,11 @@ class FreeTouch:
     """Two standard errors of its logarithm either way, contrast changing along."""
 
 
-def touches_of(frame: Frame, fit: Fit) -> tuple[FreeTouch, ...]:
+def touches_of(fit: Fit) -> tuple[FreeTouch, ...]:
     """Return what a fit says of every touch."""
     if not len(fit.pieces):
         return ()
-    _, by, own = linearised(frame, fit)
+    _, by, own = fit.linear
     covariance = np.linalg.pinv(by.T @ by, hermitian=True)
     number = np.full(own.shape, -1)
     number[own] = np.arange(own.sum())
@@ -98,12 +98,12 @@ def _range(value: float, sd: float) -> tuple[float, float]:
     return value / factor, value * factor
 
 
-def degrees_of_freedom(frame: Frame, fit: Fit) -> int:
+def degrees_of_freedom(fit: Fit) -> int:
     """Return how many of the frame's rows are left once what is free has been fitted, the prior counted."""
     rows = len(fit.residual)
     if not len(fit.pieces):
         return rows
-    _, by, _ = linearised(frame, fit)
+    _, by, _ = fit.linear
     whole, data = by.T @ by, by[:rows].T @ by[:rows]
     return rows - round(float(np.trace(np.linalg.solve(whole + 1e-9 * np.diag(np.diag(whole) + 1e-9), data))))
 

@@ -20,8 +20,9 @@ from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
-from eitskin_sim.verification.free.unseen import Doubts, Unseen, unseen
+from eitskin_sim.verification.free.unseen import Unseen, unseen
 from eitskin_sim.verification.residual import Noise, Whitener
+from eitskin_sim.verification.spreads import Spreads, usual
 
 ELEMENT_MM: Final = 4.5
 """The largest element: fitted centres are off by up to 0.1 mm by it, sizes by 0.2 mm."""
@@ -49,7 +50,7 @@ class Model:
     unseen: Unseen
     flat_V: Array
     """(104,) of the model's flat sheet."""
-    doubts: Doubts
+    spreads: Spreads
     skin: Skin
     size_mm: float
     held: Array
@@ -98,31 +99,31 @@ class Model:
         """Return the model of the sheet with the waves of some amplitudes of all columns."""
         held = amplitudes[: len(self.held)]
         moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held)
-        return _model(moved, self.surface, self.doubts, self.skin, self.size_mm, held)
+        return _model(moved, self.surface, self.spreads, self.skin, self.size_mm, held)
 
 
 def model_of_cloud(
-    cloud_mm: npt.ArrayLike, skin: Skin = PAPER, doubts: Doubts | None = None, size_mm: float = ELEMENT_MM
+    cloud_mm: npt.ArrayLike, skin: Skin = PAPER, spreads: Spreads | None = None, size_mm: float = ELEMENT_MM
 ) -> Model:
     """Return the model of a scanned deformation.
 
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
-        doubts: What may differ; None is the usual.
+        spreads: How much may differ; None is what the skin says.
         size_mm: The largest element.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
     surface = fit_cloud(cloud_mm, skin.grid)
-    return _model(surface.metric, surface, doubts or Doubts(), skin, size_mm, None)
+    return _model(surface.metric, surface, spreads or usual(skin), skin, size_mm, None)
 
 
 def _model(
-    metric: Metric, surface: FittedSurface, doubts: Doubts, skin: Skin, size_mm: float, held: Array | None
+    metric: Metric, surface: FittedSurface, spreads: Spreads, skin: Skin, size_mm: float, held: Array | None
 ) -> Model:
     sheet = TouchedSheet(inverted_metric(metric, size_mm, skin=skin), shared_mesh(size_mm, None, skin))
-    found = unseen(sheet, metric, surface, doubts, skin)
+    found = unseen(sheet, metric, surface, spreads, skin)
     own = np.zeros(found.mixed.shape[1]) if held is None else held
-    return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), doubts, skin, size_mm, own)
+    return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), spreads, skin, size_mm, own)

@@ -60,6 +60,7 @@ def additions(frame: Frame, fit: Fit, most: int = 2) -> list[Array]:
     for piece in fit.pieces:
         taken |= np.hypot(*(places - piece[1:3]).T) < 0.4 * piece[3:5].max() + 2.0
     gain[taken] = 0.0
+    gain[frame.usual.sign * amount < 0.0] = 0.0
     found = []
     for _ in range(most):
         at = int(np.argmax(gain))

@@ -29,8 +29,8 @@ from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, t
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.moves import Move, moves
 from eitskin_sim.verification.free.starts import starts_of
-from eitskin_sim.verification.free.unseen import Doubts
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.spreads import Spreads
 from eitskin_sim.verification.verdict import Verdict
 
 TRUSTED: Final = 0.02
@@ -64,7 +64,7 @@ class FreeVerifier:
         noise: Of a frame.
         touches: Which way this skin's touches change conductance.
         skin: Whose frames.
-        doubts: What may differ between the sheet and its model.
+        spreads: How much may differ between the sheet and its model; None is what the skin says.
     """
 
     def __init__(
@@ -73,10 +73,10 @@ class FreeVerifier:
         noise: Noise,
         touches: TouchKind = "raising",
         skin: Skin = PAPER,
-        doubts: Doubts | None = None,
+        spreads: Spreads | None = None,
     ) -> None:
         self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches)
-        self._skin, self._doubts = skin, doubts
+        self._skin, self._spreads = skin, spreads
         self._model: Model | None = None
         self._anew = 0
         self._fits = 0
@@ -92,7 +92,7 @@ class FreeVerifier:
             ValueError: The cloud is malformed, or folds in its own plane.
         """
         self.setup_s = self.setup_cpu_s = 0.0
-        self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._doubts))
+        self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
         self._anew = 0
 
     def _make(self, make: Callable[[], Model]) -> None:
@@ -140,11 +140,11 @@ class FreeVerifier:
             fit = self._usually(frame, fit)
         if trail and left() > 0.0:
             fit = self._fewer(frame, fit)
-        freedom = max(degrees_of_freedom(frame, fit), 1)
+        freedom = max(degrees_of_freedom(fit), 1)
         seconds = time.perf_counter() - begin - (self.setup_s - setup)
         p = p_value(fit.chi_squared, freedom)
         return FreeVerdict(
-            touches_of(frame, fit),
+            touches_of(fit),
             fit.chi_squared,
             freedom,
             p,
@@ -231,7 +231,7 @@ class FreeVerifier:
         return other if other.cost < fit.cost else fit
 
     def _explained(self, frame: Frame, fit: Fit) -> bool:
-        return p_value(fit.chi_squared, max(degrees_of_freedom(frame, fit), 1)) > 5.0 * LEVEL
+        return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1)) > 5.0 * LEVEL
 
     def _moved(self, frame: Frame, fit: Fit, left: Callable[[], float]) -> tuple[str, Fit | None]:
         """Return the move that pays, or none."""

@@ -29,24 +29,13 @@ from eitskin_sim.surface.predict import FittedSurface, fit_cloud
 from eitskin_sim.unit_grid.units import to_voltages
 from eitskin_sim.verification.free.usual_waves import usual_waves
 from eitskin_sim.verification.free.waves import Waves, waves_of
+from eitskin_sim.verification.spreads import Spreads
 
 DRAWS: Final = 24
 """Scans whose noise is looked at: its columns are as many."""
 
 SEED: Final = 44_113
 """Of their noise."""
-
-
-@dataclass(frozen=True, slots=True)
-class Doubts:
-    """Standard deviations of what may differ."""
-
-    scan_mm: float = 0.1
-    drift: float = 0.05
-    tilt: float = 0.01
-    gauge: float = 0.5
-    stretch: float = 1.0
-    """Of all waves, over what is usual; 0 for a sheet whose stretch is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,7 +73,7 @@ def unseen(
     touched: TouchedSheet,
     metric: Metric,
     surface: FittedSurface | None,
-    doubts: Doubts,
+    spreads: Spreads,
     skin: Skin = PAPER,
 ) -> Unseen:
     """Return what may differ on a deformation.
@@ -93,7 +82,7 @@ def unseen(
         touched: Its sheet.
         metric: The sheet's.
         surface: The fitted one, for what noise does to it; None for a metric that no scan gave.
-        doubts: How much may differ.
+        spreads: How much may differ.
         skin: Whose sheet.
     """
     sheet = touched.sheet
@@ -118,20 +107,20 @@ def unseen(
 
     by_log_sigma = np.einsum("ce,cer->er", tensor, power)
     waves = waves_of(skin)
-    mixed = doubts.stretch * usual_waves(skin)
+    mixed = spreads.material * usual_waves(skin)
     stretch = answer(*waves.rates(metric, at)) @ mixed
     length, width = skin.outline.size_mm
     x, y = at.T
     fields = {
-        "drift": (np.ones(len(at)), doubts.drift),
-        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), doubts.tilt),
-        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), doubts.tilt),
-        "gauge": (-0.5 * np.log(E * G - F**2), doubts.gauge),
+        "drift": (np.ones(len(at)), spreads.drift),
+        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), spreads.tilt),
+        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), spreads.tilt),
+        "gauge": (-0.5 * np.log(E * G - F**2), spreads.gauge),
     }
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
     parts = [stretch, layer]
-    if surface is not None and doubts.scan_mm > 0.0:
-        parts.append(answer(*_scans(surface, at, doubts.scan_mm, skin)))
+    if surface is not None and spreads.scan_mm > 0.0:
+        parts.append(answer(*_scans(surface, at, spreads.scan_mm, skin)))
     return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
 
 

@@ -1,0 +1,69 @@
+"""``bench verify``: its rows and tables, the touches that it draws, and the picture of p."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.scene.area import area_map
+from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
+from eitskin_tools.bench.verify.matched import LEVELS, of_rows
+from eitskin_tools.bench.verify.paper_like import paper_like
+from eitskin_tools.bench.verify.plot import draw
+from eitskin_tools.bench.verify.printed import tables
+
+COUNTED: dict[str, Any] = {
+    "maps": 10, "wrong": 2, "wrong_unflagged": 1, "right_flagged": 3, "chi_squared_median": 99.6, "cpu_ms_median": 2.04,
+    "cpu_ms_p95": 19.0, "setup_ms_median": 400.0, "p_values": [0.2, 0.6],
+}  # fmt: skip
+UNITS = {"what": "1 to 6 units, N2", "network_exact": 0.7, "exact": 0.8, **COUNTED}
+ANYWHERE = {
+    "what": "pairs", "network_right": 0.5, "network_cc": 0.98, "network_cc_worst": 0.9,
+    "network_localisation_median_mm": None, "network_localisation_rms_mm": None, "right": 0.8, "cc": 0.991,
+    "cc_worst": 0.9, "localisation_median_mm": 0.2, "localisation_rms_mm": 0.25, **COUNTED,
+}  # fmt: skip
+STATED = {"what": "p, matched model, N2", "stated": 0.01, "found": 0.012, "error": 0.002}
+
+
+def test_a_table_has_a_line_for_every_row_and_as_many_cells_as_its_head() -> None:
+    text = tables([UNITS], [ANYWHERE], [STATED], [])
+    first, second, third = text.split("\n\n")
+    for table in (first, second, third):
+        cells = {line.count("|") for line in table.splitlines()}
+        assert len(cells) == 1, table
+    assert "| 1 to 6 units, N2 | 10 | 70 % | 80 % | 1 of 2 | 3 of 8 | 100 | 2.0 / 19.0 |" in first
+    assert "| pairs | 10 | 0.980, - | 0.991 / 0.900 | 0.20 / 0.25 | 80 % | 1 of 2 | 3 of 8 |" in second
+    assert tables([], [], [], []) == ""
+
+
+def test_p_is_counted_where_nothing_but_the_scan_is_off() -> None:
+    rows = of_rows([UNITS, {**UNITS, "what": "contacts x3"}])
+    assert len(rows) == len(LEVELS)
+    assert {row["what"] for row in rows} == {"p, 1 to 6 units, N2, scanned"}
+    assert next(row["found"] for row in rows if row["stated"] == 0.5) == 0.5
+
+
+def test_every_row_has_a_name_of_its_own_and_the_ideal_device_s_stand_together() -> None:
+    names = [one.name for one in unit_conditions()] + [one.name for one in anywhere_conditions()]
+    assert len(set(names)) == len(names)
+    devices = [one.mismatch for one in unit_conditions()]
+    assert devices == sorted(devices, key=lambda one: one != devices[0])
+
+
+def test_paper_like_touches_lie_on_the_sheet_at_deformations_of_the_trials() -> None:
+    found = paper_like(2, 2)
+    assert [one.name for one in found] == ["A0.0", "A0.1", "A1.0", "A1.1"]
+    assert found[0].scene.bend == found[1].scene.bend != found[2].scene.bend
+    for one in found:
+        area = area_map(one.scene.touches, PAPER.grid)
+        assert 0.0 < area.sum() < 0.5 * area.size
+        assert one.truth == "area"
+
+
+def test_the_picture_of_p_is_drawn(tmp_path: Path) -> None:
+    pytest.importorskip("matplotlib")
+    draw(tmp_path / "p.png", [STATED, {**STATED, "stated": 0.5, "found": 0.48}])
+    assert (tmp_path / "p.png").read_bytes()[:4] == b"\x89PNG"
+    assert np.isfinite((tmp_path / "p.png").stat().st_size)

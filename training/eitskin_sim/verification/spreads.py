@@ -1,0 +1,32 @@
+"""How far a sheet may differ from its model, before anything is measured."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from eitskin_proto.skin.skin import Skin
+
+SCAN_NOISE_MM: Final = 0.1
+"""Of a scanner, where the skin does not say."""
+
+
+@dataclass(frozen=True, slots=True)
+class Spreads:
+    """Standard deviations of what may differ; 0 leaves one out."""
+
+    drift: float = 0.05
+    """Of the whole layer's conductivity since the reference, as a part of it."""
+    tilt: float = 0.01
+    """Of its planes along x and along y, each of rms 1."""
+    gauge: float = 0.5
+    """Of k, where conductivity goes by (area stretch)^-k."""
+    material: float = 1.0
+    """Of material that lies elsewhere than a scan can tell: over what the skin's deformations say."""
+    scan_mm: float = SCAN_NOISE_MM
+    """Noise of the scanner."""
+
+
+def usual(skin: Skin) -> Spreads:
+    """Return what a verifier assumes that is told nothing of the device but its skin."""
+    return Spreads(scan_mm=float(np.mean(skin.may_be_off.scan_noise_mm)) or SCAN_NOISE_MM)
