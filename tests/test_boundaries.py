@@ -68,7 +68,7 @@ ROOMS: dict[str, Arrows] = {
         "solvers": {"fem", "scene", "surface"}, "shapes": {"fem", "freeform", "scene", "unit_grid"},
         "dataset": {"devices", "fem", "freeform", "scene", "surface", "unit_grid"},
         "outline": {"fem", "scene"}, "tank": {"fem", "outline", "scene", "solvers"},
-        "calibration": {"devices", "fem", "measurement", "scene"},
+        "calibration": {"devices", "fem", "measurement", "scene", "surface"},
         "evaluation": {"fem", "measurement", "scene", "solvers", "surface"},
         "reduced": {"devices", "fem", "scene", "surface", "unit_grid"},
         "verification": {"fem", "freeform", "reduced", "scene", "shapes", "surface", "unit_grid"},

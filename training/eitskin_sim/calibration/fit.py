@@ -9,7 +9,7 @@ A device that is 20 % off is two hundred times its noise away, where the problem
 taken for uncertain by ``SOFT`` of themselves, then by less, and in the end as they are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -96,21 +96,31 @@ class Fit:
         return np.asarray(self.residuals / np.maximum(self.expected, 0.1))
 
 
-def fit(model: Residuals, progress: Callable[[int, float], None] | None = None) -> Fit:
+def fit(
+    model: Residuals,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    start: Array | None = None,
+    soft: Sequence[float] = SOFT,
+    done: int = 0,
+) -> Fit:
     """Return the most probable parameters.
 
     Args:
         model: What is fitted.
         progress: Called with the step's number and the misfit, before each.
+        start: (count,) where the search begins; None is the stated values.
+        soft: Relative errors that are added to every row, one after the other; the last is 0.
+        done: Steps that were taken already.
 
     Raises:
         CalibrationError: It does not converge.
     """
-    z = np.zeros(model.count)
-    steps = 0
-    for error in SOFT:
+    z = np.zeros(model.count) if start is None else start
+    steps = done
+    for error in soft:
         model.soften(z, error)
-        z, residuals, jacobian, taken = _descend(model, z, last=error == SOFT[-1], done=steps, progress=progress)
+        z, residuals, jacobian, taken = _descend(model, z, last=error == soft[-1], done=steps, progress=progress)
         steps += taken
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(z)))
     learned = np.einsum("ri,ij,rj->r", jacobian, covariance, jacobian)
