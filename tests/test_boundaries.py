@@ -107,7 +107,7 @@ ROOMS: dict[str, Arrows] = {
         "__init__": set(), "choices": set(),
         "command_line": set(),
         "console": {"processes"},
-        "errors": set(), "stages": set(), "flash": set(),
+        "errors": set(), "stages": set(), "flash": set(), "guided": {"console"},
         "mismatches": set(), "phantoms": set(), "pictures": set(),
         "processes": set(),
         "recording": {"command_line"},
@@ -127,7 +127,7 @@ ROOMS: dict[str, Arrows] = {
             "view", "virtual_skin",
         },
         "commands": {
-            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "recording", "robot",
+            "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "guided", "recording", "robot",
             "service", "stages", "view", "virtual_skin",
         },
         "cli": {"command_line", "console", "errors"},

@@ -51,15 +51,18 @@ class BendError:
 
 
 @lru_cache(maxsize=4)
-def bend_error(skin: Skin, draws: int = DRAWS) -> BendError:
+def bend_error(skin: Skin) -> BendError:
     """Return the error of a skin's scanned bends; 0.12 CPU-s a draw.
 
     Args:
         skin: Its deformations, and how it is scanned.
-        draws: How many bends are solved.
     """
-    errors = drawn_errors(skin, draws)
-    fold = np.arange(draws) % FOLDS
+    return error_of(drawn_errors(skin, DRAWS))
+
+
+def error_of(errors: Array) -> BendError:
+    """Return what drawn errors (draws, 104) tell of the next one."""
+    fold = np.arange(len(errors)) % FOLDS
     apart = np.concatenate([_distances(errors[fold != k], errors[fold == k]) for k in range(FOLDS)])
     scale = max(float(np.quantile(apart, SURE)), 1.0)
     mean, covariance = _moments(errors)
