@@ -5,7 +5,7 @@ move the untouched sheet's voltages by many times a frame's noise. They are no p
 error of the model is drawn (the approximation error of Kaipio and Somersalo): bends of the skin's own deformations,
 scanned as the skin says, predicted from their scans and solved as they truly are ::
 
-    e = log(V_true / V_true(flat)) - log(V_model(scan) / V_model(flat))        (rows,)
+    e = log(V_true(bend) / V_model(scan))        (104,), both with the same gauge factor, which is drawn too
 
 Its covariance has a few large directions and a rest. Drawn errors are not Gaussian, so it is enlarged until it holds
 most of those that it was not made of.
@@ -21,12 +21,13 @@ import numpy.typing as npt
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import solved
-from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.fem.forward import assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import draw, scaled
 from eitskin_sim.scene.nominal import nominal_scene
-from eitskin_sim.scene.parts import Bend
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.surface.predict import flat_voltages, predict
+from eitskin_sim.surface.predict import fit_cloud
 
 Array = npt.NDArray[np.float64]
 
@@ -48,6 +49,8 @@ class BendError:
     """(104,) of the logarithm of the ratio to the flat sheet."""
     covariance: Array
     """(104, 104)"""
+    largest: float = 1.0
+    """Of all draws the largest squared distance a row by this covariance, at least 1: a bend may be as far off."""
 
 
 @lru_cache(maxsize=4)
@@ -66,26 +69,25 @@ def error_of(errors: Array) -> BendError:
     apart = np.concatenate([_distances(errors[fold != k], errors[fold == k]) for k in range(FOLDS)])
     scale = max(float(np.quantile(apart, SURE)), 1.0)
     mean, covariance = _moments(errors)
-    return BendError(mean, scale * covariance)
+    return BendError(mean, scale * covariance, max(float(apart.max()) / scale, 1.0))
 
 
 def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> Array:
     """Return (draws, 104) errors of the model, of bends drawn from the skin's deformations."""
     generator, doubts = np.random.default_rng([seed, 1]), skin.may_be_off
-    flat, flat_model = _true(skin, Bend()), flat_voltages(skin)
+    scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
+    mesh = scene_mesh(scene)
     found = []
     for bend in draw("A", draws, seed, skin):
         seen = scaled(bend, 1.0 - _within(generator, doubts.scan_stale))
         noise = _within(generator, doubts.scan_noise_mm)
         cloud = measured_cloud(seen, generator, noise, skin).astype(np.float64)
         cloud *= float(doubts.scan_scale.draw(generator, 1)[0])
-        found.append(np.log(_true(skin, bend) / flat) - np.log(predict(cloud, skin) / flat_model))
+        sheet = replace(scene.sheet, gauge_factor=float(skin.layer.gauge_factor.draw(generator, 1)[0]))
+        true, shown = bend_metric(bend, sheet), fit_cloud(cloud, skin.grid).metric
+        read = [assemble(mesh, sheet, scene.electrodes, one).factorise().voltages() for one in (true, shown)]
+        found.append(np.log(np.abs(read[0] / read[1])))
     return np.array(found)
-
-
-def _true(skin: Skin, bend: Bend) -> Array:
-    scene = replace(nominal_scene(skin, bend), element_size_mm=solved.ELEMENT_MM)
-    return factorise_scene(scene).voltages()
 
 
 def _within(generator: np.random.Generator, bounds: Range) -> float:

@@ -45,6 +45,13 @@ FAR: Final = 4.0
 """Rows whose residual is so many times what it should be are named."""
 
 
+SETTLED: Final = 0.1
+"""Of minus twice the log posterior: a step that gains less moves no parameter by what its standard error would show."""
+
+SETTLED_SHARE: Final = 1e-3
+"""The same as a share of the whole, where the whole is far above noise."""
+
+
 class CalibrationError(SkinError):
     """Nothing could be calibrated; the text says why, and what to do."""
 
@@ -103,6 +110,7 @@ def fit(
     start: Array | None = None,
     soft: Sequence[float] = SOFT,
     done: int = 0,
+    rough: bool = False,
 ) -> Fit:
     """Return the most probable parameters.
 
@@ -112,6 +120,8 @@ def fit(
         start: (count,) where the search begins; None is the stated values.
         soft: Relative errors that are added to every row, one after the other; the last is 0.
         done: Steps that were taken already.
+        rough: What should be read is not smooth, as under touches whose borders cross elements: stop where nothing is
+            gained that matters.
 
     Raises:
         CalibrationError: It does not converge.
@@ -120,7 +130,8 @@ def fit(
     steps = done
     for error in soft:
         model.soften(z, error)
-        z, residuals, jacobian, taken = _descend(model, z, last=error == soft[-1], done=steps, progress=progress)
+        last = error == soft[-1]
+        z, residuals, jacobian, taken = _descend(model, z, last=last, done=steps, progress=progress, rough=rough)
         steps += taken
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(z)))
     learned = np.einsum("ri,ij,rj->r", jacobian, covariance, jacobian)
@@ -128,7 +139,13 @@ def fit(
 
 
 def _descend(
-    model: Residuals, z: Array, *, last: bool, done: int, progress: Callable[[int, float], None] | None
+    model: Residuals,
+    z: Array,
+    *,
+    last: bool,
+    done: int,
+    progress: Callable[[int, float], None] | None,
+    rough: bool,
 ) -> tuple[Array, Array, Array, int]:
     """Return where the misfit is least, with residuals, Jacobian and steps; only the last descent need be exact."""
     damping = 0.0
@@ -146,6 +163,8 @@ def _descend(
             if tried <= cost * (1.0 + 1e-9) or (step <= FREE and not damping and np.isfinite(tried)):
                 break
             damping = max(10.0 * damping, 1e-2)
+            if damping > MOST_DAMPING and rough:
+                return z, residuals, jacobian, step
             if damping > MOST_DAMPING:
                 raise CalibrationError(
                     f"the calibration does not converge: no step from a misfit of {cost / len(residuals):.3g} makes it "
@@ -155,7 +174,9 @@ def _descend(
         z, damped = z + whole, damping > 1e-3
         damping = damping / 10.0 if damped else 0.0
         residuals, jacobian = model.linearised(z)
-        cost = float(residuals @ residuals + z @ z)
+        before, cost = cost, float(residuals @ residuals + z @ z)
+        if rough and step > FREE and abs(before - cost) < SETTLED + SETTLED_SHARE * cost:
+            return z, residuals, jacobian, step
         if far < (CLOSE if last else ROUGHLY) and not damped:
             return z, residuals, jacobian, step
     raise CalibrationError(

@@ -62,7 +62,7 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
         return float(np.sum(one.residuals(start) ** 2))
 
     chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
-    found = fit(chosen, progress, start=start, soft=LATER, done=flat.steps)
+    found = fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True)
     check_moments(chosen, found)
     check_rows(chosen.flat, found, chosen.blocks[0])
     return chosen, found
@@ -74,26 +74,27 @@ def check_moments(session: Session, found: Fit) -> None:
     Raises:
         CalibrationError: With the moment, or the press, and its rows.
     """
-    own = session.flat.parameters.slices
-    worst: tuple[float, str, slice] | None = None
+    own, rows = session.flat.parameters.slices, len(TABLE)
+    chance = float(chi2.isf(CHANCE / len(session.moments), rows)) / rows
+    worst: tuple[float, float, float, str, slice] | None = None
     for number, (moment, block) in enumerate(zip(session.moments, session.blocks[1:], strict=True)):
         size = float(np.sum(found.residuals[block] ** 2))
         if moment.lying.touched_by:
             press = number - len(session.flat.recording.bents)
             place = own[PLACE].start + 2 * press
             size += float(found.z[own[OWN].start + press] ** 2 + np.sum(found.z[place : place + 2] ** 2))
-        if worst is None or size > worst[0]:
-            worst = (size, moment.name, block)
+        misfit, limit = size / rows, chance * moment.allowed
+        if worst is None or misfit / limit > worst[0]:
+            worst = (misfit / limit, misfit, limit, moment.name, block)
     assert worst is not None
-    rows = len(TABLE)
-    limit = float(chi2.isf(CHANCE / len(session.moments), rows)) / rows
-    if worst[0] / rows <= limit:
+    over, misfit, limit, name, block = worst
+    if over <= 1.0:
         return
-    several = len(session.flat.recording.presses) > 1 and worst[1].startswith("press")
+    several = len(session.flat.recording.presses) > 1 and name.startswith("press")
     what = "contradicts the others" if several else "does not fit the sheet"
     raise CalibrationError(
-        f"{worst[1]} {what}: misfit {worst[0] / rows:.3g}, expected at most {limit:.3g}; rows that are off by so many "
-        f"times their noise: {_named(session, found, worst[2])}; leave it out, or record it again"
+        f"{name} {what}: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are off by so many times their "
+        f"noise: {_named(found, block)}; leave it out, or record it again"
     )
 
 
@@ -121,7 +122,7 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
     )
 
 
-def _named(session: Session, found: Fit, block: slice) -> str:
+def _named(found: Fit, block: slice) -> str:
     return _worst(found.far[block], [f"drive {drive} measure {measure}" for drive, measure in TABLE])
 
 

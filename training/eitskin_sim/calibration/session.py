@@ -44,6 +44,8 @@ class Moment:
     """(104, 104) of dV, beside a press's own share."""
     expected: Array
     """(104,) what the model is off by on average."""
+    allowed: float = 1.0
+    """Times what chance allows a misfit of Gaussian errors."""
 
 
 class Session:
@@ -131,7 +133,7 @@ class Session:
             ratio = one.voltages_V / self._rows(self.flat.recording.reference_V)
             covariance = self._covariance(one) + ratio[:, None] * error.covariance * ratio
             lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric)
-            found.append(Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean))
+            found.append(Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean, error.largest))
         return found
 
     def _presses(self) -> list[Moment]:
