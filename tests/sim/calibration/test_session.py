@@ -35,13 +35,15 @@ BEND = Bend(angle_deg=60.0, stretch_along=1.1, stretch_across=0.99)
 PLACES = [(50.0, 40.0), (100.0, 55.0), (75.0, 70.0)]
 
 
-@pytest.fixture(autouse=True)
-def coarse(monkeypatch):
+@pytest.fixture(scope="module", autouse=True)
+def coarse():
     """A coarse mesh for the true device too: it is the method that is tested; drawn bends have a test of their own."""
-    monkeypatch.setattr(solved, "ELEMENT_MM", 8.0)
-    monkeypatch.setattr(model, "MODEL_ERROR", 2e-3)
     error = BendError(np.zeros(N_ROWS), 0.02**2 * np.eye(N_ROWS))
-    monkeypatch.setattr(session, "bend_error", lambda skin: error)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solved, "ELEMENT_MM", 8.0)
+        patch.setattr(model, "MODEL_ERROR", 2e-3)
+        patch.setattr(session, "bend_error", lambda skin: error)
+        yield
 
 
 def read(rng, bend=None, touches=(), drift=0.0, contrast=None):
@@ -57,8 +59,8 @@ def press(rng, xy, contrast=CONTRAST, at=None):
     return Later(read(rng, touches=(touch,), drift=0.005), FRAMES, None, np.array(xy), STAMP_MM)
 
 
-@pytest.fixture
-def recorded():
+@pytest.fixture(scope="module")
+def recorded(coarse):
     rng = np.random.default_rng(5)
     cloud = measured_cloud(BEND).astype(np.float64)
     bent = Later(read(rng, bend=BEND, drift=-0.005), FRAMES, cloud)
@@ -77,8 +79,13 @@ def test_derivatives_are_those_of_solving_again(recorded):
         assert np.sqrt(np.mean((jacobian[:, at] - again) ** 2)) < 0.05 * scale + 1e-3, at
 
 
-def test_gauge_factor_and_press_are_found_with_their_errors(recorded):
-    twin, report = calibrate(STATED, recorded, 50.0)
+@pytest.fixture(scope="module")
+def calibrated(recorded):
+    return calibrate(STATED, recorded, 50.0)
+
+
+def test_gauge_factor_and_press_are_found_with_their_errors(calibrated):
+    twin, report = calibrated
     gauge = report["parameters"]["gauge_factor"]
     assert abs(gauge["values"][0] - GAUGE) < 4.0 * gauge["standard_errors"][0]
     assert gauge["standard_errors"][0] < 0.3
@@ -128,11 +135,14 @@ def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():
             (count, N_ROWS)
         )  # fmt: skip
 
-    found = bends.error_of(errors(120))
+    slopes = 0.1 + 0.02 * rng.standard_normal((120, N_ROWS))
+    found = bends.error_of(errors(120), slopes)
     unseen = errors(300) - found.mean
     size = np.einsum("ni,ni->n", unseen, np.linalg.solve(found.covariance, unseen.T).T) / N_ROWS
     assert np.mean(size < 1.3) > 0.85
-    assert np.median(size) > 0.05, "and no more than that"
+    assert np.median(size) > 0.02, "and no more than that"
+    tiny = bends.error_of(1e-2 * errors(120), slopes)
+    assert np.trace(tiny.covariance) < 1e-3 * np.trace(found.covariance)
 
 
 @pytest.mark.slow  # twelve bends are solved on the usual mesh
@@ -142,7 +152,7 @@ def test_drawn_errors_of_scans_without_anything_unseen_are_the_model_s_own():
         deformations=replace(PAPER.deformations, nonuniformity=(0.0, 0.0)),
         may_be_off=replace(PAPER.may_be_off, scan_noise_mm=(0.0, 0.0)),
     )
-    own, seen = bends.drawn_errors(still, 6), bends.drawn_errors(PAPER, 6)
+    own, seen = bends.drawn_errors(still, 6)[0], bends.drawn_errors(PAPER, 6)[0]
     assert np.sqrt(np.mean(own**2)) < 0.5 * np.sqrt(np.mean(seen**2))
 
 
