@@ -12,7 +12,6 @@ is enlarged until it holds most of those that it was not made of, and until most
 bends would give are as far off as it says: what bends are recorded for.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
@@ -46,9 +45,6 @@ SHRUNK: Final = 0.3
 STRETCHED: Final = 0.05
 """Bends whose voltages follow the gauge factor less, on average, tell nothing of it."""
 
-MOST_NOISE_MM: Final = 3.0
-"""What a skin's file may state."""
-
 SURE: Final = 0.95
 """Share of unseen errors that must be within what the covariance allows."""
 
@@ -73,27 +69,6 @@ def bend_error(skin: Skin) -> BendError:
         skin: Its deformations, and how it is scanned.
     """
     return error_of(*drawn_errors(skin, DRAWS))
-
-
-def scanned_as(skin: Skin, clouds_mm: Sequence[Array]) -> Skin:
-    """Return a skin whose scans have the noise that some scans show: a noisy one makes the sheet look stretched.
-
-    Args:
-        skin: The stated one.
-        clouds_mm: (3, rows, columns) each; what a smooth surface leaves of them is taken for noise.
-    """
-    if not clouds_mm:
-        return skin
-    grid = skin.grid
-    places = grid.flat_cloud_mm()[:2].reshape(2, -1).T
-    found = []
-    for cloud in clouds_mm:
-        surface = fit_cloud(cloud, grid)
-        free = max(1.0 - surface.coefficients[..., 0].size / grid.n_pixels, 0.1)
-        left = surface.points(places) - cloud.reshape(3, -1).T
-        found.append(float(np.sqrt(np.mean(left**2) / free)))
-    noise = round(min(float(np.median(found)), MOST_NOISE_MM), 2)
-    return replace(skin, may_be_off=replace(skin.may_be_off, scan_noise_mm=(noise, noise)))
 
 
 def error_of(errors: Array, slopes: Array) -> BendError:

@@ -15,7 +15,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
-from eitskin_sim.calibration.bends import bend_error, scanned_as
+from eitskin_sim.calibration.bends import bend_error
 from eitskin_sim.calibration.model import FLAT, Lying, Model, Read, noise_V
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.surface.predict import fit_cloud
@@ -128,10 +128,8 @@ class Session:
 
     def _bents(self) -> list[Moment]:
         found = []
-        bents = self.flat.recording.bents
-        skin = scanned_as(self.flat.skin, [one.cloud_mm for one in bents if one.cloud_mm is not None])
-        for number, one in enumerate(bents):
-            error = bend_error(skin)
+        for number, one in enumerate(self.flat.recording.bents):
+            error = bend_error(self.flat.skin)
             ratio = one.voltages_V / self._rows(self.flat.recording.reference_V)
             covariance = self._covariance(one) + ratio[:, None] * error.covariance * ratio
             lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric)
