@@ -1,4 +1,4 @@
-"""Bent moments and presses, on a coarse mesh: derivatives against solving again, and what is found of a known device."""
+"""Bent moments and presses, on a coarse mesh: derivatives against solving again, and what is found of one device."""
 
 from dataclasses import replace
 
@@ -38,7 +38,7 @@ PLACES = [(50.0, 40.0), (100.0, 55.0), (75.0, 70.0)]
 @pytest.fixture(scope="module", autouse=True)
 def coarse():
     """A coarse mesh for the true device too: it is the method that is tested; drawn bends have a test of their own."""
-    error = BendError(np.zeros(N_ROWS), 0.02**2 * np.eye(N_ROWS))
+    error = BendError(np.zeros(N_ROWS), 0.02**2 * np.eye(N_ROWS), -0.01)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(solved, "ELEMENT_MM", 8.0)
         patch.setattr(model, "MODEL_ERROR", 2e-3)
@@ -136,12 +136,14 @@ def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():
         )  # fmt: skip
 
     slopes = 0.1 + 0.02 * rng.standard_normal((120, N_ROWS))
-    found = bends.error_of(errors(120), slopes)
+    gauges = rng.uniform(-1.0, 1.0, 120)
+    found = bends.error_of(errors(120) - 0.2 * gauges[:, None] * slopes, slopes, gauges)
+    assert found.steeper == pytest.approx(-0.2, abs=0.1)
     unseen = errors(300) - found.mean
     size = np.einsum("ni,ni->n", unseen, np.linalg.solve(found.covariance, unseen.T).T) / N_ROWS
     assert np.mean(size < 1.3) > 0.85
     assert np.median(size) > 0.02, "and no more than that"
-    tiny = bends.error_of(1e-2 * errors(120), slopes)
+    tiny = bends.error_of(1e-2 * errors(120), slopes, gauges)
     assert np.trace(tiny.covariance) < 1e-3 * np.trace(found.covariance)
 
 

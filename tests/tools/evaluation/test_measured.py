@@ -291,6 +291,8 @@ def test_samples_of_another_skin_are_judged_by_its_model_and_grid(tmp_path, caps
     assert found["by_kind"]["touched"]["localisation_rms_mm"] < 5.0
     assert (found["skin_digest"], found["bundles"]) == (SECOND.digest, [])
     assert cli.main([*words, "--solver", "tikhonov"]) == 1
-    assert f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}" in capsys.readouterr().err.replace(" (paper)", "")
+    assert f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}" in capsys.readouterr().err.replace(
+        " (paper)", ""
+    )
     assert cli.main([*words, "--skin", str(skin)]) == 1
     assert "name a bundle of this skin with --bundle" in capsys.readouterr().err

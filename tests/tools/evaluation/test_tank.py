@@ -70,7 +70,9 @@ def test_a_skin_tells_the_electrodes_widths_and_must_be_a_disc(tmp_path, frames,
     assert cli.main([*words, "lab"]) == 1
     assert "[outline] kind is 'rectangle', expected 'disc'" in capsys.readouterr().err
     (tmp_path / "tank.toml").write_text(
-        to_toml(replace(skin, electrodes=replace(skin.electrodes, size_mm=Quantity(tuple((4.0 + around / 600).tolist())))))
+        to_toml(
+            replace(skin, electrodes=replace(skin.electrodes, size_mm=Quantity(tuple((4.0 + around / 600).tolist()))))
+        )
     )
     assert cli.main([*words, str(tmp_path / "tank.toml")]) == 1
     assert "all of one size_mm" in capsys.readouterr().err

@@ -16,8 +16,8 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.files.plain import plain
 from eitskin.model.bundle import Bundle
+from eitskin_proto.files.plain import plain
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind

@@ -180,9 +180,7 @@ class Guide:
                 return np.array(frames), None
             self._talk.show("it moved; hold it still")
 
-    def _until(
-        self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False
-    ) -> str | None:
+    def _until(self, reached: Callable[[], bool], typed: list[str] | None = None, *, new: bool = False) -> str | None:
         """Take frames until something is reached, or a word was typed, which is returned.
 
         Args:

@@ -94,7 +94,7 @@ class Watch:
         if self._reference is None or not self.full:
             return np.inf
         noise = step_noise(np.array(self._frames))[self._rows] / np.abs(self._reference[self._rows])
-        return max(LEAST, SURE * _rms(noise) / np.sqrt(len(self._frames)))
+        return max(LEAST, SURE * _rms(noise) / float(np.sqrt(len(self._frames))))
 
 
 def step_noise(frames: Array) -> Array:

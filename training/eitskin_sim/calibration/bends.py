@@ -57,6 +57,8 @@ class BendError:
     """(104,) of the logarithm of the ratio to the flat sheet."""
     covariance: Array
     """(104, 104)"""
+    steeper: float = 0.0
+    """By which share voltages follow a gauge factor more than the scanned bend's model says; scans show too much."""
     largest: float = 1.0
     """Of all draws the largest squared distance a row by this covariance, at least 1: a bend may be as far off."""
 
@@ -71,13 +73,16 @@ def bend_error(skin: Skin) -> BendError:
     return error_of(*drawn_errors(skin, DRAWS))
 
 
-def error_of(errors: Array, slopes: Array) -> BendError:
+def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
     """Return what drawn errors tell of the next one.
 
     Args:
         errors: (draws, 104) of the logarithm.
         slopes: (draws, 104) by the gauge factor.
+        gauges: (draws,) the gauge factors.
     """
+    steeper = _steeper(errors, gauges[:, None] * slopes)
+    errors = errors - steeper * gauges[:, None] * slopes
     fold = np.arange(len(errors)) % FOLDS
     judged = [_distances(errors[fold != k], errors[fold == k], slopes[fold == k]) for k in range(FOLDS)]
     apart, gauge = (np.concatenate(part) for part in zip(*judged, strict=True))
@@ -85,15 +90,15 @@ def error_of(errors: Array, slopes: Array) -> BendError:
     if gauge.size:
         scale = max(scale, float(np.quantile(gauge, SURE) / chi2.ppf(SURE, 1)))
     mean, covariance = _moments(errors)
-    return BendError(mean, scale * covariance, max(float(apart.max()) / scale, 1.0))
+    return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
 
 
-def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array]:
-    """Return (draws, 104) errors of the model, of bends drawn from the skin's deformations, and slopes by the gauge."""
+def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array, Array]:
+    """Return (draws, 104) errors of the model of drawn bends, slopes by the gauge factor, and (draws,) its values."""
     generator, doubts = np.random.default_rng([seed, 1]), skin.may_be_off
     scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
     mesh = scene_mesh(scene)
-    errors, slopes = [], []
+    errors, slopes, gauges = [], [], []
     for bend in draw("A", draws, seed, skin):
         seen = scaled(bend, 1.0 - _within(generator, doubts.scan_stale))
         noise = _within(generator, doubts.scan_noise_mm)
@@ -108,11 +113,20 @@ def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array
         ]
         errors.append(np.log(read[0] / read[1]))
         slopes.append(np.log(read[2] / read[1]))
-    return np.array(errors), np.array(slopes)
+        gauges.append(sheet.gauge_factor)
+    return np.array(errors), np.array(slopes), np.array(gauges)
 
 
 def _within(generator: np.random.Generator, bounds: Range) -> float:
     return float(generator.uniform(*bounds))
+
+
+def _steeper(errors: Array, by_gauge: Array) -> float:
+    """Return the factor with which what the gauge does explains errors best, by their own covariance."""
+    mean, covariance = _moments(errors)
+    weighed = np.linalg.solve(covariance, by_gauge.T).T
+    size = float(np.sum(weighed * by_gauge))
+    return float(np.sum(weighed * (errors - mean))) / size if size else 0.0
 
 
 def _moments(errors: Array) -> tuple[Array, Array]:

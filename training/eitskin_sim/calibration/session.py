@@ -25,11 +25,13 @@ Array = npt.NDArray[np.float64]
 DRIFT: Final = 0.01
 """Of real skins within a hundred presses."""
 
+GAUGE: Final = "gauge_factor"
+
 UNEVEN: Final = 0.1
 """Share of a drift that is not common to all rows."""
 
 PRESS_ERROR: Final = 0.03
-"""Of a press's own change, row by row: elements of 3 mm, and that no stamp's outline is exactly a disc or a rectangle."""
+"""Of a press's own change, row by row: elements of 3 mm, and no stamp's outline is exactly a disc or a rectangle."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,6 +46,8 @@ class Moment:
     """(104, 104) of dV, beside a press's own share."""
     expected: Array
     """(104,) what the model is off by on average."""
+    by_gauge: Array
+    """(104,) and by how much more for a gauge factor of 1."""
     allowed: float = 1.0
     """Times what chance allows a misfit of Gaussian errors."""
 
@@ -89,7 +93,7 @@ class Session:
         parts = [self.flat.whitened(flat.voltages_V)]
         for moment in self.moments:
             factor, should = self._whitening(moment, flat, self.flat.read(z, moment.lying, derivatives=False))
-            parts.append(np.linalg.solve(factor, self._change(moment) - should - moment.expected))
+            parts.append(self._left(moment, z, factor, should))
         return np.concatenate(parts)
 
     def linearised(self, z: Array) -> tuple[Array, Array]:
@@ -100,11 +104,14 @@ class Session:
         for moment in self.moments:
             read = self.flat.read(z, moment.lying, derivatives=True)
             factor, should = self._whitening(moment, flat, read)
-            assert flat.jacobian is not None and read.jacobian is not None
+            assert flat.jacobian is not None
+            assert read.jacobian is not None
             base = self._rows(flat.voltages_V)[:, None]
             rate = (self._rows(read.jacobian) - (1.0 + should)[:, None] * self._rows(flat.jacobian)) / base
-            parts.append(np.linalg.solve(factor, self._change(moment) - should - moment.expected))
-            jacobians.append(np.linalg.solve(factor, rate))
+            if (gauge := self.flat.parameters.slices.get(GAUGE)) is not None:
+                rate[:, gauge] += self.flat.parameters.groups[GAUGE].spread * moment.by_gauge[:, None]
+            parts.append(self._left(moment, z, factor, should))
+            jacobians.append(np.asarray(np.linalg.solve(factor, rate), dtype=np.float64))
         return np.concatenate(parts), np.concatenate(jacobians)
 
     def _whitening(self, moment: Moment, flat: Read, read: Read) -> tuple[Array, Array]:
@@ -112,7 +119,12 @@ class Session:
         should = self._rows(read.voltages_V) / self._rows(flat.voltages_V) - 1.0
         covariance = moment.covariance
         own = self._softness**2 + (0.0 if moment.lying.scanned else PRESS_ERROR**2 * self._change(moment) ** 2)
-        return np.linalg.cholesky(covariance + np.diag(own * np.ones(len(should)))), should
+        return np.asarray(np.linalg.cholesky(covariance + np.diag(own * np.ones(len(should))))), np.asarray(should)
+
+    def _left(self, moment: Moment, z: Array, factor: Array, should: Array) -> Array:
+        """Return (104,) what was read less what should be, over what it may be off by."""
+        expected = should + moment.expected + self.flat.parameters.one(GAUGE, z) * moment.by_gauge
+        return np.asarray(np.linalg.solve(factor, self._change(moment) - expected), dtype=np.float64)
 
     def _change(self, moment: Moment) -> Array:
         return np.asarray(moment.read.voltages_V / self._rows(self.flat.recording.reference_V) - 1.0)
@@ -129,23 +141,37 @@ class Session:
     def _bents(self) -> list[Moment]:
         found = []
         for number, one in enumerate(self.flat.recording.bents):
+            assert one.cloud_mm is not None
             error = bend_error(self.flat.skin)
             ratio = one.voltages_V / self._rows(self.flat.recording.reference_V)
             covariance = self._covariance(one) + ratio[:, None] * error.covariance * ratio
             lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric)
-            found.append(Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean, error.largest))
+            more = ratio * error.steeper * self._slope(lying)
+            found.append(
+                Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean, more, error.largest)
+            )
         return found
+
+    def _slope(self, lying: Lying) -> Array:
+        """Return (104,) how the logarithms of a bend's voltages follow the gauge factor, of the stated sheet."""
+        if GAUGE not in self.flat.parameters.slices:
+            return np.zeros(len(ROW_IN_FULL))
+        read = self.flat.read(np.zeros(self.count), lying, derivatives=True)
+        assert read.jacobian is not None
+        by_z = read.jacobian[:, self.flat.parameters.slices[GAUGE]][:, 0] / read.voltages_V
+        return np.asarray(self._rows(by_z) / self.flat.parameters.groups[GAUGE].spread)
 
     def _presses(self) -> list[Moment]:
         found = []
         parameters = self.flat.parameters
         for number, one in enumerate(self.flat.recording.presses):
-            assert one.xy_mm is not None and one.stamp_mm is not None
+            assert one.xy_mm is not None
+            assert one.stamp_mm is not None
             touches = stamps.press(stamps.Stamp(one.stamp_mm), one.xy_mm, self.way, number, parameters)
             lying = Lying(None, touches, stamps.own_parameters(parameters, number))
             x, y = one.xy_mm
             name = f"press {number} at ({x:g}, {y:g}) mm"
-            found.append(Moment(name, one, lying, self._covariance(one), np.zeros(len(one.voltages_V))))
+            found.append(Moment(name, one, lying, self._covariance(one), *np.zeros((2, len(ROW_IN_FULL)))))
         return found
 
     def _rows(self, values: Array) -> Array:

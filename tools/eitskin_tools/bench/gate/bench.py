@@ -1,7 +1,7 @@
 """``eitskin bench gate``: faint presses that a bundle's gate finds on sheets that are solved, and what could be found.
 
-Devices and bends are drawn from the bundle's own skin, others than its gate has seen; each is pressed at places anywhere,
-by discs of 16 mm, under N2 of 52 dB, after a drift common to all rows. A press counts as found if one of five frames
+Devices and bends are drawn from the bundle's own skin, others than its gate has seen; each is pressed anywhere by discs
+of 16 mm, under N2 of 52 dB, after a drift common to all rows. A press counts as found if one of five frames
 trips the gate. Beside it stands what an ideal observer has, as the bundle's card states it: d', and the share of
 presses of 50 mm2 that it would find at the gate's own rate of false alarms.
 """

@@ -108,7 +108,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         line.close()
     ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
     with replacing(arguments.recording) as file:
-        np.savez(file, **arrays, **{name: np.array(value) for name, value in ids.items()})
+        np.savez(file, allow_pickle=False, **arrays, **{name: np.array(value) for name, value in ids.items()})
 
 
 def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:
