@@ -59,3 +59,49 @@ def test_another_skin_or_protocol_is_refused(tmp_path):
     (tmp_path / "r.npz").write_bytes(b"no archive")
     with pytest.raises(FileError, match=r"r\.npz"):
         load_recording(tmp_path / "r.npz", PAPER)
+
+
+LATER = {
+    "bent_V": np.ones((2, 208)),
+    "bent_cloud_mm": np.array([flat_cloud()] * 2),
+    "bent_frames": np.array(20),
+    "press_V": np.ones((3, 104)),
+    "press_xy_mm": np.array([[40.0, 30.0], [75.0, 50.0], [110.0, 70.0]]),
+    "stamp_mm": np.array([16.0]),
+}
+
+
+def test_bent_moments_and_presses_are_taken_with_what_belongs_to_them(tmp_path):
+    found = load_recording(written(tmp_path, **LATER), PAPER)
+    assert [len(one.voltages_V) for one in found.bents] == [104, 104], "of 208 rows the 104 are kept"
+    assert (found.bents[0].frames, found.presses[0].frames) == (20, 1)
+    assert found.presses[1].xy_mm.tolist() == [75.0, 50.0]
+    assert found.presses[1].stamp_mm == (16.0,)
+    rectangle = load_recording(written(tmp_path, **LATER | {"stamp_mm": np.array([20.0, 10.0])}), PAPER)
+    assert rectangle.presses[0].stamp_mm == (20.0, 10.0)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"bent_cloud_mm": None}, "has bent_V without bent_cloud_mm; expected bent_V, bent_cloud_mm, or none of them"),
+        ({"press_xy_mm": None}, "has press_V without press_xy_mm"),
+        ({"press_V": None, "press_xy_mm": None}, "has stamp_mm without press_V"),
+        ({"bent_V": np.ones((2, 103))}, r"bent_V has shape \(2, 103\), expected \(n, 104\) or \(n, 208\), n from 1"),
+        ({"bent_V": np.ones((0, 104))}, r"bent_V has shape \(0, 104\)"),
+        ({"press_V": np.full((3, 104), np.nan)}, r"press_V\[0, 0\] is nan, expected finite numbers"),
+        (
+            {"bent_cloud_mm": np.zeros((2, 3, 5, 5))},
+            r"bent_cloud_mm has shape \(2, 3, 5, 5\), expected \(2, 3, 30, 45\)",
+        ),
+        ({"bent_cloud_mm": np.zeros((2, 3, 30, 45))}, r"bent_cloud_mm\[0\]: "),
+        ({"press_xy_mm": np.zeros((2, 2))}, r"press_xy_mm has shape \(2, 2\), expected \(3, 2\)"),
+        ({"press_xy_mm": np.full((3, 2), 120.0)}, r"press_xy_mm\[0\] is \(120, 120\), expected a place on the sheet"),
+        ({"stamp_mm": np.array([0.5])}, "stamp_mm is 0.5, expected a disc's diameter, or a length and a width, from 3"),
+        ({"stamp_mm": np.array([9.0, 9.0, 9.0])}, "stamp_mm is 9, 9, 9, expected"),
+        ({"bent_frames": np.array(0)}, "bent_frames is int64 of shape .*, expected one number from 1 on"),
+    ],
+)
+def test_moments_that_cannot_be_used_are_refused(tmp_path, changes, text):
+    with pytest.raises(RecordingError, match=text):
+        load_recording(written(tmp_path, **LATER | changes), PAPER)

@@ -90,6 +90,43 @@ def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     assert not out.exists()
 
 
+def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recorded, monkeypatch, capsys):
+    from eitskin_sim.calibration import report
+    from eitskin_sim.calibration.fit import CalibrationError
+
+    out = recorded / "calibrated.toml"
+    words = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]
+    for text in ("the calibration does not converge: x", "press 2 at (75, 70) mm contradicts the others: y"):
+
+        def fail(*_, text=text):
+            raise CalibrationError(text)
+
+        monkeypatch.setattr(report, "calibrate", fail)
+        assert main(words) == 1
+        assert capsys.readouterr().err == f"eitskin calibrate: {text}\n"
+        assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--guided"], "--guided needs --port"),
+        (["--guided", "--port", "/dev/none", "--stamp", "x"], "--stamp is 'x', expected a diameter"),
+        (["--guided", "--port", "/dev/none", "--bends", "-1"], "--bends is -1, expected at least 0"),
+        (["--guided", "--port", "/dev/none", "--json"], "--guided talks on standard output"),
+        (["--port", "/dev/none"], "--port and --stamp belong to --guided"),
+        (["--snr-db", "3"], "--snr-db is 3, expected 10 to 120"),
+    ],
+)
+def test_options_that_make_no_sense_are_one_line(recorded, words, text, capsys):
+    out = recorded / "calibrated.toml"
+    first = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]
+    assert main([*first, *words]) == 2
+    said = capsys.readouterr().err
+    assert text in said.splitlines()[-1]
+    assert not out.exists()
+
+
 def test_a_skin_that_states_everything_exactly_has_nothing_to_calibrate(recorded, capsys):
     out = recorded / "calibrated.toml"
     assert main(["calibrate", str(recorded / "r.npz"), "--skin", "paper", "--out", str(out)]) == 1

@@ -15,9 +15,11 @@ from eitskin.model.gate import Gate
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
 from eitskin_sim.evaluation import harness
 from eitskin_sim.evaluation.near import true_centres_mm
 from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.surface.measured_cloud import measured_cloud
@@ -273,3 +275,24 @@ def test_a_bundle_that_is_named_is_taken(tmp_path, arrays, request):
     measured = load_measured(written(tmp_path, arrays))
     found = measuring.evaluate_measured(measured, Request("vd2t", bundle=tiny))
     assert found["bundles"] != measuring.evaluate_measured(measured, Request("vd2t"))["bundles"]
+
+
+def test_samples_of_another_skin_are_judged_by_its_model_and_grid(tmp_path, capsys):
+    disc = Touch((Disc(150.0, 50.0, 12.0),))
+    flat, touched = (volts(nominal_scene(SECOND, touches=touches)) for touches in ((), (disc,)))
+    truth = harness.truth_map(Phantom("", nominal_scene(SECOND, touches=(disc,)), "area"), SECOND.grid)
+    ids = {"grid_id": SECOND.grid_id, "skin_digest": SECOND.digest}
+    path, skin = tmp_path / "second.npz", tmp_path / "second.toml"
+    np.savez(path, reference_V=flat, voltages_V=touched[None], truth=truth[None], **ids)
+    skin.write_text(to_toml(SECOND))
+    words = ["evaluate", "--measured", str(path)]
+    assert cli.main([*words, "--solver", "tikhonov", "--skin", str(skin), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["by_kind"]["touched"]["localisation_rms_mm"] < 5.0
+    assert (found["skin_digest"], found["bundles"]) == (SECOND.digest, [])
+    assert cli.main([*words, "--solver", "tikhonov"]) == 1
+    assert f"grid_id: found {SECOND.grid_id}, expected {PAPER.grid_id}" in capsys.readouterr().err.replace(
+        " (paper)", ""
+    )
+    assert cli.main([*words, "--skin", str(skin)]) == 1
+    assert "name a bundle of this skin with --bundle" in capsys.readouterr().err

@@ -1,11 +1,16 @@
 """``eitskin evaluate --tank``: a tank of our own, as the measured one's file is."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from tests.sim.tank import simulated_tank as tank
 
+from eitskin_proto.skin.parts import Outline, Ring
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
 from eitskin_tools import cli
 
 SETS = [[(4, "plastic"), (12, "metal")], [(9, "metal")]]
@@ -45,3 +50,29 @@ def test_what_is_no_tank_is_one_line(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
     assert cli.main(["evaluate", "--tank", str(tmp_path / "none.npz")]) == 1
     assert "no file" in capsys.readouterr().err
+
+
+def test_a_skin_tells_the_electrodes_widths_and_must_be_a_disc(tmp_path, frames, capsys):
+    np.savez(tmp_path / "tank.npz", **frames)
+    around = np.pi * 60.0 / 16.0 * np.arange(16)
+    skin = replace(
+        PAPER,
+        name="tank",
+        outline=Outline("disc", (60.0, 60.0)),
+        electrodes=Ring(arc_length_mm=Quantity(tuple(around.tolist())), size_mm=Quantity(4.0, "normal", 2.0)),
+    )
+    (tmp_path / "tank.toml").write_text(to_toml(skin))
+    words = ["evaluate", "--tank", str(tmp_path / "tank.npz"), "--skin"]
+    assert cli.main([*words, str(tmp_path / "tank.toml"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["right"] == found["objects"] == 3
+    assert np.rad2deg(2.0 / 30.0) - 1e-6 <= found["electrode_width_deg"] <= np.rad2deg(6.0 / 30.0) + 1e-6
+    assert cli.main([*words, "lab"]) == 1
+    assert "[outline] kind is 'rectangle', expected 'disc'" in capsys.readouterr().err
+    (tmp_path / "tank.toml").write_text(
+        to_toml(
+            replace(skin, electrodes=replace(skin.electrodes, size_mm=Quantity(tuple((4.0 + around / 600).tolist()))))
+        )
+    )
+    assert cli.main([*words, str(tmp_path / "tank.toml")]) == 1
+    assert "all of one size_mm" in capsys.readouterr().err

@@ -16,8 +16,11 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.bundle import Bundle
 from eitskin_proto.files.plain import plain
-from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
@@ -65,11 +68,13 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         raise ValueError(f"{asked} needs the untouched voltages at every shape, which a measured file does not have")
     classical = request.name in SOLVERS
     reference: Reference = request.reference or ("predicted" if classical else "pre")
-    bundle = bundle_for(request, "area", measured.touch_kind or "raising")
-    solver = named(Request(request.name, reference, bundle.path, request.prediction), bundle.labels)
-    judge = judge_of(bundle)
+    kind, skin = measured.touch_kind or "raising", measured.skin
+    bundle = _bundle(request, kind, skin)
+    labels: Literal["units", "area"] = "units" if bundle is not None and bundle.labels == "units" else "area"
+    path = None if bundle is None else bundle.path
+    solver = named(Request(request.name, reference, path, request.prediction), labels, skin, kind)
+    judge = (lambda *_: True) if bundle is None else judge_of(bundle)
     flat = _flat_reference(measured)
-    labels: Literal["units", "area"] = "units" if bundle.labels == "units" else "area"
     sheets: dict[int, Sheet] = {}
     last = {int(scan): number for number, scan in enumerate(measured.cloud_index)}
     scores = []
@@ -77,10 +82,10 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         if scan not in sheets:
             sheets[scan] = _sheet(measured, scan)
         sheet = sheets[scan]
-        held = sheet.predicted() * flat / flat_voltages() if reference == "predicted" else flat
+        held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
         case = Case(volts, held, flat, sheet, labels, lowering=measured.touch_kind == "lowering")
         truth = None if measured.truth is None else measured.truth[number]
-        scores.append(_score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat)))
+        scores.append(_score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin))
         if last[scan] == number:
             del sheets[scan]
         if progress is not None:
@@ -89,7 +94,8 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         "solver": request.name,
         "reference": reference,
         "prediction": solver.prediction,
-        "bundles": [bundle.id],
+        "bundles": [] if bundle is None else [bundle.id],
+        "skin_digest": skin.digest,
         "touch_kind": measured.touch_kind,
         "ignored": list(measured.ignored),
         "samples": [_sample(one) for one in scores],
@@ -99,25 +105,41 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
     }
 
 
+def _bundle(request: Request, kind: TouchKind, skin: Skin) -> Bundle | None:
+    """Return the bundle of the network, or whose gate judges; None where none is named and none shipped is of a skin.
+
+    Raises:
+        MismatchError: A network is asked for, and its bundle is of another skin.
+    """
+    bundle = bundle_for(request, "area", kind)
+    if request.bundle is None and request.name in SOLVERS and bundle.skin.grid_id != skin.grid_id:
+        return None
+    hint = "name a bundle of this skin with --bundle, or the skin of this bundle with --skin"
+    check_made_for(str(bundle.path), skin, grid_id=bundle.skin.grid_id, skin_digest=bundle.skin.digest, hint=hint)
+    return bundle
+
+
 def _sheet(measured: Measured, scan: int) -> Sheet:
     unknown = np.full(measured.voltages_V.shape[1], np.nan)
-    return Sheet(flat_cloud() if scan < 0 else measured.clouds_mm[scan], unknown)
+    flat = measured.skin.grid.flat_cloud_mm()
+    return Sheet(flat if scan < 0 else measured.clouds_mm[scan], unknown, measured.skin)
 
 
 def _flat_reference(measured: Measured) -> Array:
     if measured.reference_cloud_mm is None:
         return measured.reference_V
-    return measured.reference_V * flat_voltages() / predict(measured.reference_cloud_mm)
+    skin = measured.skin
+    return measured.reference_V * flat_voltages(skin) / predict(measured.reference_cloud_mm, skin)
 
 
-def _score(image: Array, truth: Array | None, kind: str, touched: bool) -> SampleScore:
+def _score(image: Array, truth: Array | None, kind: str, touched: bool, skin: Skin) -> SampleScore:
     peak = float(image.max())
     if truth is None:
         return SampleScore(kind, touched, peak, None)
-    nearest = distances_mm(image, truth)
+    nearest = distances_mm(image, truth, skin.grid)
     if not nearest.size:
         return SampleScore(kind, touched, peak, 0)
-    cc, away = correlation(image, truth), localisation_error_mm(image, truth)
+    cc, away = correlation(image, truth), localisation_error_mm(image, truth, skin.grid)
     return SampleScore(kind, touched, peak, len(nearest), cc, away, tuple(nearest))
 
 

@@ -27,13 +27,12 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_made_for
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 
 Array = npt.NDArray[np.float64]
@@ -79,14 +78,19 @@ class Measured:
     """(n, 30, 45) touched shares."""
     kinds: tuple[str, ...]
     """Of every sample; where the file has none, by the truth, or ``unknown``."""
+    skin: Skin
     touch_kind: TouchKind | None
     """None where the file does not say."""
     ignored: tuple[str, ...]
     """Names of arrays that are none of a measured file's."""
 
 
-def load_measured(path: str | Path) -> Measured:
+def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
     """Return the samples of a measured file.
+
+    Args:
+        path: The file.
+        skin: Whose samples they are; maps and clouds have its shapes.
 
     Raises:
         MeasuredFileError: An array is missing, has another shape, is not finite, or contradicts another one.
@@ -96,8 +100,8 @@ def load_measured(path: str | Path) -> Measured:
     """
     arrays = _of_recording(path) if Path(path).suffix == ".mcap" else read_npz(path, LARGEST_FILE)
     try:
-        _check_ids(arrays, path)
-        return _measured(arrays)
+        _check_ids(arrays, path, skin)
+        return _measured(arrays, skin)
     except MismatchError:
         raise
     except ValueError as error:
@@ -115,7 +119,7 @@ def _of_recording(path: str | Path) -> dict[str, npt.NDArray[Any]]:
     return measured_arrays(Script(path))
 
 
-def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
+def _measured(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Measured:
     for name in ("reference_V", "voltages_V"):
         if name not in arrays:
             there = ", ".join(quoted(name) for name in list(arrays)[:12]) or "no array"
@@ -126,13 +130,13 @@ def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
     n = len(voltages)
     if not n:
         raise ValueError("voltages_V holds no sample; expected at least one")
-    clouds, index = _clouds(arrays, n)
+    clouds, index = _clouds(arrays, n, skin)
     at_reference = (
-        _numbers(arrays, "reference_cloud_mm", PAPER.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
+        _numbers(arrays, "reference_cloud_mm", skin.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
     )
     if at_reference is not None:
-        _check_cloud(at_reference, "reference_cloud_mm")
-    truth = _truth(arrays, n) if "truth" in arrays else None
+        _check_cloud(at_reference, "reference_cloud_mm", skin)
+    truth = _truth(arrays, n, skin) if "truth" in arrays else None
     return Measured(
         reference_V=reference,
         reference_cloud_mm=at_reference,
@@ -141,6 +145,7 @@ def _measured(arrays: dict[str, npt.NDArray[Any]]) -> Measured:
         cloud_index=index,
         truth=truth,
         kinds=_kinds(arrays, n, truth),
+        skin=skin,
         touch_kind=_touch_kind(arrays),
         ignored=tuple(sorted(set(arrays) - set(KNOWN))),
     )
@@ -168,15 +173,15 @@ def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | 
     return np.asarray(found, dtype=np.float64)
 
 
-def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int) -> tuple[Array, npt.NDArray[np.intp]]:
+def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int, skin: Skin) -> tuple[Array, npt.NDArray[np.intp]]:
     given = [name for name in ("cloud_mm", "cloud_index") if name in arrays]
     if not given:
-        return np.zeros((0, *PAPER.grid.cloud_shape)), np.full(n, -1)
+        return np.zeros((0, *skin.grid.cloud_shape)), np.full(n, -1)
     if len(given) == 1:
         raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
-    clouds = _numbers(arrays, "cloud_mm", (None, *PAPER.grid.cloud_shape))
+    clouds = _numbers(arrays, "cloud_mm", (None, *skin.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
-        _check_cloud(cloud, f"cloud_mm[{number}]")
+        _check_cloud(cloud, f"cloud_mm[{number}]", skin)
     index = arrays["cloud_index"]
     if index.dtype.kind not in "iu" or index.shape != (n,):
         raise ValueError(f"cloud_index is {index.dtype} of shape {index.shape}, expected whole numbers ({n},)")
@@ -189,15 +194,15 @@ def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int) -> tuple[Array, npt.NDA
     return clouds, np.asarray(index, dtype=np.intp)
 
 
-def _check_cloud(cloud: Array, name: str) -> None:
+def _check_cloud(cloud: Array, name: str, skin: Skin) -> None:
     try:
-        align_cloud(check_cloud(cloud))
+        align_cloud(check_cloud(cloud, skin.grid), skin.grid)
     except ValueError as error:
         raise ValueError(f"{name}: {error}") from error
 
 
-def _truth(arrays: dict[str, npt.NDArray[Any]], n: int) -> Array:
-    truth = _numbers(arrays, "truth", (n, *GRID_SHAPE))
+def _truth(arrays: dict[str, npt.NDArray[Any]], n: int, skin: Skin) -> Array:
+    truth = _numbers(arrays, "truth", (n, *skin.grid.shape))
     low, high = float(truth.min()), float(truth.max())
     if low < -ROUNDING or high > 1.0 + ROUNDING:
         raise ValueError(f"truth goes from {low:g} to {high:g}; expected touched shares from 0 to 1")
@@ -237,11 +242,11 @@ def _touch_kind(arrays: dict[str, npt.NDArray[Any]]) -> TouchKind | None:
     return "lowering" if found == "lowering" else "raising"
 
 
-def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path) -> None:
+def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path, skin: Skin) -> None:
     hint = "write it again with the rows and the grid that 'eitskin --version' names"
     if "protocol_id" in arrays and (found := _text(arrays, "protocol_id")) != PROTOCOL_ID:
         raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
     given = {name: _text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
     check_made_for(
-        str(path), PAPER, grid_id=given.get("grid_id", PAPER.grid_id), skin_digest=given.get("skin_digest"), hint=hint
+        str(path), skin, grid_id=given.get("grid_id", skin.grid_id), skin_digest=given.get("skin_digest"), hint=hint
     )

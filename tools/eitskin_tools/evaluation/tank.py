@@ -5,24 +5,26 @@ from typing import Any
 
 import numpy as np
 
-from eitskin_sim.tank.objects import find_objects, front_end_of, judge, tank_model
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.tank.objects import find_objects, front_end_of, judge, tank_model, widths_deg
 from eitskin_sim.tank.recording import load_tank
 from eitskin_tools.evaluation.solvers import Progress
 
 
-def evaluate_tank(path: str | Path, progress: Progress | None = None) -> dict[str, Any]:
+def evaluate_tank(path: str | Path, progress: Progress | None = None, skin: Skin | None = None) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --tank --json`` prints.
 
     Args:
         path: Of :func:`eitskin_sim.tank.recording.load_tank`.
         progress: Called with the frames done and all frames.
+        skin: What is known of the tank: its electrodes' widths; None tries the usual ones.
 
     Raises:
         TankError: The file holds no frames of a tank.
         ValueError: A frame's front end cannot be told.
     """
     frames = load_tank(path)
-    model = tank_model(frames)
+    model = tank_model(frames) if skin is None else tank_model(frames, widths_deg(skin))
     rows = []
     for number, frame in enumerate(frames):
         front_end = front_end_of(model, frame)

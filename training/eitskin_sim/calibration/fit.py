@@ -9,7 +9,7 @@ A device that is 20 % off is two hundred times its noise away, where the problem
 taken for uncertain by ``SOFT`` of themselves, then by less, and in the end as they are.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Final, Protocol
 
@@ -43,6 +43,13 @@ CHANCE: Final = 1e-4
 
 FAR: Final = 4.0
 """Rows whose residual is so many times what it should be are named."""
+
+
+SETTLED: Final = 0.1
+"""Of minus twice the log posterior: a step that gains less moves no parameter by what its standard error would show."""
+
+SETTLED_SHARE: Final = 1e-3
+"""The same as a share of the whole, where the whole is far above noise."""
 
 
 class CalibrationError(SkinError):
@@ -96,21 +103,35 @@ class Fit:
         return np.asarray(self.residuals / np.maximum(self.expected, 0.1))
 
 
-def fit(model: Residuals, progress: Callable[[int, float], None] | None = None) -> Fit:
+def fit(
+    model: Residuals,
+    progress: Callable[[int, float], None] | None = None,
+    *,
+    start: Array | None = None,
+    soft: Sequence[float] = SOFT,
+    done: int = 0,
+    rough: bool = False,
+) -> Fit:
     """Return the most probable parameters.
 
     Args:
         model: What is fitted.
         progress: Called with the step's number and the misfit, before each.
+        start: (count,) where the search begins; None is the stated values.
+        soft: Relative errors that are added to every row, one after the other; the last is 0.
+        done: Steps that were taken already.
+        rough: What should be read is not smooth, as under touches whose borders cross elements: stop where nothing is
+            gained that matters.
 
     Raises:
         CalibrationError: It does not converge.
     """
-    z = np.zeros(model.count)
-    steps = 0
-    for error in SOFT:
+    z = np.zeros(model.count) if start is None else start
+    steps = done
+    for error in soft:
         model.soften(z, error)
-        z, residuals, jacobian, taken = _descend(model, z, last=error == SOFT[-1], done=steps, progress=progress)
+        last = error == soft[-1]
+        z, residuals, jacobian, taken = _descend(model, z, last=last, done=steps, progress=progress, rough=rough)
         steps += taken
     covariance = np.linalg.inv(jacobian.T @ jacobian + np.eye(len(z)))
     learned = np.einsum("ri,ij,rj->r", jacobian, covariance, jacobian)
@@ -118,7 +139,13 @@ def fit(model: Residuals, progress: Callable[[int, float], None] | None = None) 
 
 
 def _descend(
-    model: Residuals, z: Array, *, last: bool, done: int, progress: Callable[[int, float], None] | None
+    model: Residuals,
+    z: Array,
+    *,
+    last: bool,
+    done: int,
+    progress: Callable[[int, float], None] | None,
+    rough: bool,
 ) -> tuple[Array, Array, Array, int]:
     """Return where the misfit is least, with residuals, Jacobian and steps; only the last descent need be exact."""
     damping = 0.0
@@ -136,6 +163,8 @@ def _descend(
             if tried <= cost * (1.0 + 1e-9) or (step <= FREE and not damping and np.isfinite(tried)):
                 break
             damping = max(10.0 * damping, 1e-2)
+            if damping > MOST_DAMPING and rough:
+                return z, residuals, jacobian, step
             if damping > MOST_DAMPING:
                 raise CalibrationError(
                     f"the calibration does not converge: no step from a misfit of {cost / len(residuals):.3g} makes it "
@@ -145,7 +174,9 @@ def _descend(
         z, damped = z + whole, damping > 1e-3
         damping = damping / 10.0 if damped else 0.0
         residuals, jacobian = model.linearised(z)
-        cost = float(residuals @ residuals + z @ z)
+        before, cost = cost, float(residuals @ residuals + z @ z)
+        if rough and step > FREE and abs(before - cost) < SETTLED + SETTLED_SHARE * cost:
+            return z, residuals, jacobian, step
         if far < (CLOSE if last else ROUGHLY) and not damped:
             return z, residuals, jacobian, step
     raise CalibrationError(

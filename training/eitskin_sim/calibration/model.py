@@ -1,9 +1,11 @@
-"""What a flat, untouched reference should read for given parameters, in units of its noise, with derivatives.
+"""What a sheet should read for given parameters, with derivatives: flat and untouched, scanned, or pressed.
 
-The residual is whitened by what is random about it: the noise of its frames, and the model's error.
+The residual of the flat, untouched reference is whitened by what is random about it: the noise of its frames, and the
+model's error. Moments after it are held against it in :mod:`eitskin_sim.calibration.session`.
 """
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -12,13 +14,13 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.modes import SmoothModes
-from eitskin_sim.calibration.parameters import OWN_LAYER, Parameters
+from eitskin_sim.calibration.parameters import OWN_LAYER, Group, Parameters
 from eitskin_sim.calibration.recording import Recording
-from eitskin_sim.calibration.solved import Shape, Solved
+from eitskin_sim.calibration.solved import Metric, Shape, Solved
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
-from eitskin_sim.scene.parts import Electrodes
+from eitskin_sim.scene.parts import Electrodes, Touch
 
 Array = npt.NDArray[np.float64]
 
@@ -26,6 +28,9 @@ MODEL_ERROR: Final = 5e-4
 """Of every row, relative: the mesh's 2e-4, and what of the layer is finer than its modes."""
 
 FRONT_END: Final = ("gain", "offset_V", "stray_pF", "minus_gain", "sink_share")
+
+TOUCH_STEP: Final = 1e-2
+"""Half the distance of compared touches, in prior standard deviations."""
 
 TINY: Final = 1e-4
 """Relative step of voltages along a derivative: the front end is all but linear."""
@@ -41,6 +46,21 @@ class Read:
     """(rows, parameters), V by each prior standard deviation."""
 
 
+@dataclass(frozen=True, slots=True)
+class Lying:
+    """How the sheet lies, and what presses it; as it stands, as it lay when the reference was taken."""
+
+    scanned: Metric | None = None
+    """What a scan shows; None is flat."""
+    touches: Callable[[Array], tuple[Touch, ...]] = field(default=lambda _: ())
+    """z (count,) -> the touches."""
+    touched_by: Sequence[int] = ()
+    """Parameters that touches depend on."""
+
+
+FLAT: Final = Lying()
+
+
 class Model:
     """A recording's reference.
 
@@ -48,14 +68,17 @@ class Model:
         skin: The stated one.
         recording: What was read.
         snr_db: Of a single frame; None takes the least that the skin states.
+        more: Groups of parameters besides the skin's.
     """
 
-    def __init__(self, skin: Skin, recording: Recording, snr_db: float | None = None) -> None:
+    def __init__(
+        self, skin: Skin, recording: Recording, snr_db: float | None = None, more: Sequence[Group] = ()
+    ) -> None:
         doubts = skin.may_be_off
         self.skin, self.size_mm = skin, skin.outline.size_mm
-        self.recording = recording
+        self.recording, self.snr_db = recording, snr_db
         self.layer = SmoothModes(self.size_mm, doubts.layer_rms, doubts.layer_correlation_mm)
-        self.parameters = Parameters(skin, self.layer.count)
+        self.parameters = Parameters(skin, self.layer.count, more)
         self.level = 10.0 ** (-(min(skin.front_end.snr_db) if snr_db is None else snr_db) / 20.0)
         self._whitener = self._whitening(0.0)
 
@@ -75,14 +98,20 @@ class Model:
 
     def residuals(self, z: Array) -> Array:
         """Return (rows,) whitened: what was read less what should be."""
-        return np.asarray(self._whitener * (self.recording.reference_V - self.read(z, derivatives=False).voltages_V))
+        return self.whitened(self.read(z, derivatives=False).voltages_V)
 
     def linearised(self, z: Array) -> tuple[Array, Array]:
         """Return the residuals and (rows, count) how what should be read changes, both whitened."""
-        read = self.read(z, derivatives=True)
-        assert read.jacobian is not None
-        residuals = self._whitener * (self.recording.reference_V - read.voltages_V)
-        return residuals, self._whitener[:, None] * read.jacobian
+        return self.whitened_with(self.read(z, derivatives=True))
+
+    def whitened(self, should_V: Array) -> Array:
+        """Return (rows,) what was read less what should be, over its noise."""
+        return np.asarray(self._whitener * (self.recording.reference_V - should_V))
+
+    def whitened_with(self, should: Read) -> tuple[Array, Array]:
+        """Return the same, and (rows, count) the derivatives of what should be read."""
+        assert should.jacobian is not None
+        return self.whitened(should.voltages_V), self._whitener[:, None] * should.jacobian
 
     def electrodes(self, z: Array) -> Electrodes:
         """Return the electrodes, their impedances for a layer of 1 S/m."""
@@ -107,33 +136,36 @@ class Model:
             normalised=self.skin.front_end.normalised,
         )
 
-    def shape(self, z: Array) -> Shape:
-        """Return how the sheet lay."""
+    def shape(self, z: Array, lying: Lying = FLAT) -> Shape:
+        """Return what changes the metric; a scan shows the true lengths."""
         parameters = self.parameters
+        gauge, thickness = parameters.one("gauge_factor", z), parameters.one("thickness_mm", z)
+        if lying.scanned is not None:
+            return Shape(gauge_factor=gauge, log_thickness=float(np.log(thickness)))
         stretch = 1.0 + parameters.values("reference_stretch", z)
         along, across = parameters.one("length_scale", z) * stretch[0], parameters.one("width_scale", z) * stretch[1]
-        gauge, thickness = parameters.one("gauge_factor", z), parameters.one("thickness_mm", z)
         return Shape(float(np.log(along)), float(np.log(across)), 0.0, gauge, float(np.log(thickness)))
 
-    def solved(self, z: Array) -> Solved:
+    def solved(self, z: Array, lying: Lying = FLAT) -> Solved:
         """Return the sheet."""
         own = z[self.parameters.slices[OWN_LAYER]] if self.layer.count else np.zeros(0)
-        return Solved(self.size_mm, self.electrodes(z), flat_metric, self.shape(z), self.layer.at, own)
+        metric, shape = lying.scanned or flat_metric, self.shape(z, lying)
+        return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
-    def read(self, z: Array, *, derivatives: bool) -> Read:
+    def read(self, z: Array, lying: Lying = FLAT, *, derivatives: bool) -> Read:
         """Return what should be read.
 
         Raises:
             ValueError: Electrodes overlap, or the sheet folds: parameters that no sheet has.
         """
-        sheet = self.solved(z)
+        sheet = self.solved(z, lying)
         scale = 1.0 / self.parameters.one("level", z)
         instrument, table = self.front_end(z), self.table
         differences = scale * sheet.differences
         volts = instrument.read(responses_of(differences), table)
         if not derivatives:
             return Read(volts, None)
-        names, rates = self._rates(z, sheet)
+        names, rates = self._rates(z, sheet, lying)
         norm = np.linalg.norm(differences)
         size = np.linalg.norm(scale * rates, axis=(1, 2)) + 1e-300
         steps = TINY * norm * rates * scale / size[:, None, None]
@@ -144,7 +176,7 @@ class Model:
         self._by_front_end(z, responses_of(differences), table, jacobian)
         return Read(volts, jacobian)
 
-    def _rates(self, z: Array, sheet: Solved) -> tuple[list[int], Array]:
+    def _rates(self, z: Array, sheet: Solved, lying: Lying) -> tuple[list[int], Array]:
         """Return the parameters that the sheet's differences (16, 16) depend on, and their derivatives by each z."""
         parameters, slices = self.parameters, self.parameters.slices
         at: list[int] = []
@@ -170,7 +202,9 @@ class Model:
         if "thickness_mm" in slices:
             by_value = by_z("thickness_mm") / parameters.one("thickness_mm", z)
             add("thickness_mm", sheet.by_shape("log_thickness")[None], by_value)
-        if {"length_scale", "width_scale", "reference_stretch"} & set(slices):
+        if "gauge_factor" in slices:
+            add("gauge_factor", sheet.by_shape("gauge_factor")[None], by_z("gauge_factor"))
+        if lying.scanned is None and {"length_scale", "width_scale", "reference_stretch"} & set(slices):
             both = np.stack([sheet.by_shape("log_along"), sheet.by_shape("log_across")])
             for axis, name in enumerate(("length_scale", "width_scale")):
                 add(name, both[axis : axis + 1], by_z(name) / parameters.one(name, z))
@@ -178,6 +212,10 @@ class Model:
             add("reference_stretch", both, by_z("reference_stretch") / (1.0 + stretch))
         if self.layer.count:
             add(OWN_LAYER, sheet.by_layer(), np.ones(self.layer.count))
+        for one in lying.touched_by:
+            step = TOUCH_STEP * np.eye(self.count)[one]
+            at.append(one)
+            rates.append(sheet.by_touches(lying.touches(z - step), lying.touches(z + step)) / (2.0 * TOUCH_STEP))
         return at, np.array(rates)
 
     def _by_front_end(self, z: Array, responses: Array, table: npt.NDArray[np.uint8], jacobian: Array) -> None:

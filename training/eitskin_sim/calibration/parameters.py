@@ -10,6 +10,7 @@ parameter. The level alone is always free: what conductivity the layer has, and 
 knows to a percent.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -59,9 +60,10 @@ class Parameters:
     Args:
         skin: Whose uncertainties are the priors.
         n_modes: Smooth modes of the layer.
+        more: Groups besides, which the skin does not state: those of presses.
     """
 
-    def __init__(self, skin: Skin, n_modes: int) -> None:
+    def __init__(self, skin: Skin, n_modes: int, more: Sequence[Group] = ()) -> None:
         layer, ring, own, doubts = skin.layer, skin.electrodes, skin.front_end, skin.may_be_off
         sigma = float(layer.conductivity_S_per_m.nominal(1)[0])
         groups = [
@@ -70,6 +72,7 @@ class Parameters:
             *_group("size_mm", "mm", ring.size_mm, N_ELECTRODES),
             *_group("contact_impedance_ohm_m2", "ohm m2", ring.contact_impedance_ohm_m2, N_ELECTRODES, above_0=True),
             *_group("thickness_mm", "mm", layer.thickness_mm, 1, above_0=True),
+            *_group("gauge_factor", "", layer.gauge_factor, 1),
             *_group("length_scale", "", layer.length_scale, 1),
             *_group("width_scale", "", layer.width_scale, 1),
             *_group("reference_stretch", "", doubts.reference_stretch, 2),
@@ -81,6 +84,7 @@ class Parameters:
         ]
         if n_modes:
             groups.append(Group(OWN_LAYER, "", np.zeros(n_modes), 1.0))
+        groups.extend(more)
         self.groups: dict[str, Group] = {one.name: one for one in groups}
         stops = np.cumsum([len(one.stated) for one in groups])
         self.slices = {

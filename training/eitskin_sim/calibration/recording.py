@@ -1,9 +1,15 @@
-"""A recording to calibrate from: the reference of a measured file (docs/evaluation.md).
+"""A recording to calibrate from: the reference of a measured file (docs/evaluation.md), and what came after it.
 
 ::
 
     FILE.npz  reference_V (104,) or (208,) V      flat and untouched; (208,) of a full scan has what reciprocity tells
               reference_frames                    how many frames it is the mean of (default 1)
+              bent_V (k, 104) or (k, 208) V       untouched and bent, a row a moment (optional)
+              bent_cloud_mm (k, 3, rows, columns) mm    the scan of each
+              press_V (p, 104) or (p, 208) V      flat again, pressed by the stamp (optional)
+              press_xy_mm (p, 2) mm               where its middle was
+              stamp_mm (1,) or (2,) mm            a disc's diameter, or length along x and width along y
+              bent_frames, press_frames           how many frames each is the mean of (default 1)
               protocol_id, grid_id, skin_digest   text, held against this release and the skin
 """
 
@@ -18,7 +24,8 @@ from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
+from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, ROW_IN_FULL
+from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
 
@@ -26,6 +33,9 @@ Array = npt.NDArray[np.float64]
 
 LARGEST_FILE: Final = 1 << 28
 SMALLEST_V: Final = 1e-9
+STAMP_MM: Final = (3.0, 60.0)
+MOST_MOMENTS: Final = 200
+"""Of a kind: each costs a solve and a step."""
 
 
 class RecordingError(SkinError, ValueError):
@@ -33,13 +43,30 @@ class RecordingError(SkinError, ValueError):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Later:
+    """What the sheet read after its reference: bent, with a scan, or pressed."""
+
+    voltages_V: Array
+    """(104,)"""
+    frames: int = 1
+    cloud_mm: Array | None = None
+    """(3, rows, columns) the scan of a bent one."""
+    xy_mm: Array | None = None
+    """(2,) of a press."""
+    stamp_mm: tuple[float, ...] | None = None
+    """A disc's diameter, or length and width."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What a flat, untouched sheet read."""
+    """What a flat, untouched sheet read, and what came after that."""
 
     reference_V: Array
     """(104,) or (208,)"""
     frames: int = 1
     """How many it is the mean of."""
+    bents: tuple[Later, ...] = ()
+    presses: tuple[Later, ...] = ()
 
 
 def load_recording(path: str | Path, skin: Skin) -> Recording:
@@ -63,19 +90,88 @@ def load_recording(path: str | Path, skin: Skin) -> Recording:
         digest = _text(arrays, "skin_digest") if "skin_digest" in arrays else None
         check_made_for(str(path), skin, grid_id=_text(arrays, "grid_id"), skin_digest=digest, hint=hint)
     try:
-        return _recording(arrays)
+        return _recording(arrays, skin)
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from error
 
 
-def _recording(arrays: dict[str, npt.NDArray[Any]]) -> Recording:
+def _recording(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Recording:
     if "reference_cloud_mm" in arrays:
         raise ValueError("has reference_cloud_mm: the sheet did not lie flat; calibrate from a reference taken flat")
     reference = _rows(_numbers(arrays, "reference_V"), "reference_V")
-    frames = arrays.get("reference_frames", np.array(1))
+    frames = _frames(arrays, "reference_frames")
+    return Recording(reference, frames, _bents(arrays, skin), _presses(arrays, skin))
+
+
+def _frames(arrays: dict[str, npt.NDArray[Any]], name: str) -> int:
+    frames = arrays.get(name, np.array(1))
     if frames.dtype.kind not in "iu" or frames.size != 1 or int(frames.reshape(-1)[0]) < 1:
-        raise ValueError(f"reference_frames is {frames.dtype} of shape {frames.shape}, expected one number from 1 on")
-    return Recording(reference, int(frames.reshape(-1)[0]))
+        raise ValueError(f"{name} is {frames.dtype} of shape {frames.shape}, expected one number from 1 on")
+    return int(frames.reshape(-1)[0])
+
+
+def _bents(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ...]:
+    if not _together(arrays, ("bent_V", "bent_cloud_mm")):
+        return ()
+    volts, frames = _moments(arrays, "bent_V"), _frames(arrays, "bent_frames")
+    clouds = _shaped(arrays, "bent_cloud_mm", (len(volts), *skin.grid.cloud_shape))
+    for number, cloud in enumerate(clouds):
+        try:
+            align_cloud(check_cloud(cloud, skin.grid), skin.grid)
+        except ValueError as error:
+            raise ValueError(f"bent_cloud_mm[{number}]: {error}") from error
+    return tuple(Later(one, frames, cloud) for one, cloud in zip(volts, clouds, strict=True))
+
+
+def _presses(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ...]:
+    if not _together(arrays, ("press_V", "press_xy_mm", "stamp_mm")):
+        return ()
+    volts, frames = _moments(arrays, "press_V"), _frames(arrays, "press_frames")
+    places, stamp = _shaped(arrays, "press_xy_mm", (len(volts), 2)), _numbers(arrays, "stamp_mm").reshape(-1)
+    length, width = skin.outline.size_mm
+    for number, (x, y) in enumerate(places):
+        if not (0.0 <= x <= length and 0.0 <= y <= width):
+            raise ValueError(
+                f"press_xy_mm[{number}] is ({x:g}, {y:g}), expected a place on the sheet, from (0, 0) to "
+                f"({length:g}, {width:g}) mm"
+            )
+    if len(stamp) not in (1, 2) or not ((stamp >= STAMP_MM[0]) & (stamp <= STAMP_MM[1])).all():
+        raise ValueError(
+            f"stamp_mm is {', '.join(f'{one:g}' for one in stamp[:4])}, expected a disc's diameter, or a length and a "
+            f"width, from {STAMP_MM[0]:g} to {STAMP_MM[1]:g} mm"
+        )
+    size = tuple(float(one) for one in stamp)
+    return tuple(Later(one, frames, None, place, size) for one, place in zip(volts, places, strict=True))
+
+
+def _together(arrays: dict[str, npt.NDArray[Any]], names: tuple[str, ...]) -> bool:
+    """Return whether all of some arrays are there.
+
+    Raises:
+        ValueError: Some are, and others are not.
+    """
+    there = [name for name in names if name in arrays]
+    if there and len(there) < len(names):
+        missing = next(name for name in names if name not in arrays)
+        raise ValueError(f"has {there[0]} without {missing}; expected {', '.join(names)}, or none of them")
+    return bool(there)
+
+
+def _moments(arrays: dict[str, npt.NDArray[Any]], name: str) -> Array:
+    """Return (n, 104) V."""
+    volts = _numbers(arrays, name)
+    if volts.ndim != 2 or volts.shape[1] not in (N_ROWS, N_FULL_ROWS) or not 1 <= len(volts) <= MOST_MOMENTS:
+        raise ValueError(
+            f"{name} has shape {volts.shape}, expected (n, {N_ROWS}) or (n, {N_FULL_ROWS}), n from 1 to {MOST_MOMENTS}"
+        )
+    return volts[:, ROW_IN_FULL] if volts.shape[1] == N_FULL_ROWS else volts
+
+
+def _shaped(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> Array:
+    found = _numbers(arrays, name)
+    if found.shape != shape:
+        raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
+    return found
 
 
 def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str) -> Array:

@@ -3,20 +3,27 @@
 from typing import Any, Final
 
 import numpy as np
+from scipy.stats import chi2
 
+from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.calibration.fit import FAR, CalibrationError, Fit, fit
+from eitskin_sim.calibration.fit import CHANCE, FAR, CalibrationError, Fit, fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.recording import Recording
+from eitskin_sim.calibration.session import Progress, Session
+from eitskin_sim.calibration.stamp import BORDER, GROWTH, OWN, PLACE, STRENGTH, ways
 from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
+
+LATER: Final = (0.01, 0.0)
+"""Relative errors that are added to the rows of moments, one after the other, once the reference is fitted."""
 
 MOST_NAMED: Final = 6
 """Rows that a message names."""
 
 
 def calibrate(
-    skin: Skin, recording: Recording, snr_db: float | None = None, progress: Any = None
+    skin: Skin, recording: Recording, snr_db: float | None = None, progress: Progress | None = None
 ) -> tuple[Skin, dict[str, Any]]:
     """Return the calibrated skin, and the object that ``eitskin calibrate --json`` prints.
 
@@ -30,42 +37,107 @@ def calibrate(
         CalibrationError: It does not converge, or its residual stays above noise.
     """
     model = Model(skin, recording, snr_db)
-    if len(model.parameters.groups) == 1:
+    if len(model.parameters.groups) == 1 and not recording.presses:
         raise CalibrationError(
             f"skin {skin.name} states everything exactly: there is nothing to calibrate; say in its file how sure you "
             "are, as {value = .., normal = ..}, or name one that does, as --skin lab"
         )
     found = fit(model, progress)
-    check_rows(model, found)
-    twin = calibrated_skin(skin, model, found)
-    return twin, fields(model, found, twin)
+    check_rows(model, found, slice(None))
+    session = Session(skin, recording, snr_db)
+    if recording.bents or recording.presses:
+        session, found = _with_moments(session, found, progress)
+    twin = calibrated_skin(skin, session, found)
+    return twin, fields(session, found, twin)
 
 
-def check_rows(model: Model, found: Fit) -> None:
-    """Refuse a fit whose residual stays above noise.
+def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tuple[Session, Fit]:
+    """Return the fit of the whole recording, from that of its reference; presses go the way that fits."""
+    skin, recording, level = session.flat.skin, session.flat.recording, session.flat.snr_db
+    tried = [Session(skin, recording, level, way) for way in ways(skin.touches)] if recording.presses else [session]
+    start = np.concatenate([flat.z, np.zeros(tried[0].count - len(flat.z))])
+
+    def off(one: Session) -> float:
+        one.soften(start, LATER[0])
+        return float(np.sum(one.residuals(start) ** 2))
+
+    chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
+    found = fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True)
+    check_moments(chosen, found)
+    check_rows(chosen.flat, found, chosen.blocks[0])
+    return chosen, found
+
+
+def check_moments(session: Session, found: Fit) -> None:
+    """Refuse a fit that leaves a bent moment or a press above noise; the worst is named.
+
+    Raises:
+        CalibrationError: With the moment, or the press, and its rows.
+    """
+    own, rows = session.flat.parameters.slices, len(TABLE)
+    chance = float(chi2.isf(CHANCE / len(session.moments), rows)) / rows
+    worst: tuple[float, float, float, str, slice] | None = None
+    for number, (moment, block) in enumerate(zip(session.moments, session.blocks[1:], strict=True)):
+        size = float(np.sum(found.residuals[block] ** 2))
+        if moment.lying.touched_by:
+            press = number - len(session.flat.recording.bents)
+            place = own[PLACE].start + 2 * press
+            size += float(found.z[own[OWN].start + press] ** 2 + np.sum(found.z[place : place + 2] ** 2))
+        misfit, limit = size / rows, chance * moment.allowed
+        if worst is None or misfit / limit > worst[0]:
+            worst = (misfit / limit, misfit, limit, moment.name, block)
+    assert worst is not None
+    over, misfit, limit, name, block = worst
+    if over <= 1.0:
+        return
+    several = len(session.flat.recording.presses) > 1 and name.startswith("press")
+    what = "contradicts the others" if several else "does not fit the sheet"
+    raise CalibrationError(
+        f"{name} {what}: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are off by so many times their "
+        f"noise: {_named(found, block)}; leave it out, or record it again"
+    )
+
+
+def check_rows(model: Model, found: Fit, block: slice) -> None:
+    """Refuse a fit that leaves the reference above noise.
+
+    Args:
+        model: Of the reference.
+        found: What was fitted.
+        block: Which residuals are the reference's.
 
     Raises:
         CalibrationError: With the rows.
     """
-    if found.misfit <= found.limit:
+    residuals = found.residuals[block]
+    misfit = float((residuals @ residuals + found.z @ found.z) / len(residuals))
+    limit = float(chi2.isf(CHANCE, len(residuals))) / len(residuals)
+    if misfit <= limit:
         return
-    worst = np.argsort(-np.abs(found.far))[:MOST_NAMED]
-    rows = row_names(model)
-    named = ", ".join(f"{rows[at]} by {abs(found.far[at]):.1f}" for at in worst)
+    named = _worst(found.far[block], row_names(model))
     raise CalibrationError(
-        f"the residual stays above noise: misfit {found.misfit:.3g}, expected at most {found.limit:.3g}; rows that are "
+        f"the residual stays above noise: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are "
         f"off by so many times their noise: {named}; look at these electrodes ('eitskin doctor --electrodes'), at the "
         "noise ([front_end] snr_db, --snr-db), and at the uncertainties that the skin states"
     )
 
 
+def _named(found: Fit, block: slice) -> str:
+    return _worst(found.far[block], [f"drive {drive} measure {measure}" for drive, measure in TABLE])
+
+
+def _worst(far: Any, rows: list[str]) -> str:
+    return ", ".join(f"{rows[at]} by {abs(far[at]):.1f}" for at in np.argsort(-np.abs(far))[:MOST_NAMED])
+
+
 def row_names(model: Model) -> list[str]:
-    """Return a name for every residual."""
+    """Return a name for every residual of the reference."""
     return [f"drive {drive} measure {measure}" for drive, measure in model.table]
 
 
-def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
+def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
     """Return what is printed as JSON."""
+    model, block = session.flat, session.blocks[0]
     parameters = {}
     for name, group in model.parameters.groups.items():
         z, sd = (one[model.parameters.slices[name]] for one in (found.z, found.sd))
@@ -78,6 +150,15 @@ def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
             "unknown": bool(np.median(sd) > UNKNOWN),
         }
     rows = row_names(model)
+    moments = {}
+    for moment, own in zip(session.moments, session.blocks[1:], strict=True):
+        far = found.far[own]
+        named = [f"drive {drive} measure {measure}" for drive, measure in TABLE]
+        moments[moment.name] = {
+            "misfit": float(np.mean(found.residuals[own] ** 2)),
+            "residuals": dict(zip(named, far.tolist(), strict=True)),
+            "far": [row for row, one in zip(named, far, strict=True) if abs(one) > FAR],
+        }
     return {
         "skin_digest": twin.digest,
         "calibrated_from": twin.calibrated_from,
@@ -85,9 +166,36 @@ def fields(model: Model, found: Fit, twin: Skin) -> dict[str, Any]:
         "misfit": found.misfit,
         "misfit_limit": found.limit,
         "parameters": parameters,
-        "residuals": dict(zip(rows, found.far.tolist(), strict=True)),
-        "far": [row for row, far in zip(rows, found.far, strict=True) if abs(far) > FAR],
+        "residuals": dict(zip(rows, found.far[block].tolist(), strict=True)),
+        "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > FAR],
+        "moments": moments,
+        "press": press_fields(session, found),
         "unknown": [name for name, one in parameters.items() if one["unknown"]],
+    }
+
+
+def press_fields(session: Session, found: Fit) -> dict[str, Any] | None:
+    """Return what a press of the stamp is like, with standard errors; None where there were none."""
+    if not session.flat.recording.presses:
+        return None
+    stamp_mm = session.flat.recording.presses[0].stamp_mm
+    assert stamp_mm is not None
+    parameters = session.flat.parameters
+    strength, growth, border = (parameters.one(name, found.z) for name in (STRENGTH, GROWTH, BORDER))
+    errors = [
+        float(parameters.groups[name].errors(found.z[own], found.sd[own])[0])
+        for name in (STRENGTH, GROWTH, BORDER)
+        for own in [parameters.slices[name]]
+    ]
+    contrast = float(np.exp(session.way * strength))
+    return {
+        "stamp_mm": list(stamp_mm),
+        "contrast": contrast,
+        "contrast_error": contrast * errors[0],
+        "size_mm": [one + growth for one in stamp_mm],
+        "size_error_mm": errors[1],
+        "border_mm": border,
+        "border_error_mm": errors[2],
     }
 
 
@@ -95,7 +203,7 @@ def table(report: dict[str, Any]) -> str:
     """Return the report as people read it."""
     lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
     for name, one in report["parameters"].items():
-        if name == OWN_LAYER:
+        if name in (OWN_LAYER, OWN, PLACE):
             continue
         several = len(one["values"]) > 1
         for k, (value, error, prior) in enumerate(
@@ -110,5 +218,15 @@ def table(report: dict[str, Any]) -> str:
     )
     if report["far"]:
         lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
+    for name, moment in report["moments"].items():
+        beyond = f"; rows beyond {FAR:g}: {', '.join(moment['far'])}" if moment["far"] else ""
+        lines.append(f"{name}: misfit {moment['misfit']:.2f}{beyond}")
+    press = report["press"]
+    if press is not None:
+        size = " x ".join(f"{one:.1f}" for one in press["size_mm"])
+        lines.append(
+            f"a press: contrast {press['contrast']:.3g} +- {press['contrast_error']:.2g}, {size} mm "
+            f"+- {press['size_error_mm']:.2g}, border {press['border_mm']:.2g} +- {press['border_error_mm']:.2g} mm"
+        )
     lines.append(f"still unknown: {', '.join(report['unknown']) or 'nothing'}")
     return "\n".join(lines)

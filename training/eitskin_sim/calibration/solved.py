@@ -9,7 +9,7 @@ energy in the same fields is compared. Where contacts alone change, contacts alo
 changed at once, since the energy of each is its own.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -18,11 +18,12 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.devices.loose_contacts import loose_contacts
+from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import Factor, System, assemble
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.scene.parts import Electrodes, Scene, Sheet
+from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 
 Array = npt.NDArray[np.float64]
 Metric = Callable[[Array], Array]
@@ -33,6 +34,8 @@ ELEMENT_MM: Final = 3.0
 STEP_MM: Final = 1e-2
 STEP: Final = 1e-3
 """Half the distance of compared systems: of places and sizes, and of shapes (all of them near 1)."""
+
+Touches = Sequence[Touch]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +67,7 @@ class Shape:
 
 
 class Solved:
-    """One untouched sheet.
+    """One sheet.
 
     Args:
         size_mm: Of the flat sheet.
@@ -73,6 +76,7 @@ class Solved:
         shape: What changes it.
         layer: (n, 2) mm -> (n, modes) modes of log conductivity.
         amplitudes: (modes,)
+        touches: What presses it; the mesh does not follow their borders.
     """
 
     def __init__(
@@ -83,13 +87,16 @@ class Solved:
         shape: Shape,
         layer: Callable[[Array], Array],
         amplitudes: Array,
+        touches: Touches = (),
     ) -> None:
+        self.touches = tuple(touches)
         self.size_mm, self.electrodes, self.scanned, self.shape = size_mm, electrodes, scanned, shape
         sheet = shape.sheet(size_mm)
         self.mesh: TensorMesh = scene_mesh(Scene(sheet, electrodes, element_size_mm=ELEMENT_MM))
         self.modes = layer(self.mesh.centres_mm)
         self.factor_of_layer = np.exp(self.modes @ amplitudes)
-        self.factor: Factor = self._system(shape).factorise()
+        system = self._system(shape)
+        self.factor = Factor(system, *_touched(system, self.touches))
         self.differences: Array = self.factor.differences()
         """(16, 16) V under 1 A for 1 S/m."""
         self._fields = self.factor.element_fields()
@@ -109,6 +116,17 @@ class Solved:
         """Return (16, 16, 16) dD by each electrode's size, in mm."""
         size = self.electrodes.sizes_mm()
         return self._by_contact(lambda h: replace(self.electrodes, size_mm=tuple((size + h).tolist())))
+
+    def by_touches(self, low: Touches, high: Touches) -> Array:
+        """Return (16, 16) how much more D is under some touches than under others, to first order.
+
+        Args:
+            low: Touches close to the sheet's own.
+            high: Others.
+        """
+        system = self.factor.system
+        energies = [self._energy(system, touches) for touches in (low, high)]
+        return -(energies[1] - energies[0])
 
     def by_log_impedance(self) -> Array:
         """Return (16, 16, 16) dD by the logarithm of each contact's impedance."""
@@ -136,11 +154,11 @@ class Solved:
         system = assemble(self.mesh, shape.sheet(self.size_mm), self.electrodes, metric)
         return layered(system, self.factor_of_layer)
 
-    def _energy(self, system: System) -> Array:
-        blocks = system.background * system.stiffness
+    def _energy(self, system: System, touches: Touches | None = None) -> Array:
+        """Return (16, 16) the energy of a system under touches, the sheet's own where None, in the held fields."""
+        blocks, density = _touched(system, self.touches if touches is None else touches)
         found = np.tensordot(self._fields, blocks @ self._fields, axes=([0, 1], [0, 1]))
-        density = system.contacts.density(np.full(len(system.contacts.element), system.background))
-        return np.asarray(found - self._of_each(system.contacts, -density).sum(axis=0))
+        return np.asarray(found + self._of_each(system.contacts, density).sum(axis=0))
 
     def _by_contact(self, moved: Callable[[float], Electrodes]) -> Array:
         sheet, metric = self.shape.sheet(self.size_mm), self.shape.metric(self.scanned, self.size_mm[0])
@@ -148,7 +166,8 @@ class Solved:
         for h in (-STEP_MM, STEP_MM):
             contacts = loose_contacts(self.mesh, sheet, moved(h), metric)
             contacts = replace(contacts, fringe_m=contacts.fringe_m / self.factor_of_layer[contacts.element])
-            energies.append(self._of_each(contacts, contacts.density(np.ones(len(contacts.element)))))
+            system = replace(self.factor.system, contacts=contacts)
+            energies.append(self._of_each(contacts, _touched(system, self.touches)[1]))
         return -(energies[1] - energies[0]) / (2.0 * STEP_MM)
 
     def _of_each(self, contacts: Contacts, density: Array) -> Array:
@@ -160,6 +179,15 @@ class Solved:
         found = np.zeros((N_ELECTRODES, N_ELECTRODES, N_ELECTRODES))
         np.add.at(found, contacts.electrode, each)
         return found
+
+
+def _touched(system: System, touches: Touches) -> tuple[Array, Array]:
+    """Return (n_elements, 9, 9) S blocks and (m,) S/m^2 densities of contacts, under touches."""
+    if touches:
+        found = touch(system, touches)
+        return found.blocks, found.density
+    density = system.contacts.density(np.full(len(system.contacts.element), system.background))
+    return system.background * system.stiffness, density
 
 
 def layered(system: System, factor: Array) -> System:

@@ -10,6 +10,8 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import Fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
+from eitskin_sim.calibration.session import Session
+from eitskin_sim.calibration.stamp import BORDER, PRESSES, STRENGTH
 
 DIGITS: Final = 7
 """Of what is written: far below any standard error."""
@@ -18,7 +20,12 @@ UNKNOWN: Final = 0.8
 """Standard error over the prior's: above, nothing worth mentioning was learned."""
 
 
-def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
+PRESSED: Final = 2.0
+"""Presses are taken to have from the inverse of so many times the log contrast found to so many times it: as a stamp is
+pressed lightly or hard."""
+
+
+def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
     """Return the same skin with what was found; each quantity's spread is the rms of its standard errors.
 
     What a file cannot say is left out: errors of single electrodes, what errors have in common, and the layer's own
@@ -26,9 +33,10 @@ def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
 
     Args:
         skin: What calibration started from.
-        model: Of the recording.
+        session: The recording.
         found: The most probable parameters.
     """
+    model = session.flat
     parts: dict[str, Any] = {}
     for name, group in model.parameters.groups.items():
         z, sd = (one[model.parameters.slices[name]] for one in (found.z, found.sd))
@@ -36,6 +44,8 @@ def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
             middle = xy_of(model)
             rms = float(np.sqrt(np.mean((model.layer.at(middle) @ z) ** 2)))
             parts.setdefault("may_be_off", {})["layer_rms"] = (_round(0.8 * rms), _round(1.2 * rms))
+            continue
+        if name in PRESSES:
             continue
         stated = "conductivity_S_per_m" if name == "level" else name
         value = tuple(_round(one) for one in group.values(z))
@@ -49,9 +59,25 @@ def calibrated_skin(skin: Skin, model: Model, found: Fit) -> Skin:
             one for one in ("layer", "electrodes", "front_end", "may_be_off") if hasattr(getattr(skin, one), stated)
         )
         parts.setdefault(part, {})[stated] = quantity
+    if model.recording.presses:
+        parts["touches"] = _touches(session, found)
     changed = {part: replace(getattr(skin, part), **values) for part, values in parts.items()}
     name = f"{skin.name}, calibrated"
     return replace(skin, **changed, name=name, calibrated_from=skin.digest, stated_grid_id=skin.grid_id)
+
+
+def _touches(session: Session, found: Fit) -> dict[str, Any]:
+    """Return which touches the skin meets: those of the stamp, pressed more or less, within the file's own bounds."""
+    parameters = session.flat.parameters
+    strength, border = parameters.one(STRENGTH, found.z), parameters.one(BORDER, found.z)
+    error = parameters.groups[BORDER].errors(found.z[parameters.slices[BORDER]], found.sd[parameters.slices[BORDER]])
+    ends = sorted(float(np.exp(session.way * strength * one)) for one in (1.0 / PRESSED, PRESSED))
+    name, low, high = ("lowering_contrast", 0.01, 0.99) if session.way < 0 else ("raising_contrast", 1.01, 1000.0)
+    soft = float(2.0 * error[0])
+    return {
+        name: tuple(_round(min(max(one, low), high)) for one in ends),
+        "border_mm": tuple(_round(min(max(one, 0.0), 20.0)) for one in (border - soft, border + soft)),
+    }
 
 
 def xy_of(model: Model) -> Any:

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import FULL_TABLE, N_ELECTRODES, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.outline.disc import EVEN_DEG, SIDE_MM, Disc, assemble_disc
@@ -113,6 +114,26 @@ def tank_model(frames: Sequence[TankFrame], widths_deg: Sequence[float] = WIDTHS
         mesh = scene_mesh(Scene(disc.sheet, disc.electrodes, element_size_mm=ELEMENT_MM))
         models.append(assemble_disc(mesh, disc).factorise().voltages(FULL_TABLE))
     return model_of(discs[best_model([frame.water_V for frame in frames], models)])
+
+
+def widths_deg(skin: Skin) -> tuple[float, ...]:
+    """Return the widths of electrodes that a skin leaves open: the stated one, and from a spread below to one above.
+
+    Raises:
+        TankError: The skin is no disc with even electrodes of one width.
+    """
+    if skin.outline.kind != "disc":
+        raise TankError(
+            f"skin {skin.name!r}: [outline] kind is {skin.outline.kind!r}, expected 'disc': a tank is round; leave "
+            "--skin out, or describe the tank"
+        )
+    diameter, size = skin.outline.size_mm[0], skin.electrodes.size_mm
+    apart = np.diff(skin.arc_length_mm)
+    if not np.allclose(apart, apart[0], rtol=1e-3) or isinstance(size.value, tuple):
+        raise TankError(f"skin {skin.name!r}: expected a tank's electrodes at even distances, and all of one size_mm")
+    stated, spread = float(size.value), size.spread * (float(size.value) if size.law == "log_normal" else 1.0)
+    tried = sorted({stated - spread, stated - spread / 2, stated, stated + spread / 2, stated + spread})
+    return tuple(float(np.rad2deg(2.0 * one / diameter)) for one in tried if one > 0.0)
 
 
 def _disc(width_deg: float) -> Disc:

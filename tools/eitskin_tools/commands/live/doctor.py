@@ -19,6 +19,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--electrodes", action="store_true", help="look at all 16 electrodes, on --port or in --recorded frames"
     )
     parser.add_argument(
+        "--drift",
+        action="store_true",
+        help="how far a flat, free sheet is from its --reference, on --port or in --recorded frames",
+    )
+    parser.add_argument(
         "--recorded", type=Path, metavar="FILE", help="frames to look at: .npy of (n, 104) V, or the end of a .mcap"
     )
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
@@ -33,8 +38,12 @@ def run(arguments: argparse.Namespace) -> int:
         return _make_keys(arguments)
     from eitskin.diagnostics import doctor
 
+    if arguments.drift and arguments.electrodes:
+        raise UsageError("--drift and --electrodes look at different things; one at a time")
     if arguments.electrodes:
         return _electrodes(arguments)
+    if arguments.drift:
+        return _drift(arguments)
     found = doctor.examine()
     if arguments.port:
         from eitskin.acquisition.serial_port import DEFAULT_BAUD
@@ -80,6 +89,35 @@ def _electrodes(arguments: argparse.Namespace) -> int:
     else:
         for line in electrode_checkup.lines(found):
             say(line)
+    return 0
+
+
+def _drift(arguments: argparse.Namespace) -> int:
+    """Print how far the sheet has drifted since its reference, and return 0."""
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.diagnostics import drift_checkup, electrode_checkup
+    from eitskin.model.bundle import load_bundle
+    from eitskin.reference.captured import load
+
+    if (arguments.port is None) == (arguments.recorded is None):
+        raise UsageError("--drift needs --port PORT or --recorded FILE, and not both")
+    reference = None
+    if arguments.reference is not None:
+        reference = load(arguments.reference, load_bundle(arguments.bundle, lazily=True).skin)
+    if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
+        recording, own = _of_recording(arguments)
+        reference = reference or own
+    elif arguments.recorded is not None:
+        recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
+    if reference is None:
+        raise UsageError("--drift needs --reference FILE, which 'eitskin reference' captured before")
+    if arguments.recorded is None:
+        recording = electrode_checkup.record(arguments.port, arguments.seconds, arguments.baud or DEFAULT_BAUD)
+    found = drift_checkup.drift_since(recording.voltages, reference)
+    if arguments.json:
+        print(json.dumps(found))
+    else:
+        say(drift_checkup.line(found))
     return 0
 
 

@@ -27,6 +27,7 @@ BENCHMARKS: Final[dict[str, str]] = {
     "dataset": "samples a second of the data generators, beside one solve a sample and pyEIT",
     "ablation": "what each input of the network is worth, and how many deformations it needs",
     "stability": "what breaks a skin, at which level, and why",
+    "gate": "faint presses that a bundle's gate finds, and what an ideal observer would",
     "electrodes": "failing electrodes and drift: named from the frames, and what is left without them",
     "twins": "what calibrating a device, and adapting a bundle to it, is worth on that device",
     "peer": "another tactile library beside ours: age of frames, damaged frames accepted",

@@ -1,9 +1,13 @@
-"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its reference."""
+"""``eitskin calibrate FILE.npz --out skin.toml``: what this device is, from its own readings.
+
+With ``--guided --port PORT`` they are recorded first, step by step; FILE.npz is where they go.
+"""
 
 import argparse
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.errors import UsageError
@@ -11,7 +15,9 @@ from eitskin_tools.errors import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("recording", metavar="FILE", help="the reference as .npz, see docs/calibrate.md")
+    parser.add_argument(
+        "recording", metavar="FILE", help="what was recorded, .npz, see docs/calibrate.md; with --guided, where it goes"
+    )
     parser.add_argument("--out", type=Path, required=True, metavar="SKIN.toml", help="the calibrated description")
     parser.add_argument(
         "--skin",
@@ -22,6 +28,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--snr-db", type=float, metavar="DB", help="of a frame (default: the least stated)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
+    guided = parser.add_argument_group("guided")
+    guided.add_argument("--guided", action="store_true", help="record now: says what to do, and waits for the sheet")
+    guided.add_argument("--port", help="of the skin (or usb:SERIAL)")
+    guided.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    guided.add_argument("--bends", type=int, default=3, metavar="N", help="bends to ask for (default 3)")
+    guided.add_argument("--presses", type=int, default=6, metavar="N", help="presses to ask for (default 6)")
+    guided.add_argument("--stamp", metavar="MM", help="a disc's diameter, as 16, or length x width, as 20x10")
+    guided.add_argument("--frames", type=int, default=40, metavar="N", help="of a bend or a press (default 40)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -37,6 +51,10 @@ def run(arguments: argparse.Namespace) -> int:
     files.writable(arguments.out)
     skin = skins.read(arguments.skin)
     check_outline(skin)
+    if arguments.guided:
+        _record(arguments, skin)
+    elif arguments.port or arguments.stamp:
+        raise UsageError("--port and --stamp belong to --guided")
     recording = load_recording(files.find(arguments.recording, files.MEASURED), skin)
 
     def tell(step: int, misfit: float) -> None:
@@ -49,5 +67,64 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(report))
     else:
         print(table(report))
-        print(f"next: eitskin dataset --set free --devices random --skin {arguments.out} --out DIR")
+        print(f"next: eitskin adapt-skin press --skin {arguments.out} --out BUNDLE")
     return 0
+
+
+def _record(arguments: argparse.Namespace, skin: Any) -> None:
+    """Lead through a recording, and write it."""
+    import numpy as np
+
+    from eitskin.acquisition.device import Device
+    from eitskin.acquisition.ports import open_line
+    from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin_proto.files.writing import replacing
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_tools.guided.frames import frames_of
+    from eitskin_tools.guided.guide import Guide, Plan, places
+    from eitskin_tools.guided.terminal import Terminal
+
+    plan = Plan(
+        places_mm=places(skin.outline.size_mm, _at_least(arguments, "presses", 0)),
+        stamp_mm=_stamp(arguments.stamp),
+        bends=_at_least(arguments, "bends", 0),
+        frames=_at_least(arguments, "frames", 4),
+    )
+    if not arguments.port:
+        raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
+    if arguments.json:
+        raise UsageError("--guided talks on standard output; leave --json out, and calibrate FILE once more with it")
+    files.writable(Path(arguments.recording))
+    line = open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
+    talk = Terminal()
+    try:
+        device = Device(line, skin)
+        device.start()
+        arrays = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm)).run()
+        device.stop()
+    finally:
+        talk.end()
+        line.close()
+    ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
+    with replacing(arguments.recording) as file:
+        np.savez(file, allow_pickle=False, **arrays, **{name: np.array(value) for name, value in ids.items()})
+
+
+def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:
+    found = int(getattr(arguments, name))
+    if found < least:
+        raise UsageError(f"--{name} is {found}, expected at least {least}")
+    return found
+
+
+def _stamp(text: str | None) -> tuple[float, ...]:
+    if text is None:
+        return ()
+    try:
+        found = tuple(float(one) for one in text.lower().split("x"))
+    except ValueError:
+        found = ()
+    if len(found) not in (1, 2) or not all(3.0 <= one <= 60.0 for one in found):
+        raise UsageError(f"--stamp is {text!r}, expected a diameter, as 16, or length x width, as 20x10, of 3 to 60 mm")
+    return found

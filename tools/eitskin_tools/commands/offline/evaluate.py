@@ -131,8 +131,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     _softness(arguments)
-    if skin != PAPER and (arguments.measured or arguments.tank):
-        raise UsageError(f"--skin {arguments.skin}: --measured and --tank are of the paper's sheet; leave it out")
     if arguments.devices is not None and (skin.outline, skin.map) != (PAPER.outline, PAPER.map):
         raise UsageError(f"--skin {arguments.skin}: --devices are of the paper's size and map; name a skin of these")
     if arguments.drift != "left" and arguments.devices is None:
@@ -154,7 +152,8 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
 
     if arguments.shift_px or arguments.cloud != "scan":
         raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
-    found = evaluate_measured(load_measured(files.find(arguments.measured, files.MEASURED)), request, _progress())
+    measured = load_measured(files.find(arguments.measured, files.MEASURED), skins.chosen(arguments))
+    found = evaluate_measured(measured, request, _progress())
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 
@@ -178,7 +177,8 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
 def _tank(arguments: argparse.Namespace) -> int:
     from eitskin_tools.evaluation.tank import evaluate_tank, table
 
-    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress())
+    skin = None if arguments.skin is None else skins.chosen(arguments)
+    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress(), skin)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 

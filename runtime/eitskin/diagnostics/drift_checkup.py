@@ -1,0 +1,91 @@
+"""How far a flat, free sheet has drifted since its reference, how sure that is, and what to do about it.
+
+Of the logarithms of voltages over the reference's, the mean over the rows is what all have in common; its standard
+deviation is that of the means of single drives, which also knows that rows of a drive are off alike. What is left over
+is uneven. A touch or a bend is uneven too, and more than it is common: then nothing is said of drift.
+"""
+
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.errors import BadReference
+from eitskin.reference.captured import Reference
+from eitskin_proto.sensor.table import N_ELECTRODES, N_ROWS, TABLE
+
+Array = npt.NDArray[np.float64]
+
+LITTLE_PERCENT: Final = 1.0
+"""Real sheets drift by as much within a hundred presses, and the runtime takes it out."""
+
+MUCH_PERCENT: Final = 8.0
+"""Above, accuracy falls even where drift is taken out late."""
+
+UNEVEN_PERCENT: Final = 1.0
+"""Rms of what is not common; 3 to 4 % of a press stays for a while, which is less."""
+
+LOUD: Final = 0.05
+"""Rows whose frames have more relative noise tell nothing."""
+
+FEWEST_ROWS: Final = N_ROWS // 2
+
+
+def drift_since(voltages_V: Array, reference: Reference) -> dict[str, Any]:
+    """Return how far frames of a flat, free sheet are from its reference.
+
+    Args:
+        voltages_V: (n, 104) V, at least two frames.
+        reference: Captured before.
+
+    Raises:
+        BadReference: Too few rows can be compared.
+    """
+    flat = reference.flat()
+    base, spread = np.asarray(flat.voltages_V, dtype=np.float64), np.asarray(flat.spread_V, dtype=np.float64)
+    mean, noise = voltages_V.mean(axis=0), voltages_V.std(axis=0, ddof=1)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = mean / base
+        loud = np.maximum(noise / np.abs(mean), spread / np.abs(base)) > LOUD
+    usable = np.isfinite(ratio) & (ratio > 0.0) & ~loud
+    if usable.sum() < FEWEST_ROWS:
+        raise BadReference(
+            f"{int(usable.sum())} of {N_ROWS} rows can be held against the reference, expected {FEWEST_ROWS}: look at "
+            "the electrodes ('eitskin doctor --electrodes'), or capture a new reference"
+        )
+    change = np.log(ratio[usable])
+    drives = TABLE[usable, 0]
+    of_drive = np.array([change[drives == k].mean() for k in range(N_ELECTRODES) if (drives == k).any()])
+    common = float(change.mean())
+    sd = float(of_drive.std(ddof=1) / np.sqrt(len(of_drive)))
+    by_noise = np.mean((noise / mean)[usable] ** 2) / len(voltages_V)
+    uneven = float(np.sqrt(max(np.mean((change - common) ** 2) - by_noise, 0.0)))
+    found = {
+        "frames": len(voltages_V),
+        "reference_utc": reference.captured_utc,
+        "percent": round(100.0 * np.expm1(common), 3),
+        "sd_percent": round(100.0 * np.exp(common) * sd, 3),
+        "uneven_percent": round(100.0 * uneven, 3),
+    }
+    return {**found, "to_do": _advice(found["percent"], found["sd_percent"], found["uneven_percent"])}
+
+
+def _advice(percent: float, sd_percent: float, uneven_percent: float) -> str:
+    if uneven_percent > max(UNEVEN_PERCENT, abs(percent)):
+        return (
+            "it is touched, bent, or drifted unevenly: lay it flat and free and look again; if that stays, capture a "
+            "new reference with 'eitskin reference'"
+        )
+    if abs(percent) <= max(LITTLE_PERCENT, 2.0 * sd_percent):
+        return "nothing to do"
+    if abs(percent) <= MUCH_PERCENT:
+        return "the runtime takes it out; capture a new reference when the sheet is flat and free anyway"
+    return "capture a new reference with 'eitskin reference', flat and free"
+
+
+def line(found: dict[str, Any]) -> str:
+    """Return what people read of :func:`drift_since`."""
+    return (
+        f"drift {found['percent']:+.2f} % since the reference of {found['reference_utc']}, standard deviation "
+        f"{found['sd_percent']:.2f} %, uneven {found['uneven_percent']:.2f} %: {found['to_do']}"
+    )

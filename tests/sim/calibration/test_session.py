@@ -1,0 +1,164 @@
+"""Bent moments and presses, on a coarse mesh: derivatives against solving again, and what is found of one device."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import N_ROWS, TABLE
+from eitskin_proto.skin.parts import Layer, Touches
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.calibration import bends, model, session, solved, stamp
+from eitskin_sim.calibration.bends import BendError
+from eitskin_sim.calibration.fit import CalibrationError
+from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.report import calibrate, table
+from eitskin_sim.devices.readings import responses_of
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.parts import Bend, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Disc
+from eitskin_sim.surface.measured_cloud import measured_cloud
+
+GAUGE, CONTRAST, DIAMETER_MM, BORDER_MM = 0.8, 0.45, 18.0, 4.0
+FRAMES = 100
+STAMP_MM = (16.0,)
+STATED = replace(
+    PAPER,
+    name="ours",
+    layer=replace(Layer(), gauge_factor=Quantity(0.0, "normal", 1.0)),
+    front_end=replace(PAPER.front_end, snr_db=(50.0, 50.0)),
+    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+)
+BEND = Bend(angle_deg=60.0, stretch_along=1.1, stretch_across=0.99)
+PLACES = [(50.0, 40.0), (100.0, 55.0), (75.0, 70.0)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def coarse():
+    """A coarse mesh for the true device too: it is the method that is tested; drawn bends have a test of their own."""
+    error = BendError(np.zeros(N_ROWS), 0.02**2 * np.eye(N_ROWS), -0.01)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(solved, "ELEMENT_MM", 8.0)
+        patch.setattr(model, "MODEL_ERROR", 2e-3)
+        patch.setattr(session, "bend_error", lambda skin: error)
+        yield
+
+
+def read(rng, bend=None, touches=(), drift=0.0, contrast=None):
+    sheet = Sheet(gauge_factor=GAUGE)
+    scene = Scene(sheet, bend=bend or Bend(), touches=touches, element_size_mm=8.0)
+    volts = FrontEnd().read(responses_of(factorise_scene(scene).differences()), TABLE)
+    return volts * np.exp(drift) * (1.0 + 10**-2.5 / np.sqrt(FRAMES) * rng.standard_normal(N_ROWS))
+
+
+def press(rng, xy, contrast=CONTRAST, at=None):
+    disc = Disc(*(xy if at is None else at), DIAMETER_MM / 2.0)
+    touch = Touch((disc,), contrast=contrast, border_mm=BORDER_MM)
+    return Later(read(rng, touches=(touch,), drift=0.005), FRAMES, None, np.array(xy), STAMP_MM)
+
+
+@pytest.fixture(scope="module")
+def recorded(coarse):
+    rng = np.random.default_rng(5)
+    cloud = measured_cloud(BEND).astype(np.float64)
+    bent = Later(read(rng, bend=BEND, drift=-0.005), FRAMES, cloud)
+    return Recording(read(rng), FRAMES, (bent,), tuple(press(rng, xy) for xy in PLACES[:2]))
+
+
+def test_derivatives_are_those_of_solving_again(recorded):
+    found = session.Session(STATED, recorded, 50.0)
+    z = 0.3 * np.random.default_rng(1).standard_normal(found.count)
+    residuals, jacobian = found.linearised(z)
+    assert np.allclose(residuals, found.residuals(z))
+    for at in range(found.count):
+        step = 0.02 * np.eye(found.count)[at]
+        again = (found.residuals(z - step) - found.residuals(z + step)) / 0.04
+        scale = np.sqrt(np.mean(again**2))
+        assert np.sqrt(np.mean((jacobian[:, at] - again) ** 2)) < 0.05 * scale + 1e-3, at
+
+
+@pytest.fixture(scope="module")
+def calibrated(recorded):
+    return calibrate(STATED, recorded, 50.0)
+
+
+def test_gauge_factor_and_press_are_found_with_their_errors(calibrated):
+    twin, report = calibrated
+    gauge = report["parameters"]["gauge_factor"]
+    assert abs(gauge["values"][0] - GAUGE) < 4.0 * gauge["standard_errors"][0]
+    assert gauge["standard_errors"][0] < 0.3
+    assert not gauge["unknown"]
+    found = report["press"]
+    assert abs(found["contrast"] - CONTRAST) < 4.0 * found["contrast_error"]
+    assert found["contrast_error"] < 0.15
+    assert abs(found["size_mm"][0] - DIAMETER_MM) < 4.0 * found["size_error_mm"]
+    assert list(report["moments"]) == ["bent moment 0", "press 0 at (50, 40) mm", "press 1 at (100, 55) mm"]
+    assert "a press: contrast 0.4" in table(report)
+    low, high = twin.touches.lowering_contrast
+    assert low < CONTRAST < high
+    assert twin.layer.gauge_factor.value == pytest.approx(gauge["values"][0])
+
+
+def test_the_way_of_presses_is_told_by_the_recording_where_the_skin_says_both(recorded):
+    both = replace(STATED, touches=replace(STATED.touches, higher=True))
+    _, report = calibrate(both, replace(recorded, bents=()), 50.0)
+    assert report["press"]["contrast"] < 1.0
+    assert "gauge_factor" in report["unknown"], "flat presses say nothing about it"
+
+
+@pytest.mark.slow  # five CPU-seconds: three presses, which a wrong one keeps from settling
+def test_a_press_that_contradicts_the_others_is_named(recorded):
+    rng = np.random.default_rng(9)
+    wrong = press(rng, PLACES[2], at=(30.0, 20.0))
+    with pytest.raises(CalibrationError, match=r"press 2 at \(75, 70\) mm contradicts the others: .*drive \d+ measure"):
+        calibrate(STATED, replace(recorded, bents=(), presses=(*recorded.presses, wrong)), 50.0)
+
+
+def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):
+    (bent,) = recorded.bents
+    rows = bent.voltages_V.copy()
+    rows[20:26] *= 1.6
+    with pytest.raises(CalibrationError, match="bent moment 0 does not fit the sheet: misfit"):
+        calibrate(STATED, replace(recorded, bents=(replace(bent, voltages_V=rows),), presses=()), 50.0)
+
+
+def test_a_covariance_that_is_made_of_errors_holds_the_next_ones():
+    rng = np.random.default_rng(2)
+    directions = np.linalg.qr(rng.standard_normal((N_ROWS, 5)))[0]
+    scale = np.array([1.0, 0.5, 0.2, 0.1, 0.05])
+
+    def errors(count):
+        heavy = np.exp(0.5 * rng.standard_normal((count, 1)))  # amplitudes of bends differ
+        return 0.01 + heavy * (rng.standard_normal((count, 5)) * scale) @ directions.T + 1e-3 * rng.standard_normal(
+            (count, N_ROWS)
+        )  # fmt: skip
+
+    slopes = 0.1 + 0.02 * rng.standard_normal((120, N_ROWS))
+    gauges = rng.uniform(-1.0, 1.0, 120)
+    found = bends.error_of(errors(120) - 0.2 * gauges[:, None] * slopes, slopes, gauges)
+    assert found.steeper == pytest.approx(-0.2, abs=0.1)
+    unseen = errors(300) - found.mean
+    size = np.einsum("ni,ni->n", unseen, np.linalg.solve(found.covariance, unseen.T).T) / N_ROWS
+    assert np.mean(size < 1.3) > 0.85
+    assert np.median(size) > 0.02, "and no more than that"
+    tiny = bends.error_of(1e-2 * errors(120), slopes, gauges)
+    assert np.trace(tiny.covariance) < 1e-3 * np.trace(found.covariance)
+
+
+@pytest.mark.slow  # twelve bends are solved on the usual mesh
+def test_drawn_errors_of_scans_without_anything_unseen_are_the_model_s_own():
+    still = replace(
+        PAPER,
+        deformations=replace(PAPER.deformations, nonuniformity=(0.0, 0.0)),
+        may_be_off=replace(PAPER.may_be_off, scan_noise_mm=(0.0, 0.0)),
+    )
+    own, seen = bends.drawn_errors(still, 6)[0], bends.drawn_errors(PAPER, 6)[0]
+    assert np.sqrt(np.mean(own**2)) < 0.5 * np.sqrt(np.mean(seen**2))
+
+
+def test_ways_follow_the_skin():
+    assert stamp.ways(Touches(lower=True, higher=False)) == (-1,)
+    assert stamp.ways(Touches(lower=True, higher=True)) == (-1, 1)
+    assert stamp.ways(PAPER.touches) == (1,)

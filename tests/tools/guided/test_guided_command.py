@@ -1,0 +1,99 @@
+"""``eitskin calibrate --guided`` on a terminal, with a virtual skin that is pressed when it is asked for."""
+
+import json
+import os
+import pty
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.parts import Touches
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import load, to_toml
+from eitskin_sim.calibration import solved
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.scene.parts import Scene, Touch
+from eitskin_sim.scene.shapes import Disc
+
+CONTRAST = 0.4
+STATED = replace(
+    PAPER,
+    name="ours",
+    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+    front_end=replace(PAPER.front_end, snr_db=(50.0, 50.0)),
+)
+
+
+def volts(touches=()):
+    scene = Scene(touches=touches, element_size_mm=solved.ELEMENT_MM)
+    return (3e-5 * factorise_scene(scene).voltages()).tolist()
+
+
+@pytest.mark.process
+@pytest.mark.slow  # two processes, and a press that is fitted on the usual mesh
+def test_a_press_is_asked_for_seen_and_fitted(tmp_path):
+    disc = Touch((Disc(75.0, 50.0, 8.0),), contrast=CONTRAST, border_mm=4.0)
+    state = tmp_path / "state"
+    state.write_text("flat")
+    (tmp_path / "ours.toml").write_text(to_toml(STATED))
+    options = {"state": str(state), "volts": {"flat": volts(), "pressed": volts((disc,))}}
+    skin = subprocess.Popen(
+        [sys.executable, str(Path(__file__).parent / "pressed_skin.py"), json.dumps(options)], stdout=subprocess.PIPE
+    )
+    ours, theirs = pty.openpty()
+    out = tmp_path / "calibrated.toml"
+    try:
+        port = skin.stdout.readline().decode().strip()
+        words = ["calibrate", str(tmp_path / "r.npz"), "--guided", "--port", port, "--out", str(out)]
+        words += ["--skin", str(tmp_path / "ours.toml"), "--bends", "1", "--presses", "1", "--stamp", "16"]
+        command = subprocess.Popen(
+            [sys.executable, "-m", "eitskin_tools.cli", *words],
+            stdin=theirs, stdout=theirs, stderr=subprocess.PIPE, text=False,
+        )  # fmt: skip
+        os.close(theirs)
+        said = follow(ours, {
+            "bend the sheet": lambda: os.write(ours, b"s\n"),
+            "press the disc of 16 mm at (75, 50)": lambda: write(state, "pressed"),
+            "Let go": lambda: write(state, "flat"),
+        })  # fmt: skip
+        error = command.communicate()[1].decode()
+        assert command.returncode == 0, said + error
+    finally:
+        skin.terminate()
+        skin.wait()
+        skin.stdout.close()
+        os.close(ours)
+    assert "a press: contrast 0." in said
+    low, high = load(out).touches.lowering_contrast
+    assert low < CONTRAST < high
+    with np.load(tmp_path / "r.npz") as recorded:
+        assert recorded["press_xy_mm"].tolist() == [[75.0, 50.0]]
+        assert str(recorded["skin_digest"]) == STATED.digest
+        assert "bent_V" not in recorded
+
+
+def write(path, text):
+    """Replace a file that is read all the while."""
+    fresh = path.with_suffix(".new")
+    fresh.write_text(text)
+    fresh.replace(path)
+
+
+def follow(terminal, answers):
+    """Read a terminal to its end, doing each thing once it is asked for; return what was said."""
+    said = ""
+    left = dict(answers)
+    while True:
+        try:
+            more = os.read(terminal, 4096)
+        except OSError:  # the other side is gone
+            return said
+        if not more:
+            return said
+        said += more.decode(errors="replace")
+        for text in [one for one in left if one in said]:
+            left.pop(text)()

@@ -1,0 +1,1 @@
+"""What a bundle's gate finds of faint presses."""

@@ -1,0 +1,152 @@
+"""How far the model of a scanned bend is off: what no scan shows, as a covariance that simulation tells.
+
+A scan shows the surface, not how the material lies in it: uneven stretch, the scan's own noise, its age and its scale
+move the untouched sheet's voltages by many times a frame's noise. They are no parameters that are worth finding. So the
+error of the model is drawn (the approximation error of Kaipio and Somersalo): bends of the skin's own deformations,
+scanned as the skin says, predicted from their scans and solved as they truly are ::
+
+    e = log(V_true(bend) / V_model(scan))        (104,), both with the same gauge factor, which is drawn too
+
+Its covariance has a few large directions and a rest, and is drawn towards its diagonal. Errors are not Gaussian, so it
+is enlarged until it holds most of those that it was not made of, and until most of the gauge factors that single unseen
+bends would give are as far off as it says: what bends are recorded for.
+"""
+
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+from scipy.stats import chi2
+
+from eitskin_proto.skin.parts import Range
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.calibration import solved
+from eitskin_sim.fem.forward import assemble
+from eitskin_sim.fem.meshing import scene_mesh
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.family import draw, scaled
+from eitskin_sim.scene.nominal import nominal_scene
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud
+
+Array = npt.NDArray[np.float64]
+
+DRAWS: Final = 120
+SEED: Final = 23_011
+FOLDS: Final = 4
+LARGE: Final = 12
+"""Directions of their own."""
+
+SHRUNK: Final = 0.3
+"""Share of the covariance that is taken from its diagonal: fewer draws than would tell all of it."""
+
+STRETCHED: Final = 0.05
+"""Bends whose voltages follow the gauge factor less, on average, tell nothing of it."""
+
+SURE: Final = 0.95
+"""Share of unseen errors that must be within what the covariance allows."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BendError:
+    """What the model of a scanned bend is off by."""
+
+    mean: Array
+    """(104,) of the logarithm of the ratio to the flat sheet."""
+    covariance: Array
+    """(104, 104)"""
+    steeper: float = 0.0
+    """By which share voltages follow a gauge factor more than the scanned bend's model says; scans show too much."""
+    largest: float = 1.0
+    """Of all draws the largest squared distance a row by this covariance, at least 1: a bend may be as far off."""
+
+
+@lru_cache(maxsize=4)
+def bend_error(skin: Skin) -> BendError:
+    """Return the error of a skin's scanned bends; 0.2 CPU-s a draw.
+
+    Args:
+        skin: Its deformations, and how it is scanned.
+    """
+    return error_of(*drawn_errors(skin, DRAWS))
+
+
+def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
+    """Return what drawn errors tell of the next one.
+
+    Args:
+        errors: (draws, 104) of the logarithm.
+        slopes: (draws, 104) by the gauge factor.
+        gauges: (draws,) the gauge factors.
+    """
+    steeper = _steeper(errors, gauges[:, None] * slopes)
+    errors = errors - steeper * gauges[:, None] * slopes
+    fold = np.arange(len(errors)) % FOLDS
+    judged = [_distances(errors[fold != k], errors[fold == k], slopes[fold == k]) for k in range(FOLDS)]
+    apart, gauge = (np.concatenate(part) for part in zip(*judged, strict=True))
+    scale = max(float(np.quantile(apart, SURE)), 1.0)
+    if gauge.size:
+        scale = max(scale, float(np.quantile(gauge, SURE) / chi2.ppf(SURE, 1)))
+    mean, covariance = _moments(errors)
+    return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
+
+
+def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array, Array]:
+    """Return (draws, 104) errors of the model of drawn bends, slopes by the gauge factor, and (draws,) its values."""
+    generator, doubts = np.random.default_rng([seed, 1]), skin.may_be_off
+    scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
+    mesh = scene_mesh(scene)
+    errors, slopes, gauges = [], [], []
+    for bend in draw("A", draws, seed, skin):
+        seen = scaled(bend, 1.0 - _within(generator, doubts.scan_stale))
+        noise = _within(generator, doubts.scan_noise_mm)
+        cloud = measured_cloud(seen, generator, noise, skin).astype(np.float64)
+        cloud *= float(doubts.scan_scale.draw(generator, 1)[0])
+        sheet = replace(scene.sheet, gauge_factor=float(skin.layer.gauge_factor.draw(generator, 1)[0]))
+        more = replace(sheet, gauge_factor=sheet.gauge_factor + 1.0)
+        true, shown = bend_metric(bend, sheet), fit_cloud(cloud, skin.grid).metric
+        read = [
+            np.abs(assemble(mesh, of, scene.electrodes, metric).factorise().voltages())
+            for of, metric in ((sheet, true), (sheet, shown), (more, shown))
+        ]
+        errors.append(np.log(read[0] / read[1]))
+        slopes.append(np.log(read[2] / read[1]))
+        gauges.append(sheet.gauge_factor)
+    return np.array(errors), np.array(slopes), np.array(gauges)
+
+
+def _within(generator: np.random.Generator, bounds: Range) -> float:
+    return float(generator.uniform(*bounds))
+
+
+def _steeper(errors: Array, by_gauge: Array) -> float:
+    """Return the factor with which what the gauge does explains errors best, by their own covariance."""
+    mean, covariance = _moments(errors)
+    weighed = np.linalg.solve(covariance, by_gauge.T).T
+    size = float(np.sum(weighed * by_gauge))
+    return float(np.sum(weighed * (errors - mean))) / size if size else 0.0
+
+
+def _moments(errors: Array) -> tuple[Array, Array]:
+    """Return the mean and the covariance: large directions, and the same rest in all others."""
+    mean = errors.mean(axis=0)
+    _, size, directions = np.linalg.svd(errors - mean, full_matrices=False)
+    variance = size**2 / (len(errors) - 1)
+    kept = min(LARGE, len(errors) // 3)
+    rest = max(float(variance[kept:].sum()) / (errors.shape[1] - kept), 1e-12)
+    large = np.maximum(variance[:kept] - rest, 0.0)
+    covariance = (directions[:kept].T * large) @ directions[:kept] + rest * np.eye(errors.shape[1])
+    return mean, np.asarray((1.0 - SHRUNK) * covariance + SHRUNK * np.diag(np.diag(covariance)))
+
+
+def _distances(known: Array, unseen: Array, slopes: Array) -> tuple[Array, Array]:
+    """Return squared distances, by the covariance of other errors, of unseen ones a row, and of the gauge they give."""
+    mean, covariance = _moments(known)
+    off = unseen - mean
+    weighed = np.linalg.solve(covariance, off.T).T
+    stretched = np.abs(slopes.mean(axis=1)) > STRETCHED
+    along = np.sum(slopes * weighed, axis=1)[stretched]
+    size = np.einsum("ni,ni->n", slopes, np.linalg.solve(covariance, slopes.T).T)[stretched]
+    return np.einsum("ni,ni->n", off, weighed) / off.shape[1], along**2 / size
