@@ -43,7 +43,8 @@ def step_back(nice: int, cpus: list[int], *, idle: bool) -> None:
         cpus: To run on.
         idle: Run only while nothing else wants the core.
     """
-    os.sched_setscheduler(0, os.SCHED_IDLE if idle else os.SCHED_OTHER, os.sched_param(0))
+    with suppress(OSError):  # a service may forbid it
+        os.sched_setscheduler(0, os.SCHED_IDLE if idle else os.SCHED_OTHER, os.sched_param(0))
     with suppress(OSError):
         os.sched_setaffinity(0, cpus)
     with suppress(PermissionError):  # a parent that is nicer than that, which only root may undo
