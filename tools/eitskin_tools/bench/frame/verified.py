@@ -89,7 +89,7 @@ def compared(record: Any, wire_ns: npt.NDArray[np.int64], phases: npt.NDArray[np
     edges = np.concatenate([[came[0]], phases.ravel()]) if len(phases) else came[:1]
     kept = known & (came - edges[np.minimum(number, len(edges) - 1)] > EDGE_NS)
     inside = number % 2 == 1
-    kept &= number <= phases.size
+    kept &= number < phases.size  # the last turn may have been broken off
     found: dict[str, Any] = {}
     for name, which in (("without", kept & ~inside), ("with", kept & inside)):
         own = came - written
