@@ -172,6 +172,7 @@ class Keeper(Lookout):
         if process is not None:
             process.kill()  # also if it is stopped; it keeps nothing
             process.wait()
+            self._process = None
             os.close(self._errors)
 
     def __exit__(self, *_: object) -> None:
