@@ -97,9 +97,7 @@ def draw(page: Any, name: str) -> None:
         drawn = page.evaluate("eitskin.page.changed = true, eitskin.page.slowAt = 0, eitskin.page.drawings")
         page.wait(f"eitskin.page.drawings > {drawn}")
     picture = Image.open(io.BytesIO(page.picture())).convert("RGB")
-    picture.quantize(256, method=Image.Quantize.MEDIANCUT, dither=Image.Dither.NONE).save(
-        Path(__file__).with_name(name), optimize=True
-    )
+    picture.save(Path(__file__).with_name(name), optimize=True)
 
 
 def one() -> None:
