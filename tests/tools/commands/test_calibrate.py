@@ -75,6 +75,20 @@ def test_what_is_off_is_found_and_written(recorded, device, capsys):
     assert found.electrodes.arc_length_mm.spread == pytest.approx(error, rel=1e-4)
 
 
+def test_a_device_of_a_milliampere_is_calibrated_as_one_of_an_ampere(recorded, capsys):
+    with np.load(recorded / "r.npz") as file:
+        np.savez(recorded / "mA.npz", reference_V=1e-3 * file["reference_V"], reference_frames=file["reference_frames"])
+    found = []
+    for name in ("r.npz", "mA.npz"):
+        words = ["calibrate", str(recorded / name), "--skin", str(recorded / "ours.toml")]
+        assert main([*words, "--out", str(recorded / "calibrated.toml"), "--json"]) == 0
+        found.append(json.loads(capsys.readouterr().out))
+    assert found[0]["current_A"] == 1.0
+    assert found[1]["current_A"] == pytest.approx(1e-3, rel=0.1)
+    places = [one["parameters"]["arc_length_mm"]["values"] for one in found]
+    assert np.allclose(*places, atol=0.02)
+
+
 def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     with np.load(recorded / "r.npz") as file:
         volts = file["reference_V"].copy()

@@ -1,5 +1,6 @@
 """What calibration found, as numbers and as a table: each parameter with its error, each row with its residual."""
 
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
@@ -10,13 +11,16 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import CHANCE, FAR, CalibrationError, Fit, fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
-from eitskin_sim.calibration.recording import Recording
+from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.session import Progress, Session
 from eitskin_sim.calibration.stamp import BORDER, GROWTH, OWN, PLACE, STRENGTH, ways
 from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
 
 LATER: Final = (0.01, 0.0)
 """Relative errors that are added to the rows of moments, one after the other, once the reference is fitted."""
+
+NEAR_1_A: Final = 5.0
+"""The level's prior reaches so far."""
 
 MOST_NAMED: Final = 6
 """Rows that a message names."""
@@ -36,6 +40,7 @@ def calibrate(
     Raises:
         CalibrationError: It does not converge, or its residual stays above noise.
     """
+    recording, current_A = per_ampere(skin, recording)
     model = Model(skin, recording, snr_db)
     if len(model.parameters.groups) == 1 and not recording.presses:
         raise CalibrationError(
@@ -48,7 +53,26 @@ def calibrate(
     if recording.bents or recording.presses:
         session, found = _with_moments(session, found, progress)
     twin = calibrated_skin(skin, session, found)
-    return twin, fields(session, found, twin)
+    return twin, {**fields(session, found, twin), "current_A": current_A}
+
+
+def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
+    """Return a recording as under 1 A, and the current that it was taken with as far as that can be told.
+
+    The layer's conductivity and the current are told apart by the contacts alone, so voltages that are within
+    ``NEAR_1_A`` of the stated skin's under 1 A are left as they are: that is the level's to find.
+    """
+    model = Model(skin, recording)
+    stated = model.read(np.zeros(model.count), derivatives=False).voltages_V
+    current_A = float(np.median(np.abs(recording.reference_V) / np.abs(stated)))
+    if 1.0 / NEAR_1_A < current_A < NEAR_1_A:
+        return recording, 1.0
+
+    def scaled(moments: tuple[Later, ...]) -> tuple[Later, ...]:
+        return tuple(replace(one, voltages_V=one.voltages_V / current_A) for one in moments)
+
+    volts = recording.reference_V / current_A
+    return Recording(volts, recording.frames, scaled(recording.bents), scaled(recording.presses)), current_A
 
 
 def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tuple[Session, Fit]:
@@ -211,6 +235,8 @@ def table(report: dict[str, Any]) -> str:
         ):
             shown = f"{name}[{k}]" if several else name
             lines.append(f"{shown:28}{value:12.5g}{error:11.2g}{prior:11.2g} {one['unit']}".rstrip())
+    if report["current_A"] != 1.0:
+        lines.append(f"read under about {report['current_A']:.2g} A, if the layer conducts as stated; level is for 1 A")
     far = np.abs(list(report["residuals"].values()))
     lines.append(
         f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "
