@@ -28,6 +28,9 @@ from eitskin_tools.processes.children import Child, process_group
 READY_S: Final = 120.0
 """How long a process may take to be ready, on a busy machine."""
 
+RUNTIME_OPTIONS: tuple[str, ...] = ()
+"""Of ``eitskin run``, besides."""
+
 WARM_S: Final = 2.0
 """Between the last of them being ready, and the beginning of a part."""
 
@@ -121,7 +124,14 @@ def _started(longest_s: float, rate_hz: float, folder: Path, children: list[Chil
     children.append(skin)
     port = json.loads(skin.line(skin.out, "{", READY_S))["port"]
     publish = f"ipc://{folder}/frames"
-    words = ["run", f"--port={port}", f"--publish={publish}", f"--control=ipc://{folder}/control", "--json"]
+    words = [
+        "run",
+        f"--port={port}",
+        f"--publish={publish}",
+        f"--control=ipc://{folder}/control",
+        "--json",
+        *RUNTIME_OPTIONS,
+    ]
     runtime = Child("run", "eitskin_tools.cli", words, folder)
     children.append(runtime)
     runtime.line(runtime.err, "ready ", READY_S, children)
