@@ -88,7 +88,7 @@ class Search:
         """Return the best of some sets; none is the untouched sheet."""
         different = {tuple(units.tolist()): (units, contrasts) for units, contrasts in sets}
         self._price.begin([units for units, _ in different.values()])
-        states = [self._state(*one) for one in different.values()] or [self._nothing()]
+        states = [self._state(*one) for one in different.values()] or [self._state(_NONE, np.zeros(0))]
         costs = [self._cost(state, self._chi(state)) for state in states]
         return states[int(np.argmin(costs))]
 
@@ -142,9 +142,6 @@ class Search:
 
     def _late(self) -> bool:
         return self._clock() >= self._deadline
-
-    def _nothing(self) -> State:
-        return self._state(_NONE, np.zeros(0))
 
     def _state(self, units: Index, contrasts: Array) -> State:
         self.evaluations += 1
@@ -252,7 +249,9 @@ class Search:
         if not len(state.units):
             return state
         common = self._fitted(state, common=True)
-        again = self._descended(common, (float(common.contrasts[0]),)) if common is not state else state
+        again = common
+        if common is not state and not self._explained(common):
+            again = self._exchanged(common, float(common.contrasts[0]))
         if len(again.units) and not self._late() and not self._explained(again):
             again = self._better(again, self._fitted(again, common=False))
         return self._better(state, again)
@@ -286,7 +285,7 @@ class Search:
 
     def _from_nothing(self, best: State) -> State:
         """Return a set that is built up from nothing with contrasts of either sign."""
-        found = self._descended(self._nothing(), (self._usual, *OTHERS))
+        found = self._descended(self._state(_NONE, np.zeros(0)), (self._usual, *OTHERS))
         if len(found.units) and not self._late() and not self._explained(found):
             found = self._better(found, self._fitted(found, common=False))
         return found

@@ -11,10 +11,11 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import bounded, usual_of
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
-from eitskin_sim.verification.free.starts import starts_of
+from eitskin_sim.verification.free.starts import presses_of, shares_of, starts_of
 from eitskin_sim.verification.free.waves import waves_of
 from eitskin_sim.verification.residual import Noise
 
@@ -151,3 +152,12 @@ def test_a_skin_whose_touches_go_one_way_gets_none_of_the_other() -> None:
     assert held[0, 6] > 1.0
     assert usual_of("lowering").sign == -1
     assert usual_of("both").sign == 0
+
+
+def test_a_map_without_touches_starts_from_none_and_a_press_is_round_with_a_border() -> None:
+    none = np.zeros(0, dtype=np.intp)
+    assert shares_of(none, none, np.zeros(0), 0, PAPER.grid).shape == (0, *PAPER.grid.shape)
+    press = presses_of(SQUARE, 3.0)
+    assert areas_mm2(press) == pytest.approx(areas_mm2(SQUARE))
+    assert press[0, 7] == 3.0
+    assert presses_of(np.zeros((0, 8)), 3.0).shape == (0, 8)

@@ -28,7 +28,7 @@ from eitskin_sim.verification.free.fit import Fit, Frame, refine, usual_of
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.moves import Move, moves
-from eitskin_sim.verification.free.starts import starts_of
+from eitskin_sim.verification.free.starts import presses_of, starts_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.spreads import Spreads
 from eitskin_sim.verification.verdict import Verdict
@@ -165,6 +165,8 @@ class FreeVerifier:
     def _start(self, frame: Frame, shares: Array, last: Array | None) -> tuple[Frame, Fit]:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
         rectangles = starts_of(shares, self._skin.grid)
+        if self._usual.sign < 0:
+            rectangles = presses_of(rectangles, self._usual.border_mm)
         tries: list[Array] = [] if last is None else [last]
         for log in _contrasts(self._usual.log_contrast) if len(rectangles) else ():
             tries.append(rectangles.copy())

@@ -12,7 +12,7 @@ import numpy as np
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.mesh import Index
-from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
+from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array, cover, pixel_lines
 
 BETTER: Final = 0.45
 """Two rectangles leave less than this share of what one leaves."""
@@ -47,8 +47,17 @@ def shares_of(pixels: Index, touch: Index, weights: Array, count: int, grid: Gri
     """
     rows, columns = grid.shape
     found = np.zeros((count, rows + 2, columns + 2))
-    found.reshape(count, -1)[touch, pixels] = weights
+    found.reshape(count, (rows + 2) * (columns + 2))[touch, pixels] = weights
     return found[:, 1:-1, 1:-1]
+
+
+def presses_of(rectangles: Array, border_mm: float) -> Array:
+    """Return (n, 8) ellipses with a graded border, of the rectangles' areas: what presses into a soft layer are."""
+    found = rectangles.copy()
+    found[:, 0] = ELLIPSE
+    found[:, 3:5] *= 2.0 / np.sqrt(np.pi)
+    found[:, 7] = np.minimum(border_mm, found[:, 3:5].min(axis=1, initial=np.inf) - 0.01)
+    return found
 
 
 def rectangle(share: Array, grid: Grid) -> Array:
