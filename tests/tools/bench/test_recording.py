@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from eitskin_tools.bench.recording import bench
-from eitskin_tools.bench.recording import stream as stream_of_parts
 from eitskin_tools.bench.recording.stream import Part, Streamed, part_of
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.errors import UsageError
@@ -77,11 +76,7 @@ def test_wrong_options_are_bad_usage(wrong: list[str]) -> None:
 
 @pytest.mark.process
 @pytest.mark.slow
-def test_a_short_stream_is_recorded_looked_at_and_computed_again(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    # A busy machine may be late for the two seconds in which the script leaves the sheet alone.
-    monkeypatch.setattr(stream_of_parts, "RUNTIME_OPTIONS", ("--force-reference",))
+def test_a_short_stream_is_recorded_looked_at_and_computed_again(capsys: pytest.CaptureFixture[str]) -> None:
     parser = argparse.ArgumentParser()
     bench.add_arguments(parser)
     assert (

@@ -20,6 +20,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.reference.captured import DEFAULT_FRAMES
 from eitskin_tools.bench.skins.bench import busy_s, cpu_s
 from eitskin_tools.bench.view.pages import readers
 from eitskin_tools.demo.recorder import Record
@@ -28,8 +29,8 @@ from eitskin_tools.processes.children import Child, process_group
 READY_S: Final = 120.0
 """How long a process may take to be ready, on a busy machine."""
 
-RUNTIME_OPTIONS: tuple[str, ...] = ()
-"""Of ``eitskin run``, besides."""
+UNTOUCHED_S: Final = 1.0
+"""The reference is captured within it; the script leaves the sheet alone for twice as long."""
 
 WARM_S: Final = 2.0
 """Between the last of them being ready, and the beginning of a part."""
@@ -124,14 +125,8 @@ def _started(longest_s: float, rate_hz: float, folder: Path, children: list[Chil
     children.append(skin)
     port = json.loads(skin.line(skin.out, "{", READY_S))["port"]
     publish = f"ipc://{folder}/frames"
-    words = [
-        "run",
-        f"--port={port}",
-        f"--publish={publish}",
-        f"--control=ipc://{folder}/control",
-        "--json",
-        *RUNTIME_OPTIONS,
-    ]
+    words = ["run", f"--port={port}", f"--publish={publish}", f"--control=ipc://{folder}/control", "--json"]
+    words.append(f"--reference-frames={min(DEFAULT_FRAMES, int(UNTOUCHED_S * rate_hz))}")
     runtime = Child("run", "eitskin_tools.cli", words, folder)
     children.append(runtime)
     runtime.line(runtime.err, "ready ", READY_S, children)
