@@ -35,8 +35,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure, print, and return 0; 1 if a map came out as another one."""
-    if not 1 <= arguments.seconds < 1e5 or not 1 <= arguments.rate <= 1000 or not 1 <= arguments.rounds <= 100:
-        raise UsageError("--seconds must be at least 1, --rate 1 to 1000 and --rounds 1 to 100")
+    if not 1 <= arguments.seconds < 1e5 or not 10 <= arguments.rate <= 1000 or not 1 <= arguments.rounds <= 100:
+        raise UsageError("--seconds must be at least 1, --rate 10 to 1000 and --rounds 1 to 100")
     if not 1 <= arguments.pages <= MOST_PAGES:
         raise UsageError(f"--pages is {arguments.pages}, expected 1 to {MOST_PAGES}")
     found = measure(arguments.seconds, arguments.rounds, arguments.rate, arguments.pages)
