@@ -92,11 +92,11 @@ def anywhere_conditions() -> list[Anywhere]:
     """Return the rows of touches anywhere."""
     return [
         *(Anywhere(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
-        Anywhere("single touches of 10 mm", _singles()),
-        *(Anywhere(f"pairs 10 mm apart, family {family}", _pairs(family)) for family in ("A", "B")),
+        Anywhere("singles of 10 mm", _singles()),
+        *(Anywhere(f"pairs 10 mm apart, {family}", _pairs(family)) for family in ("A", "B")),
         *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
-        Anywhere("lab device, single touches", _singles(), LAB),
-        Anywhere("contrast 2, single touches", _singles(2.0)),
+        Anywhere("lab-like, singles", _singles(), LAB),
+        Anywhere("contrast 2, singles", _singles(2.0)),
     ]
 
 

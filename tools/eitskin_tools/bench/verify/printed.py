@@ -9,8 +9,8 @@ UNITS = (
     "|---|---|---|---|---|---|---|---|",
 )
 ANYWHERE = (
-    "| touches anywhere | maps | network CC, mm | CC mean / worst | mm median / rms | right | wrong, unflagged "
-    "| right, flagged | ms p50 / p95 |",
+    "| touches | maps | network CC, mm | CC mean / worst | mm median / rms | right | wrong, unflagged "
+    "| right, flagged | ms |",
     "|---|---|---|---|---|---|---|---|---|",
 )
 
@@ -29,7 +29,7 @@ def anywhere_line(row: Row) -> str:
         f"| {row['what']} | {row['maps']} | {row['network_cc']:.3f}, {_mm(row['network_localisation_median_mm'])} "
         f"| {row['cc']:.3f} / {row['cc_worst']:.3f} "
         f"| {_mm(row['localisation_median_mm'])} / {_mm(row['localisation_rms_mm'])} | {_percent(row['right'])} "
-        f"| {_flags(row)} | {_time(row)} |"
+        f"| {_flags(row)} | {row['cpu_ms_median']:.0f} / {row['cpu_ms_p95']:.0f} |"
     )
 
 
