@@ -7,6 +7,9 @@ from contextlib import suppress
 
 from .peer import GREETING, packed, ready
 
+SUBSCRIPTION = b"\x01\xde\x00"
+"""Of who takes every frame with its map: the two bytes with which each begins."""
+
 
 class Host:
     """Serves one subscriber after the other in a thread; release it with ``close``.
@@ -44,7 +47,7 @@ class Host:
                         break
                     received += data
                 stream.sendall(ready("PUB"))
-                while packed(b"\x01") not in received[len(GREETING) :]:  # its subscription to everything
+                while packed(SUBSCRIPTION) not in received[len(GREETING) :]:
                     if not (data := stream.recv(4096)):
                         break
                     received += data
