@@ -47,6 +47,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "bench electrodes": ("scipy",),
     "bench twins": ("scipy", "torch", "onnx", "onnxscript"),
     "bench peer": ("scipy",),
+    "bench gate": ("scipy", "torch"),
     "bench verify": ("scipy",),
 }
 """Modules by command; those that are not here need none."""
