@@ -13,4 +13,5 @@ def test_every_attack_is_a_function() -> None:
 
 
 def test_the_page_names_each_attack_and_no_other() -> None:
-    assert re.findall(r"^\| ([a-z_-]+\.[a-z_-]+) \|", PAGE.read_text(encoding="utf-8"), re.MULTILINE) == list(ATTACKS)
+    first_table, _ = PAGE.read_text(encoding="utf-8").split("## What must hold")
+    assert re.findall(r"^\| ([a-z_-]+\.[a-z_-]+) \|", first_table, re.MULTILINE) == list(ATTACKS)
