@@ -267,3 +267,26 @@ def test_a_chunk_that_claims_to_be_huge_is_left_out_and_not_unpacked(tmp_path: P
     chunk = Chunk("zstd", b"", 0, 0, 0, LARGEST_CHUNK + 1)
     with pytest.raises(ValueError, match="a chunk of"):
         _bytes_of(chunk)
+
+
+@pytest.mark.parametrize("claimed", [1 << 40, (1 << 63) - 1, (1 << 64) - 1, 4000, 300])
+def test_a_length_within_a_chunk_that_is_beyond_it_ends_the_reading(tmp_path: Path, claimed: int) -> None:
+    """Lengths stand in records as well as before them; the first ones are beyond any memory."""
+    path = tmp_path / "a.mcap"
+    contents = written(path)
+    data = bytearray(path.read_bytes())
+    at, second = 8, 0
+    while second < 2:
+        length = int.from_bytes(data[at + 1 : at + 9], "little")
+        second += data[at] == 6
+        at += 9 + length
+    at -= length  # of the second chunk's content
+    name_at = at + 28
+    length_at = name_at + 4 + int.from_bytes(data[name_at : name_at + 4], "little")
+    data[length_at : length_at + 8] = claimed.to_bytes(8, "little")
+    path.write_bytes(data)
+    found = Recording(path)
+    got = [entry.data for entry in found.entries()]
+    assert got[:20] == contents[:20]
+    assert set(got) <= set(contents)
+    assert found.cut or found.damaged

@@ -51,6 +51,24 @@ class Entry:
     data: bytes
 
 
+class _Bounded(BytesIO):
+    """Hands on what is read, unless a length within a record says more than a record may have."""
+
+    def __init__(self, stream: BinaryIO) -> None:
+        super().__init__()
+        self._from = stream
+
+    def read(self, size: int | None = -1, /) -> bytes:
+        """Return so many bytes, fewer at the end.
+
+        Raises:
+            ValueError: It is less than none, or more than :data:`LARGEST_RECORD`.
+        """
+        if size is None or not 0 <= size <= LARGEST_RECORD:
+            raise ValueError(f"{size} bytes within a record")
+        return self._from.read(size)
+
+
 class Recording:
     """A recording that was looked at: head and attachments are known, messages are read anew each time.
 
@@ -141,7 +159,9 @@ class Recording:
         self.cut, self.damaged = True, 0
         with opened(self.path, LARGEST_RECORDING) as stream:
             check_magic(stream, self.path)
-            records = StreamReader(stream, skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD).records
+            records = StreamReader(
+                _Bounded(stream), skip_magic=True, emit_chunks=True, record_size_limit=LARGEST_RECORD
+            ).records
             while True:
                 try:
                     record = next(records, None)
