@@ -8,17 +8,17 @@ that nobody takes silence for agreement.
 import math
 import time
 from collections import OrderedDict
-from types import TracebackType
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import zmq
 
-from eitskin.errors import EndpointError, FrameError, NoFrame
+from eitskin.errors import FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import FIRST_BYTE as FRAME_BYTE
 from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.regions import ALWAYS, WHOLE
 from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, VerifiedFrame, unpack_verified
 
@@ -30,14 +30,11 @@ QUEUE: Final = 2000
 REMEMBERED: Final = 512
 """Frames that wait for their verdict: 2.5 s at 200 frames/s, 3 MB."""
 
-LARGEST_TAKEN: Final = 73728
-"""Bytes of a message; whoever sends a larger one is left."""
-
 FIRST_S: Final = 5.0
 """How long the first message may take where no time was named."""
 
 
-class VerifiedSubscription:
+class VerifiedSubscription(Subscriber):
     """An open subscription: iterate it, or call ``next_verified``; leave it with ``close`` or as a context manager.
 
     Args:
@@ -68,7 +65,6 @@ class VerifiedSubscription:
         self._newest_only = mode == "latest"
         self._timeout_s = math.inf if timeout_s is None else timeout_s
         self._first_s = FIRST_S if timeout_s is None else timeout_s
-        self.endpoint = default_publish() if endpoint is None else endpoint
         self.received = 0
         """Messages taken so far."""
         self.lost = 0
@@ -77,22 +73,12 @@ class VerifiedSubscription:
         """Messages that were malformed, or neither frames nor verdicts."""
         self._frames: OrderedDict[tuple[str, int], Frame] = OrderedDict()
         self._seen = ("", 0)
-        self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
-        self._socket: Any = self._context.socket(zmq.SUB)
-        self._socket.setsockopt(zmq.LINGER, 0)
-        self._socket.setsockopt(zmq.MAXMSGSIZE, LARGEST_TAKEN)
-        self._socket.setsockopt(zmq.RCVHWM, QUEUE)
-        if keys is not None:
-            keys.apply(self._socket)
-        for topic in (WHOLE, ALWAYS, FRAME_BYTE, TOPIC) if frames else (TOPIC,):  # before it connects, as for frames
-            self._socket.setsockopt(zmq.SUBSCRIBE, topic)
-        try:
-            self._socket.connect(self.endpoint)
-        except zmq.ZMQError as error:
-            self.close()
-            raise EndpointError(
-                f"{self.endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
-            ) from error
+        super().__init__(
+            default_publish() if endpoint is None else endpoint,
+            [WHOLE, ALWAYS, FRAME_BYTE, TOPIC] if frames else [TOPIC],
+            QUEUE,
+            keys=keys,
+        )
 
     def next_verified(self, timeout_s: float | None = None) -> VerifiedFrame:
         """Return the next verdict, or how the verifier is, waiting for it.
@@ -152,19 +138,6 @@ class VerifiedSubscription:
 
     def __iter__(self) -> Self:
         return self
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
-
-    def close(self) -> None:
-        """Give the socket back; closing twice is fine."""
-        self._socket.close(0)
-        self._context.term()
 
 
 def _newer(before: VerifiedFrame | None, found: VerifiedFrame | None) -> VerifiedFrame | None:
