@@ -1,10 +1,15 @@
 import json
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from eitskin_tools.bench.tradeoff.bench import mark_front, markdown
+from eitskin_sim.evaluation.devices.runs import Plan
+from eitskin_sim.evaluation.harness import solve_l1
+from eitskin_tools.bench.tradeoff.front import mark_front, markdown
 from eitskin_tools.bench.tradeoff.picture import style
+from eitskin_tools.bench.tradeoff.seen import of_devices
+from eitskin_tools.bench.tradeoff.variants import whole_error
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -21,6 +26,7 @@ PHANTOMS = [
 ]
 
 
+@pytest.mark.slow
 def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -30,7 +36,7 @@ def test_every_variant_has_an_error_and_a_time_and_the_front_is_not_beaten(
     found = json.loads(capsys.readouterr().out)
     (rows,) = found["files"].values()
     names = [row["variant"] for row in rows]
-    assert {"tikhonov", "sbl", "l1, 10 steps", "vd2t", "vd2t-int8", "gate alone"} <= set(names)
+    assert {"tikhonov", "sbl", "l1, 10 steps", "vd2t", "vd2t-int8", "verified", "gate alone"} <= set(names)
     assert all(0.0 <= row["error"] <= 2.0 and row["p50"] > 0.0 for row in rows)
     front = [row for row in rows if row["pareto"]]
     assert front
@@ -63,3 +69,37 @@ def test_a_part_of_the_map_that_nothing_beats_is_a_red_ring_and_beats_nobody() -
 def test_phantoms_are_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["bench", "tradeoff"]) == 2
     assert "--phantoms FILE is missing" in capsys.readouterr().err
+
+
+def test_panels_of_devices_show_what_an_untold_solver_would_see(tmp_path: Path) -> None:
+    path = tmp_path / "rows.json"
+    path.write_text(json.dumps([{"name": "soft", "border_mm": 4.0}, {"name": "gauge", "gauge_factor": 1.0}]))
+    panels = list(of_devices(str(path), ["units", "single", "press04"], 1, 1, Plan()))
+    assert [one.name for one in panels] == [
+        "soft, single", "soft, press04", "gauge, units", "gauge, single", "gauge, press04",
+    ]  # fmt: skip
+    assert [one.touches for one in panels if one.name.startswith("gauge")] == ["raising", "raising", "lowering"]
+    assert [len(one.cases) for one in panels] == [1, 1, 8, 1, 1]
+    for one in panels:
+        for case, truth in one.cases:
+            assert np.isnan(case.sheet.untouched).all()
+            assert case.lowering == (one.touches == "lowering")
+            assert truth.shape == case.sheet.skin.grid.shape
+            assert truth.max() > 0.5
+
+
+def test_l1_with_fewer_steps_is_another_way_and_knows_presses(tmp_path: Path) -> None:
+    path = tmp_path / "rows.json"
+    path.write_text(json.dumps([{"name": "none"}]))
+    (panel,) = of_devices(str(path), ["press04"], 1, 1, Plan(draws=3))
+    assert len(panel.cases) == 1  # the nominal device is the same in every draw
+    (case, truth) = panel.cases[0]
+    rough, whole = (1.0 - whole_error(case, truth, solve_l1(case, iterations=steps)) for steps in (10, 400))
+    assert 0.2 < rough < whole
+
+
+def test_what_is_measured_is_asked_for_and_possible(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["bench", "tradeoff", "--devices", "lab", "--draws", "0"]) == 2
+    assert "--draws" in capsys.readouterr().err
+    assert main(["bench", "tradeoff", "--devices", "lab", "--trials", "singel"]) != 0
+    assert "expected some of mm, units" in capsys.readouterr().err

@@ -5,7 +5,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin_sim.evaluation.devices.mismatch import Row
+from eitskin_sim.evaluation.devices.mismatch import Row, lab_rows, load_rows, random_rows
 from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows
 from eitskin_sim.evaluation.harness import SOLVERS, Conditions
 from eitskin_sim.scene.scene import load_phantoms
@@ -22,6 +22,16 @@ KINDS: Final = {
     "press06": "press 0.6, CC, rms mm",
 }
 """Trials by name, and the head of their column."""
+
+
+def rows_of(name: str) -> list[Row]:
+    """Return the mismatches of ``--devices``: ``lab``, ``random``, or those of a file or of a shipped list.
+
+    Raises:
+        ValueError, OSError: The file is not one of mismatches.
+    """
+    drawn = {"lab": lab_rows, "random": random_rows}.get(name)
+    return drawn() if drawn else load_rows(files.find(name, files.MISMATCHES))
 
 
 def trials_of(kinds: Sequence[str], deformations: int, each: int) -> list[Trial]:

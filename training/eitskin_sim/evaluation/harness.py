@@ -28,7 +28,7 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene
 from eitskin_sim.scene.phantoms.shift import shifted
-from eitskin_sim.solvers.l1 import l1_image
+from eitskin_sim.solvers.l1 import ITERATIONS, l1_image
 from eitskin_sim.solvers.operators import (
     SATURATED,
     Cells,
@@ -165,11 +165,12 @@ def solve_tikhonov(case: Case, cells: Cells | None = None) -> Array:
     return scaled(case.sheet.operators(on).to_map(image))
 
 
-def solve_l1(case: Case, cells: Cells | None = None) -> Array:
+def solve_l1(case: Case, cells: Cells | None = None, iterations: int = ITERATIONS) -> Array:
     """Return the map of FISTA with the bounds of an effective contrast."""
     operators = case.sheet.operators(_cells(case, cells))
     data = _sign(case) * linear_data(case.voltages, case.reference)
-    return scaled(operators.to_map(l1_image(operators.relative_jacobian, data, upper=SATURATED)))
+    image = l1_image(operators.relative_jacobian, data, upper=SATURATED, iterations=iterations)
+    return scaled(operators.to_map(image))
 
 
 def solve_sbl(case: Case, cells: Cells | None = None) -> Array:

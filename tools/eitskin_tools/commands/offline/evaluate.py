@@ -159,13 +159,12 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
 
 
 def _devices(arguments: argparse.Namespace, request: Any) -> int:
-    from eitskin_sim.evaluation.devices import mismatch, runs
-    from eitskin_tools.evaluation.devices import evaluate_devices, table, trials_of
+    from eitskin_sim.evaluation.devices import runs
+    from eitskin_tools.evaluation.devices import evaluate_devices, rows_of, table, trials_of
 
     if arguments.draws < 1 or arguments.seed < 0:
         raise UsageError(f"--draws {arguments.draws} --seed {arguments.seed}: expected at least 1, and at least 0")
-    drawn = {"lab": mismatch.lab_rows, "random": mismatch.random_rows}.get(arguments.devices)
-    rows = drawn() if drawn else mismatch.load_rows(files.find(arguments.devices, files.MISMATCHES))
+    rows = rows_of(arguments.devices)
     kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
     skin = skins.chosen(arguments)
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin)

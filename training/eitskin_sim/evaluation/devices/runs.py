@@ -10,7 +10,7 @@ The last three at deformations and places that no training has seen. All rows se
 device has the same directions in each of them, so that rows differ by the mismatch alone.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final, Literal, Protocol
@@ -24,7 +24,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
-from eitskin_sim.evaluation.harness import Case, Run, Sheet, truth_map
+from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet, truth_map
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.fem.solve import solve_scene
@@ -141,12 +141,10 @@ def run_rows(
     for index, (name, mismatch) in enumerate(rows):
         outcomes: dict[str, list[Outcome]] = {one.name: [] for one in kinds}
         drawn = []
-        for number in range(plan.first, plan.first + (1 if mismatch == Mismatch() else plan.draws)):
-            off = mismatch if mismatch is not None else _random(plan, number)
-            device = draw_device(off, plan.seed, number)
-            drawn.append(deviations(off))
+        for number, device in devices(mismatch, plan):
+            drawn.append(deviations(device.mismatch))
             for kind in kinds:
-                if not (kind.labels == "units" and off.alters_touches):
+                if not (kind.labels == "units" and device.mismatch.alters_touches):
                     follower = None if followers is None else followers[kind.name]
                     outcomes[kind.name] += _run(
                         device, kind, runs[kind.name], judges[kind.name], plan, number, follower
@@ -165,6 +163,17 @@ def run_rows(
     return found
 
 
+def devices(mismatch: Mismatch | None, plan: Plan) -> Iterator[tuple[int, Device]]:
+    """Yield the devices of a row, each with its number: so many as the plan says, the nominal one once.
+
+    Args:
+        mismatch: Of the row; None draws that too.
+        plan: Draws and seed.
+    """
+    for number in range(plan.first, plan.first + (1 if mismatch == Mismatch() else plan.draws)):
+        yield number, draw_device(mismatch if mismatch is not None else _random(plan, number), plan.seed, number)
+
+
 def _random(plan: Plan, number: int) -> Mismatch:
     return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]))
 
@@ -172,6 +181,32 @@ def _random(plan: Plan, number: int) -> Mismatch:
 def _run(
     device: Device, kind: Trial, run: Run, judge: Judge, plan: Plan, number: int, follower: Follower | None
 ) -> list[Outcome]:
+    found = []
+    for case, phantom in cases(device, kind, run.reference, plan, number, follower):
+        image, truth = run.solver(case), truth_map(phantom)
+        touched = judge(case.voltages, case.flat_reference)
+        found.append(Outcome(correlation(image, truth), distances_mm(image, truth), touched))
+    return found
+
+
+def cases(
+    device: Device,
+    kind: Trial,
+    reference: Reference,
+    plan: Plan,
+    number: int,
+    follower: Follower | None = None,
+) -> Iterator[tuple[Case, Phantom]]:
+    """Yield what a solver may see of every phantom of a trial on a device, and the phantom.
+
+    Args:
+        device: The true one.
+        kind: What touches it.
+        reference: "pre" or "predicted".
+        plan: Seed and noise.
+        number: Of the device.
+        follower: What takes drift out; None leaves it in.
+    """
     taken, flat = voltages_of(device.reference()), flat_voltages(plan.skin)
     seeds = [DRAW_SEED, plan.seed, number]
     if device.mismatch.reference_snr_db is not None:
@@ -186,7 +221,6 @@ def _run(
 
     if follower is not None:
         follower.begin(taken, voltages_of(device.scene(Scene(), as_it_is=True)), reads)
-    found = []
     for index, phantom in enumerate(kind.phantoms):
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
@@ -196,11 +230,8 @@ def _run(
             predicted = np.log(sheet.predicted() / flat) if device.mismatch.scan else None
             follower.meet(voltages_of(replace(scene, touches=())), predicted, reads)
             noisy = follower.correct(noisy)
-        held = sheet.predicted() * taken / flat if run.reference == "predicted" else taken
-        image = run.solver(Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering))
-        truth = truth_map(phantom)
-        found.append(Outcome(correlation(image, truth), distances_mm(image, truth), judge(noisy, taken)))
-    return found
+        held = sheet.predicted() * taken / flat if reference == "predicted" else taken
+        yield Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering), phantom
 
 
 def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator, skin: Skin) -> Sheet:
