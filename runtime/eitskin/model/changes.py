@@ -195,7 +195,7 @@ class Changes:
     def _look(self) -> bool:
         """Hold ``recent`` against ``base``, and return whether that shows a touch; else ``base`` follows."""
         self._looked = 0
-        ratio = self._compare(self._recent, self._base, MEAN)
+        ratio = self._compare(self._recent, self._base, MEAN, ends=True)
         if ratio > self._filters.limit:
             return True
         if -ratio > self._filters.limit:
@@ -204,18 +204,22 @@ class Changes:
             self._mix(self._base, self._recent, max(EVERY / SLOW, EVERY / self.seen))
         return False
 
-    def _compare(self, now: Array, before: Array, noise: float = 1.0) -> float:
+    def _compare(self, now: Array, before: Array, noise: float = 1.0, *, ends: bool = False) -> float:
         """Return strength over size of a change, below 0 where a touch has gone; 0 where it may be noise alone.
 
         Args:
             now: (width,) p.
             before: (width,) p.
             noise: Of ``now``, over that of a frame.
+            ends: Whether the end of a touch is looked for where none begins.
         """
         np.subtract(now, before, out=self._change)
         self.strength = strength = float(self._found.max())
+        floor = NOISE * self.level * noise
+        if strength <= floor and not ends:
+            return 0.0
         against = -float(self._found.min()) if self._filters.one_sign else 0.0
-        if max(strength, against) <= NOISE * self.level * noise:
+        if max(strength, against) <= floor:
             return 0.0
         return (strength if strength >= against else -against) / (self._size() + self._filters.still)
 
@@ -227,7 +231,7 @@ class Changes:
     def _size(self) -> float:
         """Return mean |w| of the change."""
         np.abs(self._whitened, out=self._sizes)
-        return float(self._sizes.mean())
+        return float(self._sizes.sum()) / self._filters.whitened
 
     def _mix(self, mean: Array, value: Array, share: float) -> None:
         np.subtract(value, mean, out=self._step)

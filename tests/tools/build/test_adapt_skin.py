@@ -83,6 +83,7 @@ def pressed(path: Path, voltages: np.ndarray, reference: np.ndarray) -> list[str
 PLACES = [(30.0, 30.0), (75.0, 50.0), (120.0, 70.0), (33.0, 32.0)]
 
 
+@pytest.mark.heavy
 def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
     rng = np.random.default_rng(4)
     patterns = 0.02 * rng.standard_normal((4, 104))  # the last is at the first one's place, and unlike it
