@@ -22,6 +22,7 @@ import sys
 from typing import Any, Final
 
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.threads import one_blas_thread
 
 DRIFT: Final = 0.01
 """Standard deviation of the logarithm of the common factor."""
@@ -58,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
+    one_blas_thread()  # on a busy machine a second one costs as much again
     from eitskin.model.bundle import load_bundle
     from eitskin_tools.command_line import files
 
