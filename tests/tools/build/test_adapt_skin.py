@@ -61,6 +61,7 @@ def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.process
 def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeypatch, capsys):
     small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
     monkeypatch.setattr(recipes, "Adaptation", lambda: small)
@@ -100,6 +101,7 @@ def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
 
 
 @pytest.mark.slow
+@pytest.mark.process
 def test_what_recorded_presses_are_worth_is_told(tmp_path, monkeypatch, capsys):
     small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
     monkeypatch.setattr(recipes, "Adaptation", lambda: small)
