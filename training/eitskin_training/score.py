@@ -179,3 +179,26 @@ def untouched_peaks(
             peaks.append(model.maps(logits).amax(dim=1).cpu().numpy())
     model.train(was_training)
     return np.concatenate(peaks)
+
+
+def maps_of(
+    model: VD2T, data: TrainingData, rows: npt.NDArray[np.intp], *, snr_db: float = 50.0, seed: int = 0
+) -> npt.NDArray[np.float32]:
+    """Return the (n, n_pixels) maps of a few rows of a data set, under N2.
+
+    Args:
+        model: A network.
+        data: The data set.
+        rows: Which samples.
+        snr_db: Signal-to-noise ratio.
+        seed: Of the noise.
+    """
+    was_training = model.training
+    model.eval()
+    with torch.inference_mode():
+        dv = noisy_change(data, rows, ("N2",), snr_db, np.random.default_rng([seed, len(rows)]))
+        batch = assemble(data, rows, dv, data.log_predicted[data.deformation[rows]])
+        batch = batch.to(next(model.parameters()).device)
+        maps = model.maps(model(batch.dv, batch.clouds, batch.which, batch.log_predicted)).cpu().numpy()
+    model.train(was_training)
+    return np.asarray(maps)

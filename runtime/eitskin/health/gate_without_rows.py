@@ -74,6 +74,7 @@ class GateWithoutRows:
         """
         self._filling.leave_out(rows, self._precision)
         self._gate.threshold = self._gate.usual_threshold
+        self._gate.forget()
         self._logits = []
         self._rng = np.random.default_rng(SEED)
         self._calibrating = bool(rows.any() or (self._sigma > LEARNED_NOISE).any())

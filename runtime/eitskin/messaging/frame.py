@@ -102,7 +102,7 @@ class Frame:
         drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None: unknown.
         drift_sd_percent: Its standard deviation; None while unknown.
         drift_uneven_percent: Rms over the rows of what has moved besides; None while unknown.
-        gate_logit: The gate's logit; compare it with the bundle's threshold.
+        gate_logit: The gate's logit of this frame by itself; ``touched`` is also what changed as by a press.
         cloud: Revision of the cloud in use; 0 is the flat sheet.
         weak_rows: Rows of the reference that carry no information, and are filled in from the others.
         map_sequence: ``sequence`` of the frame that the map was computed for; an older one if only noise changed.

@@ -12,12 +12,13 @@ made at the start.
 """
 
 from collections.abc import Mapping
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
+from eitskin.model.changes import Changes, Filters
 from eitskin.model.denormals import flushed
 from eitskin.model.small_products import product
 from eitskin_proto.sensor.table import N_ROWS
@@ -49,7 +50,8 @@ class Gate:
 
     __slots__ = (
         "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
-        "_second_hidden", "_shift", "_start", "change", "features", "logit", "threshold", "usual_threshold",
+        "_second_hidden", "_shift", "_start", "change", "features", "logit", "response", "threshold",
+        "usual_threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -91,6 +93,8 @@ class Gate:
         """(104,) or (rows,) dV, to be filled before ``touched``."""
         self._logarithms = self.features[rows : 2 * rows]
         self._inputs = self.features[start:]
+        self.response = np.zeros(hidden, dtype=np.float32)
+        """(h,) what the first layer makes of the last frame judged, before its ReLU."""
         self._hidden_and_one = np.ones(hidden + 1, dtype=np.float32)
         self._hidden = self._hidden_and_one[:hidden]
         self._second_hidden = np.zeros(last, dtype=np.float32)
@@ -102,14 +106,17 @@ class Gate:
         np.maximum(self.change, self._drop, out=self._logarithms)
         np.log1p(self._logarithms, out=self._logarithms)
         hidden = self._hidden
-        np.matmul(self._inputs, self._first, out=hidden)
-        np.maximum(hidden, _ZERO, out=hidden)
+        np.matmul(self._inputs, self._first, out=self.response)
+        np.maximum(self.response, _ZERO, out=hidden)
         if self._second is not None:
             np.matmul(self._hidden_and_one, self._second, out=self._second_hidden)
             hidden = self._second_hidden
             np.maximum(hidden, _ZERO, out=hidden)
         self.logit = float(np.dot(hidden, self._output)) + self._shift
         return self.logit > self.threshold
+
+    def forget(self) -> None:
+        """Judge the next frame by itself; this gate never does otherwise."""
 
     def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """Return (n,) logits of (n, 104) dV, the last frame's untouched: for a look at many frames at once."""
@@ -121,6 +128,51 @@ class Gate:
         if self._second is not None:
             hidden = np.maximum(product(hidden, self._second[:-1]) + self._second[-1], _ZERO)
         return np.asarray(hidden @ self._output + np.float32(self._shift), dtype=np.float32)
+
+
+class RememberingGate(Gate):
+    """Judges frames that come one after the other, each by itself and by what has changed (``eitskin.model.changes``).
+
+    A gate that is not made of matched filters judges each frame by itself alone.
+
+    Args:
+        arrays: As of :class:`Gate`.
+        rows: As of :class:`Gate`.
+
+    Raises:
+        BundleError: As :class:`Gate` does.
+    """
+
+    __slots__ = ("changes",)
+
+    def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
+        super().__init__(arrays, rows)
+        filters = Filters.of(arrays)
+        self.changes = None if filters is None else Changes(filters, self.response.size)
+
+    def touched(self) -> bool:
+        """Return whether the sheet is touched, by ``change`` and the frames before it."""
+        at_once = super().touched()
+        return at_once if self.changes is None else self.changes.step(self.response, at_once) or at_once
+
+    def forget(self) -> None:
+        """Begin anew: the reference, or what the rows mean, is another one."""
+        if self.changes is not None:
+            self.changes.forget()
+
+
+class Forgets(Protocol):
+    """Something that judges by what it remembers."""
+
+    def forget(self) -> None:
+        """Judge the next frame by itself."""
+
+
+def begin_anew(*judges: Forgets | None) -> None:
+    """Let all that there are forget the frames before: the reference, or the device, is another one."""
+    for judge in judges:
+        if judge is not None:
+            judge.forget()
 
 
 def _finite(arrays: Mapping[str, npt.NDArray[np.generic]], name: str) -> npt.NDArray[np.float64]:

@@ -21,7 +21,7 @@ from eitskin.messaging.regions import Regions, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine
-from eitskin.model.gate import Gate
+from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import Geometry
 from eitskin.pipeline.front_end_watch import FrontEndWatch
 from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
@@ -79,7 +79,7 @@ class Pipeline:
         self.whole = whole(grid.shape)
         """What is computed unless somebody wants less."""
         arrays = bundle.gate_arrays()
-        self.gate = Gate(arrays) if arrays is not None else None
+        self.gate = RememberingGate(arrays) if arrays is not None else None
         self.audit = GateAudit(audit_pixels(arrays, grid.n_pixels), grid.n_pixels)
         self.health = health
         self.idle_gate = idle_gate
@@ -114,12 +114,14 @@ class Pipeline:
     def greet(self, hello: Hello) -> None:
         """Take over what a device said after it was greeted anew."""
         self.intake.greet(hello)
+        begin_anew(self.gate, self.idle_gate)
         self.normaliser.use_scale(hello.volts_per_count)
 
     def use_reference(self, reference: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference, or the flat one that its scan makes of it; a fresh one is of the sheet now."""
         step_V, flat = self.normaliser.volts_per_count, reference.flat()
         self.normaliser.use(flat.voltages_V, flat.weak)
+        begin_anew(self.gate, self.idle_gate)
         self.front_end.use(reference, step_V)
         if self.health is not None:
             spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))  # of rounding
@@ -196,11 +198,9 @@ class Pipeline:
             health.prepare(self._change)
             record.events += health.take_events()
         stamps[NORMALISE] = time.perf_counter_ns()
-        gate = self.gate
+        record.touched, gate = True, self.gate  # without a gate every frame is computed
         if gate is not None:
             record.touched, record.gate_logit = gate.touched(), gate.logit
-        else:
-            record.touched = True  # without a gate every frame is computed
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()

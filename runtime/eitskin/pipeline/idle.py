@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, HandshakeError
-from eitskin.model.gate import EXTRAS, FIELDS, Gate
+from eitskin.model.gate import EXTRAS, FIELDS, RememberingGate
 from eitskin.reference.normaliser import FAR, LARGEST_CHANGE, Normaliser
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.answers import Hello
@@ -65,11 +65,16 @@ class IdleGate:
         count = len(self.rows)
         self.far = False
         """The last frame is so far from the reference that its rows may be no sheet's."""
-        self.gate = Gate({name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}, count)
+        own = {name: arrays[PREFIX + name] for name in (*FIELDS, *EXTRAS) if PREFIX + name in arrays}
+        self.gate = RememberingGate(own, count)
         self._scale = np.zeros(count)
         self._offset = np.zeros(count)
         self._exact = np.zeros(count)
         self._counts: npt.NDArray[np.number] = self._exact
+
+    def forget(self) -> None:
+        """Judge the next frame by itself."""
+        self.gate.forget()
 
     def load(self, counts: npt.NDArray[np.int32]) -> None:
         """Take a frame.

@@ -25,7 +25,7 @@ from eitskin.messaging.streams.measured import CloudInUse, Conditions
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine, ProjectionEngine, engines
-from eitskin.model.gate import Gate
+from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import GeometryGraph
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
@@ -46,7 +46,9 @@ class MapsAgain:
     def __init__(self, bundle: Bundle, volts_per_count: float) -> None:
         self._bundle = bundle
         arrays, health = bundle.gate_arrays(), bundle.consistency_arrays()
-        self._gate = None if arrays is None else Gate(arrays)
+        self._gate = None if arrays is None else RememberingGate(arrays)
+        self.touched: bool | None = None
+        """What the gate said of the frame that :meth:`logit_of` took last, after those before it; None without one."""
         self._consistency = None if health is None else Consistency.of(health)
         self._buffers = Buffers(bundle, None if self._gate is None else self._gate.change)
         self._change = self._buffers.change[0]
@@ -72,6 +74,7 @@ class MapsAgain:
         """Normalise against a reference from the next frame on."""
         flat, step_V = reference.flat(), self._normaliser.volts_per_count
         self._normaliser.use(flat.voltages_V, flat.weak)
+        begin_anew(self._gate)
         if self._consistency is not None:
             spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))
             self._watch = ElectrodeWatch(self._consistency, flat.voltages_V, spread_V)
@@ -132,9 +135,12 @@ class MapsAgain:
 
     def logit_of(self, payload: bytes) -> float | None:
         """Return what the gate makes of a whole frame; None where there is no gate, or the frame is not plausible."""
-        if not self._prepare(payload) or self._gate is None:
+        if self._gate is None:
             return None
-        self._gate.touched()
+        if not self._prepare(payload):
+            self.touched = False
+            return None
+        self.touched = self._gate.touched()
         return self._gate.logit
 
     def map_of(self, payload: bytes, solver: str) -> npt.NDArray[np.float32]:

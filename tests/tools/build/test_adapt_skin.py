@@ -11,8 +11,12 @@ from eitskin.model.bundle import load_bundle
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.symmetry import images
 from eitskin_proto.skin.toml import named, to_toml
+from eitskin_sim.freeform.sheet import inverted_sheet
+from eitskin_sim.freeform.voltages import set_voltages
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import DISC, gather
+from eitskin_tools.build import press_lesson, steps
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build import steps
 from eitskin_tools.build.recipe import Adaptation, CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
@@ -25,7 +29,7 @@ TWIN = replace(
     name="forearm",
     calibrated_from=STATED.digest,
     stated_grid_id=STATED.grid_id,
-    electrodes=replace(RING, arc_length_mm=Quantity(tuple(STATED.arc_length_mm + OFF_MM), "normal", 0.2)),
+    electrodes=replace(RING, arc_length_mm=Quantity(tuple((STATED.arc_length_mm + OFF_MM).tolist()), "normal", 0.2)),
 )
 
 
@@ -57,6 +61,7 @@ def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
 
 
 @pytest.mark.slow
+@pytest.mark.process
 def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeypatch, capsys):
     small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
     monkeypatch.setattr(recipes, "Adaptation", lambda: small)
@@ -68,6 +73,53 @@ def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeyp
     assert said["bundle"] == bundle.id
     assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lowering", "area", TWIN)
     assert bundle.manifest["build"]["training"][0]["start_from"] == "press.eitskin"
+
+
+def pressed(path: Path, voltages: np.ndarray, reference: np.ndarray) -> list[str]:
+    """Write presses of the twin, said to be at ``PLACES``, and return the words that name them."""
+    np.savez(path, reference_V=reference, press_V=voltages, press_xy_mm=np.array(PLACES), stamp_mm=np.array([16.0]))
+    return ["--presses", str(path)]
+
+
+PLACES = [(30.0, 30.0), (75.0, 50.0), (120.0, 70.0), (33.0, 32.0)]
+
+
+@pytest.mark.heavy
+def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
+    rng = np.random.default_rng(4)
+    patterns = 0.02 * rng.standard_normal((4, 104))  # the last is at the first one's place, and unlike it
+    files_of = pressed(tmp_path / "p.npz", np.exp(patterns), np.ones(104))
+    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
+    words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
+    assert main([*words, *files_of]) == 1
+    error = capsys.readouterr().err
+    assert "press 0 at (30, 30) mm and press 3 at (33, 32) mm contradict each other" in error
+    assert error.count("\n") == 1
+    assert main([*words[:1], "units", *words[2:], *files_of]) == 2
+    assert "a bundle of units cannot learn" in capsys.readouterr().err
+    assert not (tmp_path / "f.eitskin.build").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.process
+def test_what_recorded_presses_are_worth_is_told(tmp_path, monkeypatch, capsys):
+    small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
+    monkeypatch.setattr(recipes, "Adaptation", lambda: small)
+    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
+    words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
+    flat = inverted_sheet(Bend(), skin=TWIN)
+    table = gather([np.array([[DISC, x, y, 16.0, 16.0, 0.0, 0.4, 4.0]]) for x, y in PLACES])
+    voltages = set_voltages([flat], table, skin=TWIN)[0]
+    words += pressed(tmp_path / "p.npz", 1.02 * voltages, flat.untouched_V)
+    assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0
+    said = json.loads(capsys.readouterr().out)["presses"]
+    assert (said["presses"], said["kept_apart"]) == (4, 1)
+    assert said["used"] == (said["with_presses"]["cc"] > said["physics_alone"]["cc"])
+    assert "1 of 4 recorded presses, kept apart" in press_lesson.told(said)
+    bundle = load_bundle(tmp_path / "f.eitskin")
+    assert len(bundle.manifest["build"]["presses"]) == 16
+    assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0  # goes on where it was: at the end
+    assert json.loads(capsys.readouterr().out)["presses"] == said
 
 
 @pytest.mark.parametrize(

@@ -107,11 +107,15 @@ class BuildRecipe:
     card: CardWork = CardWork()
     beside: Path = Path()
     """The folder that its files are named from."""
+    presses: str = ""
+    """Id of the recorded presses that it learns from besides, where there are any."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
+        if not self.presses:
+            del found["presses"]
         return found
 
     @property

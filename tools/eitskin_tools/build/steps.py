@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_proto.skin.skin import Skin
+from eitskin_tools.build import press_lesson
 from eitskin_tools.build.folder import keep, stored
 from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
 from eitskin_tools.command_line import files
@@ -69,7 +70,9 @@ def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> No
         generate(plan_of(recipe, data), folder / "data" / name, workers=workers)
 
 
-def train_legs(recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = lambda _: None) -> Path:
+def train_legs(
+    recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = lambda _: None, presses: Any = None
+) -> Path:
     """Train every leg, or go on with it, and return the last one's folder.
 
     Args:
@@ -77,6 +80,7 @@ def train_legs(recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = l
         folder: Of the half-made bundle.
         tell: Told what is being done.
         finished: Told how each epoch went.
+        presses: A recording of some, to be learned from in the end, and kept if it is better for it; None without.
     """
     from eitskin_training import train
     from eitskin_training.gate.stored import gate_of_run
@@ -99,6 +103,8 @@ def train_legs(recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = l
         sources = tuple(str(one.resolve()) for one in where)
         chosen = fitted_to(recipe, leg, data.skin)
         train.train(data, chosen, run, seed=leg.seed, resume=True, start=start, sources=sources, progress=epoch)
+    if presses is not None:
+        run, data = press_lesson.learned(recipe, folder, run, data, presses, tell, epoch)
     bends, steps = _gate(recipe)
     gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
     return run

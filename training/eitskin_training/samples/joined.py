@@ -5,6 +5,7 @@ Each set keeps its own splits, so what one holds out stays held out; deformation
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -12,17 +13,18 @@ import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.touch_kind import together
+from eitskin_training.samples import presses
 from eitskin_training.samples.batches import TrainingData, load
 
 
 def load_all(directories: Sequence[str]) -> TrainingData:
-    """Return the data sets of some folders as one.
+    """Return the data sets of some folders as one; recorded presses are one too.
 
     Raises:
         MismatchError: One was made for another protocol, or they do not go together.
         OSError: There is none in a folder.
     """
-    return join([load(directory) for directory in directories])
+    return join([presses.load(one) if (Path(one) / presses.NAME).exists() else load(one) for one in directories])
 
 
 def join(sets: Sequence[TrainingData]) -> TrainingData:

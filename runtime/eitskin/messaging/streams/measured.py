@@ -197,7 +197,7 @@ class Conditions:
         cloud: Revision of the cloud in use.
         reference: SHA-256 of the reference in use, as ``SkinState.reference_sha256``.
         regions: What of the map is computed.
-        gate_threshold: A frame whose gate_logit is above it is touched; None without a gate.
+        gate_threshold: A frame whose gate_logit is above it is touched, and so are some below; None without a gate.
         drift: (104,) float32 factors that 1 + dV is multiplied with; None if no drift is taken out.
         electrodes: Those that are not well.
         missing_rows: Rows that are filled in from the others.

@@ -1,8 +1,17 @@
 """``eitskin bench gate``: faint presses that a bundle's gate finds on sheets that are solved, and what could be found.
 
 Devices and bends are drawn from the bundle's own skin, others than its gate has seen; each is pressed anywhere by discs
-of 16 mm, under N2 of 52 dB, after a drift common to all rows. A press counts as found if one of five frames
-trips the gate. Beside it stands what an ideal observer has, as the bundle's card states it: d', and the share of
+of 16 mm, under N2 of 52 dB, after a drift common to all rows. A press counts as found if one of five frames trips the
+gate as the runtime has it, which remembers the frames before ::
+
+    found            the sheet lay there untouched for a second before
+    moving           it is on its way to another bend, which takes a second; the press comes on halfway
+    first_frames     nothing was seen before: these are the first frames after the start
+    held             share of touched frames while the press stays and a session's drift, even and uneven, comes over it
+    false_alarms     share of touched frames of the untouched sheet: at rest, moving, and at rest at the other bend
+
+What lies between two solved bends is a mean of logarithms, and a press on the way changes the logarithms as it does at
+the first bend. Beside it stands what an ideal observer has, as the bundle's card states it: d', and the share of
 presses of 50 mm2 that it would find at the gate's own rate of false alarms.
 """
 
@@ -13,17 +22,29 @@ import sys
 from typing import Any, Final
 
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.threads import one_blas_thread
 
 DRIFT: Final = 0.01
 """Standard deviation of the logarithm of the common factor."""
 
-UNTOUCHED: Final = 20
-"""Frames of each untouched sheet."""
+BEFORE: Final = 200
+"""Untouched frames before a press, and of a bend that is on its way: a second at 200 frames/s."""
+
+HELD: Final = 2000
+"""Frames that a press stays."""
 
 SEED: Final = 88_107
 
 STRENGTHS: Final = (1.0, 2.0)
 """Of presses, over the one that is asked for."""
+
+FOUND: Final = {
+    "found": "seen untouched before: found",
+    "moving": "while the sheet moves: found",
+    "first_frames": "nothing seen before: found",
+    "held": "while it stays: touched",
+}
+"""What is measured of presses, and how people are told."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -38,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
+    one_blas_thread()  # on a busy machine a second one costs as much again
     from eitskin.model.bundle import load_bundle
     from eitskin_tools.command_line import files
 
@@ -67,6 +89,7 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
     """
     import numpy as np
 
+    from eitskin.model.gate import RememberingGate
     from eitskin_sim.devices.device import ideal
     from eitskin_sim.devices.draws import draw_device, draw_moment
     from eitskin_sim.devices.readings import FINE_MM, readings
@@ -74,41 +97,55 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
     from eitskin_sim.scene.family import draw
     from eitskin_sim.scene.parts import Bend, Scene, Touch
     from eitskin_sim.scene.shapes import Disc
-    from eitskin_tools.evaluation.gate_judge import judge_of
     from eitskin_training.gate.observer import FRAMES, SNR_DB
     from eitskin_training.gate.presses import BORDER_MM, DIAMETER_MM, STRENGTH_MM2, contrast_of
 
     skin, rng = bundle.skin, np.random.default_rng([SEED, seed])
-    noise = 10.0 ** (-SNR_DB / 20.0)
-    bends = draw("A", sheets, SEED + seed, skin)
+    noise, arrays = 10.0 ** (-SNR_DB / 20.0), bundle.gate_arrays()
+    bends = draw("A", 2 * sheets, SEED + seed, skin)
     half = DIAMETER_MM / 2.0
-    hits: dict[str, list[bool]] = {f"{STRENGTH_MM2 * one:g}": [] for one in STRENGTHS}
-    alarms = []
-    for number, drawn in enumerate(bends):
+    strengths = {f"{STRENGTH_MM2 * one:g}": STRENGTH_MM2 * one for one in STRENGTHS}
+    kept: dict[str, dict[str, list[float]]] = {name: {key: [] for key in strengths} for name in FOUND}
+    alarms: list[float] = []
+
+    def frames(logs: Any) -> Any:
+        """Return (n, 104) dV of (n, 104) log(V / V0), under noise and one drift."""
+        drift = DRIFT * rng.standard_normal()
+        return np.exp(logs + drift) * (1.0 + noise * rng.standard_normal(logs.shape)) - 1.0
+
+    for number in range(sheets):
         one = draw_device(skin, rng)
         device = ideal(skin) if flat else one.device
-        bend = Bend() if flat else one.bent(drawn)
-        later = device if flat else device.since(draw_moment(skin, rng).late)
+        here, there = (Bend() if flat else one.bent(bends[2 * number + n]) for n in range(2))
+        later, last = (device if flat else device.since(draw_moment(skin, rng).late) for _ in range(2))
 
         def read(device: Any, bend: Any, touches: Any = ()) -> Any:
             scene = Scene(device.sheet, device.electrodes, bend, touches, element_size_mm=FINE_MM)
             return readings(device, factorise_scene(scene).differences())
 
-        def frames(volts: Any, count: int) -> Any:
-            drift = math.exp(DRIFT * rng.standard_normal())
-            return volts * drift * (1.0 + noise * rng.standard_normal((count, len(volts))))
-
         reference = read(device, Bend() if flat else one.reference_bend)
-        judge = judge_of(bundle)
-        alarms.append(float(np.mean([judge(frame, reference) for frame in frames(read(later, bend), UNTOUCHED)])))
+        rest = np.log(read(later, here) / reference)
+        way = (rest if flat else np.log(read(later, there) / reference)) - rest
+        uneven = rest if flat else np.log(read(last, here) / reference)
+        still, walk = np.tile(rest, (BEFORE, 1)), rest + np.linspace(0.0, 1.0, BEFORE)[:, None] * way
+        quiet = RememberingGate(arrays)
+        alarms.append(
+            float(np.mean(judged(quiet, frames(np.concatenate([still, walk, np.tile(walk[-1], (BEFORE, 1))])))))
+        )
         for _ in range(presses):
             x, y = (rng.uniform(half, side - half) for side in skin.outline.size_mm)
-            for strength, kept in zip(STRENGTHS, hits.values(), strict=True):
-                contrast = contrast_of(STRENGTH_MM2 * strength, DIAMETER_MM)
-                touch = Touch((Disc(x, y, half),), contrast=contrast, border_mm=BORDER_MM)
-                judge = judge_of(bundle)
-                pressed = frames(read(later, bend, (touch,)), FRAMES)
-                kept.append(any([judge(frame, reference) for frame in pressed]))
+            for name, strength in strengths.items():
+                touch = Touch((Disc(x, y, half),), contrast=contrast_of(strength, DIAMETER_MM), border_mm=BORDER_MM)
+                press = np.log(read(later, here, (touch,)) / reference) - rest
+                kept["first_frames"][name].append(any(judged(RememberingGate(arrays), frames(still[:FRAMES] + press))))
+                gate, ends = RememberingGate(arrays), np.linspace(0.0, 1.0, HELD)[:, None]
+                seen = judged(gate, frames(np.concatenate([still, still[:FRAMES] + press])))
+                kept["found"][name].append(any(seen[BEFORE:]))
+                drift = DRIFT * ends * rng.standard_normal() + ends * (uneven - rest)
+                kept["held"][name].append(float(np.mean(judged(gate, frames(rest + drift + press)))))
+                gate, half_way = RememberingGate(arrays), walk[BEFORE // 2 :][:FRAMES] + press
+                seen = judged(gate, frames(np.concatenate([still, walk[: BEFORE // 2], half_way])))
+                kept["moving"][name].append(any(seen[-FRAMES:]))
         if sys.stderr.isatty():
             print(f"\r{number + 1} of {sheets} ", end="" if number + 1 < sheets else "\n", file=sys.stderr, flush=True)
     return {
@@ -119,9 +156,23 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         "snr_db": SNR_DB,
         "drift": DRIFT,
         "diameter_mm": DIAMETER_MM,
-        "found": {name: share(kept, presses) for name, kept in hits.items()},
+        **{name: {key: share(one, presses) for key, one in by.items()} for name, by in kept.items()},
         "false_alarms": share(alarms, 1),
     }
+
+
+def judged(gate: Any, changes: Any) -> list[bool]:
+    """Return what a gate says of (n, 104) dV, one after the other.
+
+    Args:
+        gate: Remembers the frames before.
+        changes: dV.
+    """
+    found = []
+    for change in changes:
+        gate.change[:] = change
+        found.append(gate.touched())
+    return found
 
 
 def share(values: Any, each: int) -> dict[str, float]:
@@ -142,10 +193,14 @@ def lines(found: dict[str, Any]) -> list[str]:
     """Return what people read."""
     where = "the stated device, flat" if found["flat"] else f"{found['sheets']} devices and bends"
     shown = [f"{where}; {found['frames']} frames, N2 of {found['snr_db']:g} dB, drift of {found['drift']:.0%}"]
-    for strength, one in found["found"].items():
-        shown.append(f"presses of {strength} mm2: found {one['share']:.1%} +- {one['standard_error']:.1%}")
+    for strength in found["found"]:
+        shown.append(f"presses of {strength} mm2")
+        for name, text in FOUND.items():
+            one = found[name][strength]
+            shown.append(f"  {text} {one['share']:.1%} +- {one['standard_error']:.1%}")
     alarms = found["false_alarms"]
-    shown.append(f"untouched frames called touched: {alarms['share']:.2%} +- {alarms['standard_error']:.2%}")
+    wrong = f"{alarms['share']:.2%} +- {alarms['standard_error']:.2%}"
+    shown.append(f"untouched frames called touched, at rest, moving and after it: {wrong}")
     observer = found["ideal_observer"]
     if observer is None:
         return [*shown, "the bundle's card states no ideal observer"]

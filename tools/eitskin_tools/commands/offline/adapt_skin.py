@@ -1,12 +1,15 @@
 """``eitskin adapt-skin BUNDLE --skin calibrated.toml --out FILE``: a bundle goes on learning on one sheet's own twin.
 
 It is a build (``eitskin build``) of few samples that begins with the bundle's network: stopped at any point, the same
-command goes on where it was.
+command goes on where it was. Presses that were recorded on the sheet itself may be learned from in the end; what they
+were worth is printed, and where physics alone is better it stays.
 """
 
 import argparse
 from dataclasses import replace
+from typing import Any
 
+from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.commands.offline.build import add_making, make
 from eitskin_tools.errors import UsageError
@@ -23,6 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         required=True,
         metavar="FILE",
         help="what the sheet is, as 'eitskin calibrate' writes it; devices are drawn from what it leaves uncertain",
+    )
+    parser.add_argument(
+        "--presses",
+        metavar="FILE",
+        help="presses of a stamp recorded on the sheet, as 'eitskin calibrate' reads them; they are learned from too",
     )
     for name, what in (
         ("deformations", "devices and bends are drawn for"),
@@ -47,4 +55,30 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(recipes.Adaptation(), **chosen)
-    return make(recipes.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work), arguments)
+    recipe = recipes.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work)
+    if arguments.presses is None:
+        return make(recipe, arguments)
+    recording, identity = _recorded(arguments.presses, twin, bundle.labels)
+    return make(replace(recipe, presses=identity), arguments, presses=recording)
+
+
+def _recorded(name: str, twin: Any, labels: str) -> tuple[Any, str]:
+    """Return a recording whose presses agree, and the id of its file.
+
+    Raises:
+        SkinError: It cannot be read, or learned from; in one line.
+    """
+    from eitskin_proto.files.digest import id_of
+    from eitskin_proto.files.reading import read_bytes
+    from eitskin_sim.calibration.recording import LARGEST_FILE, RecordingError, load_recording
+    from eitskin_training.samples.presses import check
+
+    if labels != "area":
+        raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
+    path = files.find(name, files.MEASURED)
+    recording = load_recording(path, twin)
+    try:
+        check(recording)
+    except SkinError as error:
+        raise RecordingError(f"{path}: {error}") from error
+    return recording, id_of(read_bytes(path, LARGEST_FILE))

@@ -52,18 +52,21 @@ def run(arguments: argparse.Namespace) -> int:
     return make(recipe.load(arguments.recipe), arguments, arguments.hours)
 
 
-def make(asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float | None = None) -> int:
+def make(
+    asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float | None = None, presses: Any = None
+) -> int:
     """Make the bundle of a recipe, or go on with it, and report.
 
     Args:
         asked: What is asked for.
         arguments: Those of :func:`add_making`.
         hours_asked: To scale it to; None leaves it as it is.
+        presses: A recording of some, to be learned from besides; None without.
     """
     import torch
 
     from eitskin_tools.build import folder as half_made
-    from eitskin_tools.build import hours, steps
+    from eitskin_tools.build import hours, press_lesson, steps
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
@@ -88,7 +91,7 @@ def make(asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float
                 wanted = hours.scaled(asked, hours_asked, hours.measure(asked, workers, tell))
             half_made.begin(work, asked, wanted, hours_asked)
         steps.make_data(wanted, work, workers, tell)
-        trained = steps.train_legs(wanted, work, tell, _say)
+        trained = steps.train_legs(wanted, work, tell, _say, presses)
         bundle, exported = steps.export_run(wanted, work, trained, tell)
         found = steps.make_card(wanted, work, bundle, str(exported["bundle"]), tell)
         identity = steps.finish(bundle, found, arguments.out)
@@ -103,6 +106,9 @@ def make(asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float
         "gate": exported["gate"],
         "card": found,
     }
+    gain = None if presses is None else half_made.stored(work / press_lesson.FILE)
+    if gain is not None:
+        result["presses"] = gain
     if arguments.json:
         print(json.dumps(result))
         return 0
@@ -110,6 +116,8 @@ def make(asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float
         f"{arguments.out}: bundle {identity}, {result['bytes'] / 1e6:.1f} MB, {result['labels']} labels, "
         f"{result['touches']} touches"
     )
+    if gain is not None:
+        print(press_lesson.told(gain))
     for line in card.told(found):
         print(line)
     print(f"{work} may be removed")

@@ -13,7 +13,6 @@ import numpy.typing as npt
 
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import default_solver
-from eitskin.model.gate import Gate
 from eitskin.pipeline.maps_again import NOTHING, MapsAgain
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
@@ -56,8 +55,6 @@ class Rerun:
         if solver is not None and solver not in self._again.solvers:
             raise ValueError(f"solver {solver!r} does not exist; {bundle.path} has {', '.join(self._again.solvers)}")
         self._solver = solver if solver is not None or self.as_recorded else default_solver(bundle)
-        arrays = bundle.gate_arrays()
-        self._threshold = None if arrays is None else Gate(arrays).usual_threshold
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
         self._view = FrameView()
         self._ready = False
@@ -80,7 +77,7 @@ class Rerun:
         if self._view.drives != ALL_DRIVES:  # of the idle mode: there is no map
             return Computed(self._nothing, frame.touched, NOTHING)
         logit = self._again.logit_of(frame.payload)
-        touched = frame.touched if self.as_recorded or self._threshold is None else (logit or 0.0) > self._threshold
+        touched = frame.touched if self.as_recorded or self._again.touched is None else self._again.touched
         if not touched:
             return Computed(self._nothing, False, NOTHING, logit)
         solver = self._solver or frame.solver

@@ -1,0 +1,175 @@
+"""Recorded presses of a known stamp as samples to learn from, next to those of a twin.
+
+A network sees dV alone, so what a real sheet read is told of the twin's own reference, V = V0_twin V_press / V0_real.
+A few presses among many simulated samples would hardly count: they are repeated until they make up ``SHARE`` of them,
+under noise of their own each time. Every ``KEPT``-th press is kept apart, and says what the others were worth.
+"""
+
+from pathlib import Path
+from typing import Any, Final, get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.errors import SkinError
+from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.digest import id_of
+from eitskin_proto.files.writing import replacing
+from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
+from eitskin_proto.skin.cloud import flat_cloud, network_input
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.toml import parse, to_toml
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
+from eitskin_training.samples.batches import TrainingData
+
+NAME: Final = "presses.npz"
+
+LARGEST_FILE: Final = 64 << 20
+
+SHARE: Final = 0.2
+"""Of the samples that are learned from, after these have joined."""
+
+KEPT: Final = 4
+FEWEST: Final = 4
+"""Presses, so that there is one to be kept apart."""
+
+LIKE: Final = 0.98
+UNLIKE: Final = 0.3
+"""Cosine of what two presses change, without what is common to all rows: of two at places far apart, and of two at one
+place."""
+
+NEAR: Final = 0.5
+FAR: Final = 3.0
+"""Places that are so many sizes of the stamp apart are one place, or surely two."""
+
+Array = npt.NDArray[np.float64]
+
+
+def check(recording: Recording) -> None:
+    """Refuse presses that are too few, or of which two contradict each other.
+
+    Raises:
+        SkinError: In one line, with the presses.
+    """
+    presses = recording.presses
+    if len(presses) < FEWEST:
+        raise SkinError(f"{len(presses)} presses are recorded, expected at least {FEWEST}: every fourth is kept apart")
+    places = np.array([one.xy_mm for one in presses])
+    logs = np.log(_ratios(recording))
+    change = logs - logs.mean(axis=1, keepdims=True)
+    change /= np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-12)
+    alike = change @ change.T
+    sizes = max(presses[0].stamp_mm or (1.0,))
+    apart = np.linalg.norm(places[:, None] - places, axis=2) / sizes
+    for one, other in zip(*np.triu_indices(len(presses), 1), strict=True):
+        cosine, away = float(alike[one, other]), float(apart[one, other])
+        if (away <= NEAR and cosine < UNLIKE) or (away >= FAR and cosine > LIKE):
+            where = [f"press {number} at ({places[number][0]:g}, {places[number][1]:g}) mm" for number in (one, other)]
+            read = "unlike" if away <= NEAR else "the same"
+            raise SkinError(
+                f"{where[0]} and {where[1]} contradict each other: they read {read} (cosine {cosine:.2f}); leave out "
+                "the one that was elsewhere"
+            )
+
+
+def write(folder: Path, recording: Recording, data: TrainingData) -> None:
+    """Write presses as samples beside a data set's.
+
+    Args:
+        folder: Of their own.
+        recording: With presses.
+        data: What they are to be learned with.
+
+    Raises:
+        SkinError: The data set has no labels of touches anywhere.
+    """
+    if data.labels_kind != "area":
+        raise SkinError("recorded presses have places anywhere; a bundle of units cannot learn from them")
+    count = len(recording.presses)
+    learned = count - len(_kept(count))
+    repeats = max(round(SHARE / (1.0 - SHARE) * len(data.train) / learned), 1)
+    arrays: dict[str, npt.NDArray[np.generic]] = {
+        "voltages_V": data.reference * _ratios(recording),
+        "labels": _labels(recording, data.skin.grid),
+        "places_mm": np.array([one.xy_mm for one in recording.presses]),
+        "reference_V": data.reference,
+        "repeats": np.array(repeats),
+        "touch_kind": np.array(data.touch_kind),
+        "skin": np.array(to_toml(data.skin)),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / NAME) as file:
+        np.savez(file, allow_pickle=False, **arrays)
+
+
+def load(folder: str | Path) -> TrainingData:
+    """Return what :func:`write` wrote.
+
+    Raises:
+        FileError: It is damaged.
+        OSError: It is not there.
+    """
+    path = Path(folder) / NAME
+    arrays = read_npz(path, LARGEST_FILE)
+    try:
+        skin, reference = parse(str(arrays["skin"])), arrays["reference_V"].astype(np.float64)
+        kind: Any = str(arrays["touch_kind"])
+        if kind not in get_args(TouchKind):
+            raise ValueError(f"touch_kind is {kind!r}")
+        count = len(arrays["voltages_V"])
+        rows = np.setdiff1d(np.arange(count), _kept(count))
+        return TrainingData(
+            voltages=arrays["voltages_V"].astype(np.float32),
+            deformation=np.zeros(count, dtype=np.intp),
+            touch_set=np.arange(count),
+            reference=reference,
+            untouched=reference[None],
+            clouds=network_input(flat_cloud(skin.grid), skin.grid)[None],
+            log_predicted=np.zeros((1, len(reference)), dtype=np.float32),
+            labels_kind="area",
+            labels=arrays["labels"].astype(np.uint8),
+            train=np.repeat(rows, int(arrays["repeats"])),
+            validation=np.empty(0, dtype=np.intp),
+            held_out={},
+            digest=id_of(path.read_bytes()),
+            seed=0,
+            skin=skin,
+            touch_kind=kind,
+        )
+    except (KeyError, ValueError, TypeError) as error:
+        raise SkinError(f"{path} is damaged ({error}); remove it, and give the recording again") from error
+
+
+def kept(data: TrainingData) -> npt.NDArray[np.intp]:
+    """Return the rows of presses, loaded by themselves, that were kept apart."""
+    return _kept(len(data.voltages))
+
+
+def _kept(count: int) -> npt.NDArray[np.intp]:
+    return np.arange(KEPT // 2, count, KEPT)
+
+
+def _ratios(recording: Recording) -> Array:
+    """Return (p, 104) V over the reference's."""
+    reference = recording.reference_V
+    rows = reference[ROW_IN_FULL] if len(reference) == N_FULL_ROWS else reference
+    ratios = np.array([one.voltages_V for one in recording.presses]) / rows
+    if bad := [str(number) for number in np.flatnonzero((ratios <= 0.0).any(axis=1))]:
+        raise SkinError(f"press {', '.join(bad)}: a row has turned its sign since the reference; leave it out")
+    return np.asarray(ratios)
+
+
+def _labels(recording: Recording, grid: Grid) -> npt.NDArray[np.uint8]:
+    """Return (p, pixels) the share of each that the stamp covers, in 1/255."""
+    pieces = [_piece(one) for one in recording.presses]
+    shares = gather(pieces).area_table(grid).toarray()
+    return np.asarray(np.rint(255.0 * np.clip(shares, 0.0, 1.0)), dtype=np.uint8)
+
+
+def _piece(press: Later) -> Array:
+    assert press.xy_mm is not None
+    assert press.stamp_mm is not None
+    (x, y), size = press.xy_mm, press.stamp_mm
+    return np.array([[DISC if len(size) == 1 else RECTANGLE, x, y, size[0], size[-1], 0.0, 0.5, 0.0]])
