@@ -119,7 +119,8 @@ class Search:
         change = self._frame.whiten((coarse.with_each(free, self._usual) - coarse.volts) / self._flat)
         left = self._frame.whiten(self._frame.ratio - coarse.volts / self._flat)
         part = np.clip((change @ left) / np.einsum("nr,nr->n", change, change), *PART)
-        usual, other = (np.square(left - one * change).sum(axis=1).min() for one in (1.0, part[:, None]))
+        usual = np.square(left - change).sum(axis=1).min()
+        other = np.square(left - part[:, None] * change).sum(axis=1).min()
         return bool(other < FAR * usual)
 
     def _grown(self, start: State) -> State:
