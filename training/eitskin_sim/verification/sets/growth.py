@@ -134,7 +134,7 @@ class Growth:
             now = now - np.outer(now @ one, one)
         if not chosen:
             return free[:0], np.zeros(0)
-        amplitudes = np.linalg.lstsq(changes[chosen].T, left, rcond=None)[0]
+        amplitudes = np.asarray(np.linalg.lstsq(changes[chosen].T, left, rcond=None)[0], dtype=np.float64)
         return free[chosen], amplitudes
 
     def _pruned(self, state: State) -> State:
