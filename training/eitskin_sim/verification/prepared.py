@@ -15,6 +15,7 @@ from eitskin_sim.verification.material import moved
 from eitskin_sim.verification.model_error import scan_columns
 from eitskin_sim.verification.nuisance import modes_of
 from eitskin_sim.verification.residual import Array
+from eitskin_sim.verification.scan_noise import scan_noise_mm
 from eitskin_sim.verification.spreads import Spreads, usual
 from eitskin_sim.verification.units import UnitVerifier
 
@@ -31,7 +32,7 @@ def prepared(
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose.
-        spreads: How far sheet and scan may be off; None is what the skin says.
+        spreads: How far sheet and scan may be off; None is what the skin says. A scan that shows more noise has more.
         model: The cloud's, where it is there already.
         material: Amplitudes by which frames of this shape have shown material to lie elsewhere; the model has them.
 
@@ -39,10 +40,12 @@ def prepared(
         ValueError: The cloud is malformed, or folds in its own plane.
     """
     spreads = spreads or usual(skin)
-    metric = moved(fit_cloud(cloud_mm, skin.grid).metric, material, skin)
+    surface = fit_cloud(cloud_mm, skin.grid)
+    metric = moved(surface.metric, material, skin)
     made = model or reduced(exact_sheet(metric, skin), skin, cloud_digest=cloud_digest(np.asarray(cloud_mm)))
     modes = modes_of(metric, skin, spreads)
-    return UnitVerifier(made, flat_of(skin), Doubts(modes, scan_columns(spreads.scan_mm, skin)))
+    worse = max(scan_noise_mm(cloud_mm, surface, skin.grid) / spreads.scan_mm, 1.0) if spreads.scan_mm else 1.0
+    return UnitVerifier(made, flat_of(skin), Doubts(modes, worse * scan_columns(spreads.scan_mm, skin)))
 
 
 @lru_cache(maxsize=4)

@@ -12,10 +12,11 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
-from eitskin_sim.verification.free.fit import bounded, usual_of
+from eitskin_sim.verification.free.fit import bounded
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import presses_of, shares_of, starts_of
+from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.waves import waves_of
 from eitskin_sim.verification.residual import Noise
 

@@ -2,7 +2,7 @@
 
 What is minimised is chi-squared, what is unseen of the sheet fitted along within its bounds, and the prior's cost ::
 
-    size        log sqrt(area) about that of touches, log(length / width) about 0
+    size        log sqrt(area) about that of touches; log(length / width) about 0, with heavy tails
     contrast    its logarithm: the mean of all touches about what this skin's are, each about that mean
     border      of those that have a graded one
 
@@ -15,7 +15,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import (
@@ -32,7 +31,7 @@ from eitskin_sim.shapes.parameters import (
 )
 from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification.free.model import Model
-from eitskin_sim.verification.prior import Prior
+from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
 
 LEAST_HALF_MM: Final = 1.5
@@ -49,32 +48,14 @@ STEPS: Final = np.array([6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5])
 Linear = tuple[Array, Array, npt.NDArray[np.bool_]]
 """Residuals, derivatives, and what is free."""
 
+TAIL: Final = 2.0
+"""Of the law of aspects: the smaller, the heavier."""
+
+AGAINST: Final = 8.0
+"""What each touch costs that the start has not: what the network shows, or the last frame had, is evidence too."""
+
 ENOUGH: Final = 0.3
 """A step that gains less of what is minimised is the last."""
-
-
-@dataclass(frozen=True, slots=True)
-class Usual:
-    """What this skin's touches are like."""
-
-    log_contrast: float = float(np.log(40.0))
-    common_sd: float = 0.8
-    """Of the mean log contrast."""
-    own_sd: float = 0.3
-    """Of each touch about it."""
-    aspect_sd: float = 0.8
-    border_mm: float = 3.0
-    border_sd: float = 2.0
-    sign: int = 0
-    """Of every log contrast: 1 where touches raise conductance, -1 where they lower it, 0 where both happen."""
-    touches: Prior = field(default_factory=lambda: Prior(places=60, expected=3.0))
-
-
-def usual_of(kind: TouchKind) -> Usual:
-    """Return what is usual of a skin whose touches go one way, or both."""
-    if kind == "lowering":
-        return Usual(log_contrast=float(np.log(0.5)), common_sd=0.6, sign=-1)
-    return Usual(sign=1) if kind == "raising" else Usual(log_contrast=0.0, common_sd=2.0, own_sd=1.5)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -88,6 +69,8 @@ class Frame:
     usual: Usual
     expected: Array
     """(104,) dV beside the touches."""
+    shown: int = 0
+    """Touches of the start."""
 
     def at(self, pieces: Array, turning: bool = False) -> "Fit":
         """Return touches as they stand.
@@ -98,7 +81,8 @@ class Frame:
         solved, change = self.model.solve(pieces)
         residual = self.white.whiten(self.change - self.expected - change)
         cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
-        return Fit(pieces, turning, solved, residual, float(cost @ cost), self.usual.touches.per_touch, self)
+        price = self.usual.touches.per_touch * len(pieces) + AGAINST * max(len(pieces) - self.shown, 0)
+        return Fit(pieces, turning, solved, residual, float(cost @ cost), price, self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,7 +97,8 @@ class Fit:
     residual: Array
     """(rows,) whitened."""
     prior: float
-    per_touch: float
+    price: float
+    """Of its number of touches."""
     frame: "Frame"
     """What it was fitted to."""
     _linear: "list[Linear]" = field(default_factory=list, repr=False)
@@ -137,7 +122,7 @@ class Fit:
     @property
     def cost(self) -> float:
         """What is minimised."""
-        return self.chi_squared + self.prior + self.per_touch * len(self.pieces) + 3.0 * self.turning
+        return self.chi_squared + self.prior + self.price + 3.0 * self.turning
 
 
 def _free(pieces: Array, turning: bool) -> npt.NDArray[np.bool_]:
@@ -171,8 +156,8 @@ def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Arr
         size = 0.5 * np.log(4.0 * length[i] * width[i] / usual.touches.size_mm**2) / sd
         at_length, at_width = number[i, HALF_LENGTH], number[i, HALF_WIDTH]
         add(size, (at_length, 0.5 / length[i] / sd), (at_width, 0.5 / width[i] / sd))
-        aspect = np.log(length[i] / width[i]) / usual.aspect_sd
-        add(aspect, (at_length, 1.0 / length[i] / usual.aspect_sd), (at_width, -1.0 / width[i] / usual.aspect_sd))
+        aspect, slope = _heavy(float(np.log(length[i] / width[i])), usual.aspect_sd)
+        add(aspect, (at_length, slope / length[i]), (at_width, -slope / width[i]))
         rates = [(number[j, LOG_CONTRAST], ((i == j) - 1.0 / n) / usual.own_sd) for j in range(n)]
         add((values[i, LOG_CONTRAST] - mean) / usual.own_sd, *rates)
         if own[i, BORDER]:
@@ -181,6 +166,15 @@ def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Arr
     all_of_them = [(number[j, LOG_CONTRAST], 1.0 / n / usual.common_sd) for j in range(n)]
     add((mean - usual.log_contrast) / usual.common_sd, *all_of_them)
     return np.array(cost), np.array(by)
+
+
+def _heavy(value: float, sd: float) -> tuple[float, float]:
+    """Return a residual whose square is the cost of Student's law with ``TAIL`` degrees of freedom, and its slope."""
+    square = value * value / (TAIL * sd * sd)
+    residual = float(np.copysign(np.sqrt(TAIL * np.log1p(square)), value))
+    if abs(residual) < 1e-6:
+        return value / sd, 1.0 / sd
+    return residual, value / (sd * sd * (1.0 + square) * residual)
 
 
 def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:

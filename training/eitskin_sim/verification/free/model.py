@@ -5,7 +5,7 @@ the mesh's error and the current drop out. Where a frame says that the sheet is 
 by more than a derivative is good for, the model is made again about that: :meth:`Model.about`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Final
 
@@ -22,6 +22,7 @@ from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
 from eitskin_sim.verification.free.unseen import Unseen, unseen
 from eitskin_sim.verification.residual import Noise, Whitener
+from eitskin_sim.verification.scan_noise import scan_noise_mm
 from eitskin_sim.verification.spreads import Spreads, usual
 
 ELEMENT_MM: Final = 4.5
@@ -110,14 +111,16 @@ def model_of_cloud(
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
-        spreads: How much may differ; None is what the skin says.
+        spreads: How much may differ; None is what the skin says. A scan that shows more noise has more.
         size_mm: The largest element.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
     """
-    surface = fit_cloud(cloud_mm, skin.grid)
-    return _model(surface.metric, surface, spreads or usual(skin), skin, size_mm, None)
+    surface, known = fit_cloud(cloud_mm, skin.grid), spreads or usual(skin)
+    if known.scan_mm:
+        known = replace(known, scan_mm=max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)))
+    return _model(surface.metric, surface, known, skin, size_mm, None)
 
 
 def _model(

@@ -24,11 +24,13 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
-from eitskin_sim.verification.free.fit import Fit, Frame, refine, usual_of
+from eitskin_sim.verification.free.fit import Fit, Frame, refine
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.moves import Move, moves
+from eitskin_sim.verification.free.seen import DECISIVE, left_out, unseen
 from eitskin_sim.verification.free.starts import presses_of, starts_of
+from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.spreads import Spreads
 from eitskin_sim.verification.verdict import Verdict
@@ -54,6 +56,13 @@ class FreeVerdict(Verdict[FreeTouch]):
     """(n, 8) the touches as a table: the next frame's first start."""
     trail: tuple[str, ...] = ()
     """Which moves were taken."""
+    contested: bool = False
+    """Whether the network plainly shows a touch that is not among these."""
+
+    @property
+    def flagged(self) -> bool:
+        """Whether physics cannot explain the frame by these touches, or the network contradicts them."""
+        return self.contested or self.p_value < self.level
 
 
 class FreeVerifier:
@@ -65,6 +74,7 @@ class FreeVerifier:
         touches: Which way this skin's touches change conductance.
         skin: Whose frames.
         spreads: How much may differ between the sheet and its model; None is what the skin says.
+        clock: What budgets are counted by, in seconds; ``time.process_time`` on a machine that is shared.
     """
 
     def __init__(
@@ -74,14 +84,16 @@ class FreeVerifier:
         touches: TouchKind = "raising",
         skin: Skin = PAPER,
         spreads: Spreads | None = None,
+        clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches)
+        self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches, skin)
+        self._clock = clock
         self._skin, self._spreads = skin, spreads
         self._model: Model | None = None
         self._anew = 0
-        self._fits = 0
+        self._fits = self._shown = 0
         self.setup_s = 0.0
-        """What the present deformation's models took so far, by the clock."""
+        """What the present deformation's models took so far, by the verifier's clock."""
         self.setup_cpu_s = 0.0
         """The same by the processor."""
 
@@ -97,9 +109,9 @@ class FreeVerifier:
 
     def _make(self, make: Callable[[], Model]) -> None:
         """Make a model, and count what it takes."""
-        clock, processor = time.perf_counter(), time.process_time()
+        clock, processor = self._clock(), time.process_time()
         self._model = make()
-        self.setup_s += time.perf_counter() - clock
+        self.setup_s += self._clock() - clock
         self.setup_cpu_s += time.process_time() - processor
 
     def verify(
@@ -120,15 +132,17 @@ class FreeVerifier:
             raise ValueError("no deformation to verify on; give its cloud first")
         if not budget_s > 0.0:
             raise ValueError(f"a budget of {budget_s:g} s: it must be above 0")
-        begin, setup = time.perf_counter(), self.setup_s
+        begin, setup = self._clock(), self.setup_s
         change = voltages_V / self._reference - 1.0
 
         def left() -> float:
-            return budget_s - (time.perf_counter() - begin - (self.setup_s - setup))
+            return budget_s - (self._clock() - begin - (self.setup_s - setup))
 
         self._fits = 0
+        rectangles = starts_of(shares, self._skin.grid)
+        self._shown = max(len(rectangles), 0 if last is None else len(last))
         frame = self._frame(change)
-        frame, fit = self._start(frame, shares, last)
+        frame, fit = self._start(frame, rectangles, last)
         trail: list[str] = []
         while left() > 0.0 and not self._explained(frame, fit):
             name, better = self._moved(frame, fit, left)
@@ -140,8 +154,9 @@ class FreeVerifier:
             fit = self._usually(frame, fit)
         if trail and left() > 0.0:
             fit = self._fewer(frame, fit)
+        fit = self._confirmed(frame, fit, shares)
         freedom = max(degrees_of_freedom(fit), 1)
-        seconds = time.perf_counter() - begin - (self.setup_s - setup)
+        seconds = self._clock() - begin - (self.setup_s - setup)
         p = p_value(fit.chi_squared, freedom)
         return FreeVerdict(
             touches_of(fit),
@@ -154,17 +169,17 @@ class FreeVerifier:
             (),
             fit.pieces,
             tuple(trail),
+            left_out(fit.pieces, shares, self._skin.grid),
         )
 
     def _frame(self, change: Array) -> Frame:
         model = self._model
         assert model is not None
         white = model.whitener(change, self._reference, self._noise)
-        return Frame(model, white, change, self._usual, model.expected(model.ratio(change)))
+        return Frame(model, white, change, self._usual, model.expected(model.ratio(change)), self._shown)
 
-    def _start(self, frame: Frame, shares: Array, last: Array | None) -> tuple[Frame, Fit]:
+    def _start(self, frame: Frame, rectangles: Array, last: Array | None) -> tuple[Frame, Fit]:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
-        rectangles = starts_of(shares, self._skin.grid)
         if self._usual.sign < 0:
             rectangles = presses_of(rectangles, self._usual.border_mm)
         tries: list[Array] = [] if last is None else [last]
@@ -206,12 +221,23 @@ class FreeVerifier:
 
     def _fewer(self, frame: Frame, fit: Fit) -> Fit:
         """Return the fit, or one without the smallest of the touches, if that is likelier."""
-        for number in np.argsort(areas_mm2(fit.pieces))[:2] if len(fit.pieces) > 1 else ():
-            without = np.delete(fit.pieces, number, axis=0)
-            other = self._refined(frame, self._at(frame, without, fit.turning))
+        for number in np.argsort(areas_mm2(fit.pieces))[:2].tolist() if len(fit.pieces) > 1 else ():
+            other = self._without(frame, fit, number)
             if other.cost < fit.cost:
                 return other
         return fit
+
+    def _confirmed(self, frame: Frame, fit: Fit, shares: Array) -> Fit:
+        """Return the fit without touches that physics alone sees and that explain little."""
+        for number in reversed(unseen(fit.pieces, shares, self._skin.grid)):
+            other = self._without(frame, fit, number)
+            if other.chi_squared - fit.chi_squared < DECISIVE:
+                fit = other
+        return fit
+
+    def _without(self, frame: Frame, fit: Fit, number: int) -> Fit:
+        """Return the fit without one of its touches, the others fitted anew."""
+        return self._refined(frame, self._at(frame, np.delete(fit.pieces, number, axis=0), fit.turning))
 
     def _usually(self, frame: Frame, fit: Fit) -> Fit:
         """Return the fit, or one from touches of usual contrast that are as strong, if that is likelier.

@@ -1,0 +1,94 @@
+"""What touches are like before anything is measured, and when physics and network contradict each other."""
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.parts import Touches
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.verification.free.fit import _free, _heavy, _prior
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.seen import DECISIVE, left_out, unseen
+from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.residual import Noise
+
+SQUARE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
+OTHER = np.array([[0, 110.0, 70.0, 10.0, 10.0, 0.0, 50.0, 0.0]])
+
+
+def shares_of(pieces: np.ndarray) -> np.ndarray:
+    return np.array([map_of(one[None]) for one in pieces]).reshape(len(pieces), *PAPER.grid.shape)
+
+
+def test_a_touch_that_only_physics_sees_is_known_by_its_place() -> None:
+    both = np.vstack([SQUARE, OTHER])
+    near = both + np.array([0, 4.0, -3.0, 0, 0, 0, 0, 0])
+    assert unseen(near, shares_of(both), PAPER.grid) == []
+    assert unseen(near, shares_of(SQUARE), PAPER.grid) == [1]
+    assert unseen(both, shares_of(np.zeros((0, 8))), PAPER.grid) == [0, 1]
+
+
+def test_a_touch_that_the_network_sees_plainly_is_not_left_out_without_a_word() -> None:
+    assert left_out(SQUARE, shares_of(np.vstack([SQUARE, OTHER])), PAPER.grid)
+    assert not left_out(SQUARE, shares_of(SQUARE), PAPER.grid)
+    speck = OTHER.copy()
+    speck[0, 3:5] = 4.0
+    assert not left_out(SQUARE, shares_of(np.vstack([SQUARE, speck])), PAPER.grid)
+    assert not left_out(np.zeros((0, 8)), shares_of(np.zeros((0, 8))), PAPER.grid)
+
+
+class Stub(FreeVerifier):
+    """A verifier whose fits are made up: without the second touch, so much more is left."""
+
+    def __init__(self, more: float) -> None:
+        super().__init__(np.ones(104), Noise())
+        self.more = more
+
+    def _without(self, frame: Any, fit: Any, number: int) -> Any:
+        return SimpleNamespace(pieces=np.delete(fit.pieces, number, axis=0), chi_squared=fit.chi_squared + self.more)
+
+
+def test_a_touch_that_only_physics_sees_must_answer_much() -> None:
+    fit: Any = SimpleNamespace(pieces=np.vstack([SQUARE, OTHER]), chi_squared=100.0)
+    frame: Any = None
+    for more, left in ((DECISIVE - 1.0, 1), (DECISIVE + 1.0, 2)):
+        assert len(Stub(more)._confirmed(frame, fit, shares_of(SQUARE)).pieces) == left
+
+
+def test_contrast_and_size_are_what_the_skin_states() -> None:
+    weak = replace(PAPER, touches=Touches(raising_contrast=(1.6, 2.5), size_mm=(8.0, 12.0)))
+    usual, plain = usual_of("raising", weak), usual_of("raising")
+    assert np.exp(usual.log_contrast) == pytest.approx(2.0)
+    assert usual.common_sd < 0.4 < plain.common_sd
+    assert usual.touches.size_mm == pytest.approx(np.sqrt(96.0))
+    assert usual.touches.size_log_sd < plain.touches.size_log_sd
+    assert usual_of("lowering").log_contrast < 0.0 < plain.log_contrast
+    assert (usual_of("lowering").sign, plain.sign, usual_of("both").sign) == (-1, 1, 0)
+
+
+def test_a_prior_of_aspects_has_heavy_tails_and_its_slope_is_a_quotient() -> None:
+    for value in (-2.0, -0.3, 1e-9, 0.2, 1.4):
+        here, slope = _heavy(value, 0.35)
+        assert slope == pytest.approx((_heavy(value + 1e-6, 0.35)[0] - _heavy(value - 1e-6, 0.35)[0]) / 2e-6, rel=1e-4)
+        assert np.sign(here) == np.sign(value)
+    assert _heavy(1e-3, 0.35)[0] == pytest.approx(1e-3 / 0.35, rel=1e-4)
+    assert _heavy(2.0, 0.35)[0] < 0.6 * 2.0 / 0.35
+
+
+def test_the_prior_s_derivatives_are_quotients() -> None:
+    pieces = np.vstack([SQUARE, OTHER])
+    pieces[1, 4], pieces[1, 7] = 30.0, 2.0
+    own, usual = _free(pieces, False), usual_of("raising")
+    _, by = _prior(pieces, own, usual)
+    columns = {3: (3, 0.5), 4: (4, 0.5)}  # half length, half width: of the table's column, and its factor
+    for number, (row, parameter) in enumerate(zip(*np.nonzero(own), strict=True)):
+        column, factor = columns.get(int(parameter) + 1, (int(parameter) + 1, 1.0))
+        step = np.zeros_like(pieces)
+        step[row, column] = 1e-5
+        found = [_prior(pieces + sign * step, own, usual)[0] for sign in (1.0, -1.0)]
+        scale = pieces[row, 6] if column == 6 else 1.0 / factor
+        assert scale * (found[0] - found[1]) / 2e-5 == pytest.approx(by[:, number], rel=1e-4, abs=1e-6)
