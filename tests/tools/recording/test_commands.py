@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -232,3 +233,30 @@ def test_where_nobody_publishes_the_recorder_says_so_in_a_line(tmp_path: Path) -
     assert done.stderr.count("\n") == 1, done.stderr
     assert "nobody" in done.stderr
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.process
+def test_robots_are_served_before_the_recorder(tmp_path: Path) -> None:
+    from eitskin.messaging.frame import FIRST_BYTE, patient_topics
+    from eitskin.messaging.publish import Publisher
+    from eitskin.messaging.regions import UNCHANGED
+
+    publisher = Publisher(f"ipc://{tmp_path}/frames")
+    recorder = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", "record", publisher.endpoint, "--out", str(tmp_path / "a.mcap")],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        asked, end_s = {*patient_topics(FIRST_BYTE), UNCHANGED}, time.monotonic() + 60
+        while not (publisher.wanted and publisher.streams.wire) and time.monotonic() < end_s:
+            publisher.look()
+            time.sleep(0.005)
+        while not asked <= publisher.topics.keys() and time.monotonic() < end_s:
+            publisher.look()
+        assert asked <= publisher.topics.keys()
+        assert not {b"", FIRST_BYTE} & publisher.topics.keys()
+        assert publisher.takes_short  # it does without maps that have not changed, as before
+    finally:
+        recorder.terminate()
+        recorder.wait(60)
+        publisher.close()
