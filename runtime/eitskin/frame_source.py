@@ -11,8 +11,8 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
+from eitskin.acquisition.afterwards import Afterwards
 from eitskin.acquisition.device import Device
-from eitskin.afterwards import Afterwards
 from eitskin.errors import NotReady, PortReturned
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin_proto.wire.answers import Event

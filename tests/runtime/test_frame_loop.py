@@ -4,7 +4,7 @@ import time
 
 import pytest
 
-from eitskin.afterwards import GIVE_WAY_S, Afterwards
+from eitskin.acquisition.afterwards import GIVE_WAY_S, Afterwards
 from eitskin.errors import PortLost
 from eitskin.messaging.frame import STAGES, unpack_frame
 from eitskin.messaging.streams.desk import StreamDesk

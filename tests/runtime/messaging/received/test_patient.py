@@ -12,7 +12,7 @@ from eitskin.messaging.publish import Publisher
 from eitskin.messaging.regions import ALWAYS, UNCHANGED, WHOLE, Region, whole
 from eitskin_proto.skin.skin import PAPER
 
-from .publishing import send, wait_for
+from ..publishing import send, wait_for
 
 ROUNDS = 40
 PATIENT = patient_topics(FIRST_BYTE)
