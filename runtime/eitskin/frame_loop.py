@@ -126,9 +126,7 @@ class FrameLoop:
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     record.stamps[PUBLISH] = time.perf_counter_ns()
-                    if asked and not first:
-                        self.source.afterwards.put(teller.frame, self.source.payload, number)
-                    self._finish()
+                    self._finish(teller if asked and not first else None, number)
                     yield record
                     self.statistics.ready(time.perf_counter_ns())
                 elif streams.asked:
@@ -197,13 +195,14 @@ class FrameLoop:
         record.corrupt = self._device.deframer.corrupt
         return self._messages.finish(record)
 
-    def _finish(self) -> None:
-        """Take note of the frame, after it was handed over."""
+    def _finish(self, teller: Teller | None, number: int | None) -> None:
+        """Take note of the frame, after it was handed over; what it was computed under is told before that changes."""
         record = self._pipeline.record
         self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
-        self._pipeline.note_health()
-
-    # -- reference -----------------------------------------------------------------------------------------------------
+        if teller is None:
+            self._pipeline.note_health()
+        else:
+            self.source.afterwards.put(self._pipeline.note_health, teller.frame, self.source.payload, number)
 
     def use(self, found: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference from the next frame on; before the loop runs, or in its thread.

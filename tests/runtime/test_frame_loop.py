@@ -112,21 +112,38 @@ def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_
     line.answer = [b"next"]
     assert left.payloads(line) == []
     assert not line.said  # nothing is left: whoever waits for the line waits by himself
-    left.put(done.append, 1)
+    left.put(lambda: done.append(0), done.append, 1)
     assert left.payloads(line) == [b"next"]
-    assert (line.said, done) == ([GIVE_WAY_S], [1])
+    assert (line.said, done) == ([GIVE_WAY_S], [1, 0])
     line.answer = []
-    left.put(done.append, 2)
+    left.put(lambda: done.append(0), done.append, 2)
     assert left.payloads(line) == []
     line.answer = None
-    left.put(done.append, 3)
+    left.put(lambda: done.append(0), done.append, 3)
     with pytest.raises(PortLost):
         left.payloads(line)
-    left.put(done.append, 4)
+    left.put(lambda: done.append(0), done.append, 4)
     left.do()
     left.do()
-    assert done == [1, 2, 3, 4]
+    assert done == [1, 0, 2, 0, 3, 0, 4, 0]
     assert len(spans) == 4
+
+
+def test_electrodes_and_drift_are_looked_at_when_streams_were_told_of_the_frame(streaming, monkeypatch):
+    """What they change holds from the next frame on: told before, a map could not be made again."""
+    taker, pipeline = Both([FIRST_BYTE]), streaming.pipeline
+    note_health = pipeline.note_health
+
+    def noted():
+        taker.got.append("health")
+        note_health()
+
+    monkeypatch.setattr(pipeline, "note_health", noted)
+    for _ in streaming.publish(taker):
+        if streaming.published == 10:
+            break
+    assert taker.got[2::3] == ["health"] * 10
+    assert [one.frame for one in taker.got[1::3]] == taker.got[::3] == list(range(1, 11))
 
 
 def test_what_is_told_never_waits_for_a_later_frame(virtual_skin, tiny_path):

@@ -21,16 +21,23 @@ class Afterwards:
         done: Told when it began and when it ended, on ``perf_counter_ns``; None if nobody wants to know.
     """
 
-    __slots__ = ("_arguments", "_done", "_work")
+    __slots__ = ("_arguments", "_done", "_then", "_work")
 
     def __init__(self, done: Callable[[int, int], None] | None) -> None:
         self._done = done
         self._work: Callable[..., None] | None = None
+        self._then: Callable[[], None] | None = None
         self._arguments: tuple[Any, ...] = ()
 
-    def put(self, work: Callable[..., None], *arguments: Any) -> None:
-        """Keep something to do; what was kept before has been done."""
-        self._work, self._arguments = work, arguments
+    def put(self, then: Callable[[], None], work: Callable[..., None], *arguments: Any) -> None:
+        """Keep something to do; what was kept before has been done.
+
+        Args:
+            then: What must not be done before it.
+            work: What is left, and timed.
+            arguments: Of it.
+        """
+        self._then, self._work, self._arguments = then, work, arguments
 
     def do(self) -> None:
         """Do what is kept, now."""
@@ -40,6 +47,8 @@ class Afterwards:
             work(*self._arguments)
             if self._done is not None:
                 self._done(begin_ns, time.perf_counter_ns())
+            if self._then is not None:
+                self._then()
 
     def payloads(self, device: Device) -> list[bytes]:
         """Return what came meanwhile: wait for the line a moment, and do what is kept. At once if nothing is.
