@@ -2,7 +2,7 @@
 
 ::
 
-    read -> accept -> capture -> compute -> mode -> pack -> publish -> tell -> finish
+    read -> accept -> capture -> compute -> mode -> pack -> publish -> finish -> tell, while the line rests
      ^       |  withheld                |  withheld
      |<------+--------------------------+            and on with the next
 
@@ -13,7 +13,7 @@ are packed and handed to a taker, and then streams are told what was measured. B
 """
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Generator, Iterator
 from typing import Any, Final, Protocol
 
 from eitskin.acquisition.device import Device
@@ -33,7 +33,6 @@ from eitskin.touches.watch import TouchWatch
 
 CAPTURE_S: Final = 30.0
 """How long capturing a reference may take before it is given up, beyond what its frames take."""
-
 
 PLAIN: Final = Asked()
 """Frames, and no touches."""
@@ -73,7 +72,7 @@ class FrameLoop:
         self._messages = FrameMessages(device.configuration, pipeline.bundle.id, device.hello.serial_number, shape)
         self._touches: TouchWatch | None = None
         self.statistics = Statistics()
-        self.source = FrameSource(device, pipeline)
+        self.source = FrameSource(device, pipeline, self.statistics.told)
         self.reference: Reference | None = None
         self._recapture: Recapture | None = None
         self.teller: Teller | None = None
@@ -91,7 +90,7 @@ class FrameLoop:
         """Frames packed so far."""
         return self._messages.published
 
-    def run(self, taker: Taker, until_ns: int | None = None) -> Iterator[FrameRecord]:
+    def run(self, taker: Taker, until_ns: int | None = None) -> Generator[FrameRecord, None, None]:
         """Take frames through, and yield each one's record when it is done; the next frame overwrites it.
 
         Args:
@@ -119,22 +118,21 @@ class FrameLoop:
                 wanted = taker.wanted
                 if pipeline.compute(wanted):
                     self._choose_mode(whole=recapture is not None)
-                    asked, first = streams.asked, streams.first
+                    asked, first, number = streams.asked, streams.first, self.published + 1 if wanted else None
                     if asked and first:
-                        teller.frame(self.source.payload, self.published + 1 if wanted else None)
+                        teller.frame(self.source.payload, number)
                     if wanted:
                         self._hand_over(taker)
                     else:
                         record.stamps[PACK] = record.stamps[INFER]
                     record.stamps[PUBLISH] = time.perf_counter_ns()
-                    if asked and not first:
-                        teller.frame(self.source.payload, self.published if wanted else None)
-                    self._finish()
+                    self._finish(teller if asked and not first else None, number)
                     yield record
                     self.statistics.ready(time.perf_counter_ns())
                 elif streams.asked:
                     teller.withheld(self.source.payload, record.stamps[READ])
         finally:
+            self.source.afterwards.do()
             self._give_up_recapture("the stream ended")
 
     def _accepted(self, until_ns: int | None) -> Iterator[None]:
@@ -197,13 +195,14 @@ class FrameLoop:
         record.corrupt = self._device.deframer.corrupt
         return self._messages.finish(record)
 
-    def _finish(self) -> None:
-        """Take note of the frame, after it was handed over and told of."""
-        record, told_ns = self._pipeline.record, time.perf_counter_ns()
-        self.statistics.add(record.stamps, told_ns, record.solver, record.touched, record.skipped, record.events)
-        self._pipeline.note_health()
-
-    # -- reference -----------------------------------------------------------------------------------------------------
+    def _finish(self, teller: Teller | None, number: int | None) -> None:
+        """Take note of the frame, after it was handed over; what it was computed under is told before that changes."""
+        record = self._pipeline.record
+        self.statistics.add(record.stamps, record.solver, record.touched, record.skipped, record.events)
+        if teller is None:
+            self._pipeline.note_health()
+        else:
+            self.source.afterwards.put(self._pipeline.note_health, teller.frame, self.source.payload, number)
 
     def use(self, found: Reference, *, fresh: bool = False) -> None:
         """Normalise against a reference from the next frame on; before the loop runs, or in its thread.

@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import suppress
 from typing import Final
 
+from eitskin.acquisition.afterwards import Afterwards
 from eitskin.acquisition.device import Device
 from eitskin.errors import NotReady, PortReturned
 from eitskin.pipeline.frame_pipeline import Pipeline
@@ -49,10 +50,13 @@ class FrameSource:
     Args:
         device: It answered the handshake.
         pipeline: Made for it.
+        done: Told when ``afterwards`` were done: when they began and ended, on ``perf_counter_ns``.
     """
 
-    def __init__(self, device: Device, pipeline: Pipeline) -> None:
+    def __init__(self, device: Device, pipeline: Pipeline, done: Callable[[int, int], None] | None = None) -> None:
         self._device, self._pipeline = device, pipeline
+        self.afterwards = Afterwards(done)
+        """What is left to do of the frame that was yielded last; done while the line rests, or before the next one."""
         self.recoveries = 0
         """How often the device was greeted anew after silence, a reset, or frames that could not be used."""
         self._stopping = self._started = self._reading = self._failed = False
@@ -176,6 +180,8 @@ class FrameSource:
 
     def _payloads(self, wait_s: float) -> list[bytes]:
         """Return what comes, waiting for it; if nothing comes for a moment, do what can wait, and wait on."""
+        if payloads := self.afterwards.payloads(self._device):
+            return payloads
         if self._pipeline.has_leisure_work:
             if payloads := self._device.payloads(LEISURE_S):
                 return payloads
@@ -208,6 +214,7 @@ class FrameSource:
 
     def _accept(self, payload: bytes, read_ns: int) -> bool:
         """Return whether a frame is accepted; if so, it has what happened before it."""
+        self.afterwards.do()
         if not self._pipeline.accept(payload, read_ns):
             self._tell_of(payload, read_ns)
             return False

@@ -2,6 +2,7 @@
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from typing import Final
 
 from eitskin.messaging.frame_record import READ, FrameRecord
@@ -41,18 +42,19 @@ def serve(
     next_look_ns = next_join_ns = time.perf_counter_ns()
     regions = publisher.regions
     publisher.look()
-    for record in skin.publish(publisher, until_ns):
-        if behind is not None:
-            behind(record)
-        if frames is not None and skin.statistics.frames >= frames:
-            return
-        now_ns = record.stamps[READ]
-        if now_ns >= next_join_ns:  # behind a frame, not before it
-            next_join_ns = now_ns + JOIN_NS
-            publisher.look()
-            if publisher.regions is not regions:
-                regions = publisher.regions
-                skin.set_regions(regions)
-        if now_ns >= next_look_ns:
-            next_look_ns = now_ns + LOOK_NS
-            publisher.look_at_connections()
+    with closing(skin.publish(publisher, until_ns)) as records:  # what is left of the last frame is done here, and now
+        for record in records:
+            if behind is not None:
+                behind(record)
+            if frames is not None and skin.statistics.frames >= frames:
+                return
+            now_ns = record.stamps[READ]
+            if now_ns >= next_join_ns:  # behind a frame, not before it
+                next_join_ns = now_ns + JOIN_NS
+                publisher.look()
+                if publisher.regions is not regions:
+                    regions = publisher.regions
+                    skin.set_regions(regions)
+            if now_ns >= next_look_ns:
+                next_look_ns = now_ns + LOOK_NS
+                publisher.look_at_connections()

@@ -6,7 +6,7 @@ time; the loop picks them up between two frames.
 """
 
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Generator, Iterable, Iterator
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Self
@@ -202,7 +202,7 @@ class Skin:
         for _ in self.loop.run(here, None if timeout_s is None else time.perf_counter_ns() + int(timeout_s * 1e9)):
             yield unpack_frame(here.message, time.perf_counter_ns())
 
-    def publish(self, taker: Taker, until_ns: int | None = None) -> Iterator[FrameRecord]:
+    def publish(self, taker: Taker, until_ns: int | None = None) -> Generator[FrameRecord, None, None]:
         """Hand every frame's message to a taker, and yield each frame's record after that; the next overwrites it.
 
         Args:

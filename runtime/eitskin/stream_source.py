@@ -1,6 +1,7 @@
 """What was measured, from the frame loop to a publisher's streams.
 
-Called for each frame while somebody asks, when the frame's own message has gone out, so that it waits for none of this.
+Called for each frame while somebody asks, when the frame's own message has gone out and whoever takes it has had a
+moment (:mod:`eitskin.acquisition.afterwards`): it waits for none of this.
 Only where somebody takes all that is sent is it told before, so that who keeps one message keeps the frame; so what is
 told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
 

@@ -4,6 +4,8 @@ import time
 
 import pytest
 
+from eitskin.acquisition.afterwards import GIVE_WAY_S, Afterwards
+from eitskin.errors import PortLost
 from eitskin.messaging.frame import STAGES, unpack_frame
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.envelope import FIRST_BYTE, opened
@@ -81,15 +83,80 @@ class Both(Taker):
             self.got.append(WireFrame.of(found.body))
 
 
-@pytest.mark.parametrize(("topics", "late"), [([FIRST_BYTE], 1), ([b"", FIRST_BYTE], 0)])
-def test_a_frame_goes_out_before_all_that_is_told_of_it_unless_somebody_takes_everything(streaming, topics, late):
-    taker = Both(topics)
+@pytest.mark.parametrize(("topics", "first"), [([FIRST_BYTE], False), ([b"", FIRST_BYTE], True)])
+def test_a_frame_goes_out_before_all_that_is_told_of_it_unless_somebody_takes_everything(streaming, topics, first):
+    taker, sequences = Both(topics), []
     for record in streaming.publish(taker):
-        frame, told = taker.got[-1 - late], taker.got[late - 2]
-        assert (frame, told.frame, told.seq) == (streaming.published, frame, record.sequence)
-        if frame == 10:
+        sequences.append(record.sequence)
+        assert len(taker.got) == 2 * len(sequences) - (not first)  # told when whoever asked for the frame has it
+        if len(sequences) == 10:
             break
-    assert len(taker.got) == 20
+    frames, told = taker.got[first::2], taker.got[not first :: 2]  # the last one too, although nobody comes back
+    assert frames == [one.frame for one in told] == list(range(1, 11))
+    assert [one.seq for one in told] == sequences
+
+
+def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_if_it_is_lost():
+    class Line:
+        def __init__(self):
+            self.said = []
+
+        def payloads(self, timeout_s):
+            self.said.append(timeout_s)
+            if self.answer is None:
+                raise PortLost("gone")
+            return self.answer
+
+    line, done, spans = Line(), [], []
+    left = Afterwards(lambda begin_ns, end_ns: spans.append(end_ns - begin_ns))
+    line.answer = [b"next"]
+    assert left.payloads(line) == []
+    assert not line.said  # nothing is left: whoever waits for the line waits by himself
+    left.put(lambda: done.append(0), done.append, 1)
+    assert left.payloads(line) == [b"next"]
+    assert (line.said, done) == ([GIVE_WAY_S], [1, 0])
+    line.answer = []
+    left.put(lambda: done.append(0), done.append, 2)
+    assert left.payloads(line) == []
+    line.answer = None
+    left.put(lambda: done.append(0), done.append, 3)
+    with pytest.raises(PortLost):
+        left.payloads(line)
+    left.put(lambda: done.append(0), done.append, 4)
+    left.do()
+    left.do()
+    assert done == [1, 0, 2, 0, 3, 0, 4, 0]
+    assert len(spans) == 4
+
+
+def test_electrodes_and_drift_are_looked_at_when_streams_were_told_of_the_frame(streaming, monkeypatch):
+    """What they change holds from the next frame on: told before, a map could not be made again."""
+    taker, pipeline = Both([FIRST_BYTE]), streaming.pipeline
+    note_health = pipeline.note_health
+
+    def noted():
+        taker.got.append("health")
+        note_health()
+
+    monkeypatch.setattr(pipeline, "note_health", noted)
+    for _ in streaming.publish(taker):
+        if streaming.published == 10:
+            break
+    assert taker.got[2::3] == ["health"] * 10
+    assert [one.frame for one in taker.got[1::3]] == taker.got[::3] == list(range(1, 11))
+
+
+def test_what_is_told_never_waits_for_a_later_frame(virtual_skin, tiny_path):
+    """Frames that come together, as after a pause, are told of one by one, each before the next is looked at."""
+    with virtual_skin(touches=[[0.1, 60, 0.3]], rate_hz=100.0) as port, Skin(port, bundle=tiny_path) as skin:
+        skin.capture_reference(5)
+        taker = Both([FIRST_BYTE])
+        for _ in skin.publish(taker):
+            if skin.published == 3:
+                time.sleep(0.1)
+            if skin.published == 20:
+                break
+    assert [one if isinstance(one, int) else one.frame for one in taker.got] == [n // 2 for n in range(2, 42)]
 
 
 def test_what_comes_behind_publishing_is_told_apart_from_the_stages(streaming):
@@ -114,11 +181,12 @@ def test_what_is_left_of_a_period_is_from_ready_to_read():
     for frame in range(7):  # more than are kept: the oldest is overwritten first
         read_ns = 5_000_000 * frame
         stamps = [read_ns + 1000 * stage for stage in range(len(STAGES))]
-        statistics.add(stamps, read_ns + 10_000, "none", False, (), ())
+        statistics.add(stamps, "none", False, (), ())
         if frame < 6:  # the last one was handed over, and nobody came back
-            statistics.ready(read_ns + 2_000_000 + 1000 * frame)
+            statistics.ready(read_ns + 10_000 + 1000 * frame)
+            statistics.told(read_ns + 1_996_000 + 1000 * frame, read_ns + 2_000_000 + 1000 * frame)
     found = statistics.summary()
     assert found["behind_us"]["streams"] == {"p50": 4.0, "p99": 4.0, "p999": 4.0, "max": 4.0}
-    assert found["behind_us"]["rest"]["max"] == 1995.0
+    assert found["behind_us"]["rest"]["max"] == 9.0
     assert found["left_us"] == {"p50": 2996.0, "p1": 2995.0, "min": 2995.0}
     assert found["latency_us"]["max"] == 6.0

@@ -6,11 +6,13 @@ bounded queue; a slow one loses frames there, and neither the loop nor its neigh
 Topics say what a subscriber needs. Who takes the first two bytes of a frame gets every frame with its whole map; so
 does the empty topic, with all that others ask for besides. A subscriber that takes the first byte alone declares by
 topics of its own that it needs a region only (:mod:`eitskin.messaging.regions`), or that it does without a map that has
-not changed. ::
+not changed. So does a patient one, which takes three bytes: libzmq hands a message to the shortest topic first, so
+robots, whose topics are shorter, do not wait for it. ::
 
     b"\xde\x00"                    every frame with its map, always
     b""                            all that is sent
     b"\xde"                        every frame, and then one of each:
+    b"\xde\x00\x18"                ... likewise, after the others; and so on to b"\xde\x00\x23"
     b"eitskin/region/0/10/5/20"    the rows and columns that are needed; b"eitskin/region/whole" for all
     b"eitskin/unchanged"           ... or b"eitskin/always"
     b"eitskin/touches"             besides: the list of touches, in every frame
@@ -36,7 +38,7 @@ from eitskin.messaging.admission.patrol import Patrol
 from eitskin.messaging.admission.topics import Topics
 from eitskin.messaging.admission.turnstile import Turnstile
 from eitskin.messaging.curve_keys import Doorkeeper, ServerKeys
-from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE
+from eitskin.messaging.frame import FIRST_BYTE, TOUCH_FIRST_BYTE, patient_topics
 from eitskin.messaging.frame_message import Asked
 from eitskin.messaging.regions import ALWAYS, TOUCHES, UNCHANGED, Region, Regions, union, whole
 from eitskin.messaging.streams.desk import StreamDesk
@@ -65,6 +67,9 @@ _EVENTS, _POLLIN, _NOBLOCK = zmq.EVENTS, int(zmq.POLLIN), int(zmq.NOBLOCK)  # an
 
 MOST_SUBSCRIBERS: Final = 128
 """At once; whoever comes then is ended."""
+
+DECLARING: Final = frozenset((FIRST_BYTE, *patient_topics(FIRST_BYTE)))
+"""Topics of frames for subscribers that say by topics of their own what they need of them."""
 
 
 class Publisher:
@@ -159,10 +164,11 @@ class Publisher:
         """Make of the topics what the loop must know."""
         self._topics.changed = False
         topics = self.topics
-        plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic != FIRST_BYTE) for topic in topics)
+        plain = any(topic == b"" or (topic[:1] == FIRST_BYTE and topic not in DECLARING) for topic in topics)
         found = (Region.from_topic(topic, self._shape) for topic in topics)
         declared = [region for region in found if region is not None]
-        frames, alone = plain or FIRST_BYTE in topics, any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
+        frames = plain or any(topic in DECLARING for topic in topics)
+        alone = any(topic[:1] == TOUCH_FIRST_BYTE for topic in topics)
         self.asked = Asked(frames, alone or TOUCHES in topics, alone)
         self.verified = any(map(asked_for, topics))
         self.wanted = frames or alone or self.verified

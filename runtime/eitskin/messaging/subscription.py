@@ -60,6 +60,7 @@ class Subscription(Subscriber):
         skin: The runtime's, for ``region_mm``; None for the paper's.
         skip_unchanged: Do without maps that have not changed; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches; ``maps=False`` for these alone, a sixth of the bytes.
+        patient: Be served after the others.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
@@ -79,6 +80,7 @@ class Subscription(Subscriber):
         skip_unchanged: bool = False,
         touches: bool = False,
         maps: bool = True,
+        patient: bool = False,
         keys: ClientKeys | None = None,
     ) -> None:
         if mode not in MODES:
@@ -86,7 +88,9 @@ class Subscription(Subscriber):
         for name, value in (("timeout_s", timeout_s), ("max_age_s", max_age_s)):
             if value is not None and not value > 0:
                 raise ValueError(f"{name} is {value}, expected more than 0")
-        self._wishes = wishes = Wishes.of(region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps)
+        self._wishes = wishes = Wishes.of(
+            region_mm, skin, skip_unchanged=skip_unchanged, touches=touches, maps=maps, patient=patient
+        )
         self.region = wishes.region
         """What this side needs, in pixels; ``frame.map[region.slices]``."""
         self._timeout_ms = _milliseconds(math.inf if timeout_s is None else timeout_s)
@@ -160,6 +164,8 @@ class Subscription(Subscriber):
         while True:
             message = self._socket.recv() if self._connection is not None else self._recv_first()
             self._heard_ns = time.perf_counter_ns()
+            if self._newest_only and not self._wishes.each and self._waits():
+                continue
             try:
                 frame = self._wishes.frame(message, self._heard_ns, self._known)
             except MapMissing:
@@ -172,10 +178,14 @@ class Subscription(Subscriber):
                 self._known = frame
                 if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
                     raise other_skin(self.endpoint, frame.map.shape, grid)
-            if not self._newest_only or not self._socket.getsockopt(zmq.EVENTS) & _POLLIN:
+            if not self._newest_only or not self._waits():
                 if frame is not None:
                     self._count(frame)
                 return frame
+
+    def _waits(self) -> bool:
+        """Return whether another message is there."""
+        return bool(self._socket.getsockopt(zmq.EVENTS) & _POLLIN)
 
     def _recv_first(self) -> bytes:
         """Receive a message, and keep its connection in mind."""
@@ -231,6 +241,7 @@ def subscribe(
     skip_unchanged: bool = False,
     touches: bool = False,
     maps: bool = True,
+    patient: bool = False,
     keys: ClientKeys | None = None,
 ) -> Subscription:
     """Return an open subscription to a runtime's frames, to be iterated.
@@ -247,6 +258,7 @@ def subscribe(
         skip_unchanged: Do without maps that have not changed beyond noise; ``frame.map`` is then the one from before.
         touches: Each frame has its list of touches, ``frame.touches``.
         maps: False for touches alone, a sixth of the bytes; ``frame.map`` is then (0, 0).
+        patient: Be served after the others: for what shows or stores frames, and moves nothing.
         keys: CURVE keys for TCP beyond loopback.
 
     Raises:
@@ -263,5 +275,6 @@ def subscribe(
         skip_unchanged=skip_unchanged,
         touches=touches,
         maps=maps,
+        patient=patient,
         keys=keys,
     )

@@ -5,7 +5,7 @@ reported as p50, p99, p99.9 and maximum; a mean would hide it.
 
 What comes behind publishing is no frame's latency, but the next frame's: it is told apart, and so is what was left. ::
 
-    read ... publish | streams | rest | ready ........ left ........ read ... publish
+    read ... publish | rest | gives way | streams | ........ left ........ read ... publish
 """
 
 import struct
@@ -21,11 +21,10 @@ RING: Final = 1 << 14
 """Frames whose stamps are kept: 82 s at 200 frames/s, 0.9 MB."""
 
 
-TOLD, READY = len(STAGES), len(STAGES) + 1
-"""Behind the stages: when streams had been told of the frame, and when the loop was ready for the next one."""
+TOLD, REST, READY = (len(STAGES) + index for index in range(3))
+"""Behind the stages: how long streams were told of the frame and how long the rest took, in ns; when all was done."""
 
 _STAMPS: Final = struct.Struct(f"={READY + 1}q")
-_READY: Final = struct.Struct("=q")
 
 
 class Statistics:
@@ -49,7 +48,6 @@ class Statistics:
     def add(
         self,
         stamps: list[int],
-        told_ns: int,
         solver: str,
         touched: bool,
         skipped: tuple[str, ...],
@@ -59,13 +57,12 @@ class Statistics:
 
         Args:
             stamps: ``perf_counter_ns`` at the end of each of ``STAGES``.
-            told_ns: When streams had been told of it.
             solver: Name of the engine, or ``none``.
             touched: What the gate said.
             skipped: What was left out.
             events: What happened.
         """
-        _STAMPS.pack_into(self._memory, _STAMPS.size * (self.frames % len(self._stamps)), *stamps, told_ns, 0)
+        _STAMPS.pack_into(self._memory, _STAMPS.size * (self.frames % len(self._stamps)), *stamps, 0, 0, 0)
         if self.frames == 0:
             self.first_ns = stamps[0]
             self.first_cpu_ns = time.process_time_ns()
@@ -79,15 +76,20 @@ class Statistics:
             self.events[name] = self.events.get(name, 0) + 1
 
     def ready(self, now_ns: int) -> None:
-        """Take note that all is done that the frame which was added last brought with it."""
-        row = (self.frames - 1) % len(self._stamps)
-        _READY.pack_into(self._memory, _STAMPS.size * (row + 1) - _READY.size, now_ns)
+        """Take note that the frame which was added last is done with, but for what streams are told."""
+        row = self._stamps[(self.frames - 1) % len(self._stamps)]
+        row[REST], row[READY] = now_ns - row[TOLD - 1], now_ns
+
+    def told(self, begin_ns: int, end_ns: int) -> None:
+        """Take note that streams were told of the frame which was added last."""
+        row = self._stamps[(self.frames - 1) % len(self._stamps)]
+        row[TOLD], row[READY] = end_ns - begin_ns, end_ns
 
     def summary(self) -> dict[str, Any]:
         """Return counts, rate and latencies as plain numbers."""
         first = self.frames % len(self._stamps) if self.frames > len(self._stamps) else 0
         seen = np.roll(self._stamps[: min(self.frames, len(self._stamps))], -first, axis=0)  # the oldest first
-        publish, told, ready = seen[:, TOLD - 1], seen[:, TOLD], seen[:, READY]
+        publish, told, rest, ready = seen[:, TOLD - 1], seen[:, TOLD], seen[:, REST], seen[:, READY]
         done = ready > 0  # not the last one, of a loop that was left while it handed that over
         elapsed_s = (self.last_ns - self.first_ns) * 1e-9
         return {
@@ -101,8 +103,8 @@ class Statistics:
                 for column, stage in enumerate(STAGES[1:])
             },
             "behind_us": {
-                "streams": quantiles((told - publish) / 1000),
-                "rest": quantiles((ready - told)[done] / 1000),
+                "streams": quantiles(told / 1000),
+                "rest": quantiles(rest[done] / 1000),
             },
             "left_us": lower_quantiles((seen[1:, 0] - ready[:-1])[done[:-1]] / 1000),
             "solvers": dict(self.solvers),

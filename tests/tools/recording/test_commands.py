@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -232,3 +233,56 @@ def test_where_nobody_publishes_the_recorder_says_so_in_a_line(tmp_path: Path) -
     assert done.stderr.count("\n") == 1, done.stderr
     assert "nobody" in done.stderr
     assert not (tmp_path / "a.mcap").exists()
+
+
+@pytest.mark.process
+def test_robots_are_served_before_the_recorder(tmp_path: Path) -> None:
+    from eitskin.messaging.frame import FIRST_BYTE, patient_topics
+    from eitskin.messaging.publish import Publisher
+    from eitskin.messaging.regions import UNCHANGED
+
+    publisher = Publisher(f"ipc://{tmp_path}/frames")
+    recorder = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", "record", publisher.endpoint, "--out", str(tmp_path / "a.mcap")],
+        stderr=subprocess.DEVNULL,
+    )
+    try:
+        asked, end_s = {*patient_topics(FIRST_BYTE), UNCHANGED}, time.monotonic() + 60
+        while not (publisher.wanted and publisher.streams.wire) and time.monotonic() < end_s:
+            publisher.look()
+            time.sleep(0.005)
+        while not asked <= publisher.topics.keys() and time.monotonic() < end_s:
+            publisher.look()
+        assert asked <= publisher.topics.keys()
+        assert not {b"", FIRST_BYTE} & publisher.topics.keys()
+        assert publisher.takes_short  # it does without maps that have not changed, as before
+    finally:
+        recorder.terminate()
+        recorder.wait(60)
+        publisher.close()
+
+
+@pytest.mark.parametrize(("silent_from_s", "ends_s"), [(0.5, 4.0), (3.8, 4.8), (9.0, 4.1)])
+def test_seconds_are_over_by_the_clock_too_where_the_stream_falls_silent(
+    monkeypatch: pytest.MonkeyPatch, silent_from_s: float, ends_s: float
+) -> None:
+    from types import SimpleNamespace
+
+    from eitskin_tools.commands.recorded import record
+
+    now_s = [0.0]
+    stream: Any = SimpleNamespace(frames=0, recorded_s=0.0, full=False, series=SimpleNamespace(sync=lambda: None))
+
+    def next_one(timeout_s: float) -> object | None:
+        now_s[0] += 0.1
+        if now_s[0] > silent_from_s:
+            return None
+        stream.frames += 1
+        return stream
+
+    stream.take = lambda found: setattr(stream, "recorded_s", 0.1 * (stream.frames - 1))
+    intake = SimpleNamespace(next=next_one, silent=None)
+    monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
+    words = SimpleNamespace(seconds=4.0, frames=None, timeout_s=None, quiet=True)
+    assert not record._go_on(words, stream, intake, SimpleNamespace(asked=False))  # type: ignore[arg-type]
+    assert now_s[0] == pytest.approx(ends_s, abs=0.15)

@@ -89,7 +89,7 @@ class Feed:
         """Post frames until nobody looks on."""
         touches = OwnTouches(self._source.skin.grid)
         with (
-            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, keys=self._source.keys) as frames,
+            eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=self._source.keys) as frames,
             Streams(self.endpoint, self._source, self._board, self._of, touches),
         ):
             status_s, seen_s = 0.0, time.monotonic()

@@ -3,7 +3,14 @@
 from dataclasses import dataclass
 from typing import Self
 
-from eitskin.messaging.frame import EVERY_FRAME, FIRST_BYTE, TOUCH_FIRST_BYTE, Frame, unpack_frame
+from eitskin.messaging.frame import (
+    EVERY_FRAME,
+    FIRST_BYTE,
+    TOUCH_FIRST_BYTE,
+    Frame,
+    patient_topics,
+    unpack_frame,
+)
 from eitskin.messaging.regions import ALWAYS, EVERYWHERE, TOUCHES, UNCHANGED, WHOLE, Region
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
@@ -26,6 +33,8 @@ class Wishes:
     touches: bool
     """Whether a frame without touches is of no use."""
     maps: bool
+    each: bool
+    """Whether frames that are not returned must be looked at too: a later one may lack the map that they have."""
 
     @classmethod
     def of(
@@ -36,6 +45,7 @@ class Wishes:
         skip_unchanged: bool,
         touches: bool,
         maps: bool,
+        patient: bool,
     ) -> Self:
         """Return what the arguments of :class:`eitskin.Subscription` mean.
 
@@ -46,11 +56,15 @@ class Wishes:
             raise ValueError("maps=False takes no maps at all: leave region_mm and skip_unchanged out")
         grid = None if region_mm is None else (skin or PAPER).grid
         region = EVERYWHERE if region_mm is None or grid is None else Region.from_mm(*region_mm, grid)
-        topics = [EVERY_FRAME] if maps else [TOUCH_FIRST_BYTE]
-        if maps and (grid is not None or skip_unchanged or touches):
-            topics = [WHOLE if grid is None else region.topic, UNCHANGED if skip_unchanged else ALWAYS]
-            topics += [TOUCHES, FIRST_BYTE] if touches else [FIRST_BYTE]
-        return cls(region, grid, tuple(topics), touches or not maps, maps)
+        first = FIRST_BYTE if maps else TOUCH_FIRST_BYTE
+        frames = patient_topics(first) if patient else (first,)
+        said: tuple[bytes, ...] = ()
+        if maps and (grid is not None or skip_unchanged or touches or patient):
+            said = (WHOLE if grid is None else region.topic, UNCHANGED if skip_unchanged else ALWAYS)
+            said += (TOUCHES,) if touches else ()
+        elif maps:
+            frames = (EVERY_FRAME,)
+        return cls(region, grid, said + frames, touches or not maps, maps, skip_unchanged)
 
     def frame(self, message: bytes, received_ns: int, known: Frame | None) -> Frame:
         """Return the frame of a message; arguments as of :func:`eitskin.messaging.frame.unpack_frame`.

@@ -19,6 +19,9 @@ from eitskin_tools.errors import UsageError
 POLL_S = 0.25
 """How long the disk rests at most: what has come is on it by then."""
 
+SILENCE_S = 1.0
+"""Where nothing has come for so long, nothing is on its way."""
+
 FIRST_S = 10.0
 """How long a runtime may take to say what skin it has."""
 
@@ -69,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
         return Series(arguments.out, head, most_bytes=most_bytes, most_s=most_s)
 
     def frames() -> Any:
-        return subscribe(arguments.endpoint, "all", timeout_s=POLL_S, skip_unchanged=True, keys=keys)
+        return subscribe(arguments.endpoint, "all", timeout_s=POLL_S, skip_unchanged=True, patient=True, keys=keys)
 
     def streams() -> Any:
         return subscribe_streams(arguments.endpoint, timeout_s=POLL_S, keys=keys)
@@ -109,7 +112,7 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
     from eitskin_tools.console.status_line import StatusLine
 
     line = StatusLine(sys.stderr)
-    begin_s = heard_s = shown_s = time.monotonic()
+    begin_s = first_s = heard_s = shown_s = time.monotonic()
     with contextlib.ExitStack() as stack:
         stack.callback(line.end)
         while not stopped.asked:
@@ -128,13 +131,17 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
                 )
             if arguments.timeout_s is not None and now_s - heard_s > arguments.timeout_s:
                 return False
+            if not recorder.frames:
+                first_s = now_s
             if arguments.seconds is not None and recorder.recorded_s >= arguments.seconds:
                 return False
+            if arguments.seconds is not None and now_s - max(first_s + arguments.seconds, heard_s + SILENCE_S) >= 0.0:
+                return False  # the time is over, and the rest of it never came
             if arguments.frames is not None and recorder.frames >= arguments.frames:
                 return False
             if line.live and not arguments.quiet and now_s - shown_s >= 1.0:
                 shown_s = now_s
-                line.show(_text(recorder) + ("; nothing comes" if now_s - heard_s > 1.0 else ""))
+                line.show(_text(recorder) + ("; nothing comes" if now_s - heard_s > SILENCE_S else ""))
     return False
 
 
