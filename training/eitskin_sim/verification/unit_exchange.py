@@ -22,7 +22,7 @@ from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.frame import Frame
-from eitskin_sim.verification.sets.price import UnitPrice
+from eitskin_sim.verification.unit_price import UnitPrice
 
 REACH: Final = 3
 """Units that are put in lie at most so many, along and across, from one that was taken out."""
@@ -118,11 +118,9 @@ class Exchange:
     def _children(self, state: State, contrast: float, taken: int) -> Iterator[tuple[float, float, Index]]:
         """Yield chi-squared, cost and units of the sets that one step leads to."""
         units = state.units
-        worth = self._frame.chi_squared(state.without_each() / self._flat) if len(units) else np.zeros(0)
-        order: list[int] = np.argsort(worth).tolist()  # what hardly counts is the likeliest to be wrong
-        out: list[tuple[int, ...]] = [(), *((number,) for number in order)]
+        out: list[tuple[int, ...]] = [(), *((number,) for number in range(len(units)))]
         if taken:
-            out = [pair for pair in combinations(order, 2) if self._near(units[list(pair)])]
+            out = [pair for pair in combinations(range(len(units)), 2) if self._near(units[list(pair)])]
         for numbers in out:
             if self._late():
                 return

@@ -15,13 +15,17 @@ from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
-from eitskin_sim.verification.sets.contrasts import STEPS, fitted
-from eitskin_sim.verification.sets.exchange import Exchange
-from eitskin_sim.verification.sets.growth import Growth
-from eitskin_sim.verification.sets.price import UnitPrice
+from eitskin_sim.verification.unit_exchange import Exchange
+from eitskin_sim.verification.unit_price import LOG_SD, OTHERS, UnitPrice
 
 CONTENT: Final = 0.05
 """The search ends where p is above."""
+
+RANGE: Final = (0.1, 200.0)
+"""Contrasts are fitted within."""
+
+NEAR_ONE: Final = 0.05
+"""No contrast's logarithm is fitted nearer to 0: such a touch is none."""
 
 MOST_TOUCHED: Final = 20
 """Sets grow no further."""
@@ -32,8 +36,9 @@ REACH: Final = 2
 FAR: Final = 0.7
 """A unit of another contrast must leave such a part of what one of the usual contrast leaves, to be looked at first."""
 
-PART: Final = (-0.85, 1.03)
-"""Of the change by a unit of the usual contrast: what one of the least contrast makes, and one of the most."""
+STEPS: Final = 4
+"""Of Gauss-Newton, for contrasts."""
+
 
 _NONE: Final[Index] = np.zeros(0, dtype=np.intp)
 
@@ -98,48 +103,25 @@ class Search:
             return start
         best = self._fitted(start, common=True) if len(start.units) else start
         best = best if self._explained(best) else start
-        if not self._explained(best) and self._otherwise(start):
-            best = self._better(best, self._grown(start))
-        if self._explained(best) or self._late():
-            return best
-        best = self._better(best, self._exchanged(best, self._usual))
-        if not self._explained(best):
-            best = self._better(best, self._contrasts_fitted(best))
-        for begin in (best, self._state(_NONE, np.zeros(0))):
+        for contrast in self._levels():
+            if self._explained(best) or self._late():
+                return best
+            best = self._better(best, self._exchanged(best, contrast))
+            if not self._explained(best):
+                best = self._better(best, self._contrasts_fitted(best))
+        for other in (self._from_nothing, self._refitted):
             if self._explained(best) or self._late():
                 break
-            best = self._better(best, self._grown(begin))
+            best = self._better(best, other(best))
         return best
 
-    def _otherwise(self, state: State) -> bool:
-        """Return whether one more unit of another than the usual contrast explains far more than one of it."""
-        free = np.setdiff1d(np.arange(self._coarse.n_units), state.units)
-        coarse = state_of(self._coarse, state.units, state.contrasts)
-        self.evaluations += len(free)
-        change = self._frame.whiten((coarse.with_each(free, self._usual) - coarse.volts) / self._flat)
-        left = self._frame.whiten(self._frame.ratio - coarse.volts / self._flat)
-        part = np.clip((change @ left) / np.einsum("nr,nr->n", change, change), *PART)
-        usual = np.square(left - change).sum(axis=1).min()
-        other = np.square(left - part[:, None] * change).sum(axis=1).min()
-        return bool(other < FAR * usual)
-
-    def _grown(self, start: State) -> State:
-        """Return a set of any contrasts that physics alone leads to, of one contrast for all where that will do."""
-        growth = Growth(self._coarse, self._flat, self._frame, self._price, self._content, self._late)
-        coarse = growth.grown(start.units, start.contrasts)
-        self.evaluations += growth.evaluations
-        if not len(coarse.units):
-            return self._state(_NONE, np.zeros(0))
-        found = self._state(coarse.units, coarse.contrasts)
-        logs = np.log(found.contrasts)
-        if np.all(np.sign(logs) == np.sign(logs[0])):
-            common = self._fitted(self._state(found.units, np.full(len(logs), np.exp(logs.mean()))), common=True)
-            if self._explained(common):
-                return common
-            found = self._better(found, common)
-        if not self._late() and not self._explained(found):
-            found = self._better(found, self._fitted(found, common=False))
-        return found
+    def _levels(self) -> list[float]:
+        """Return contrasts to search with: another than the usual one first where one unit of it explains far more."""
+        nothing, every = state_of(self._coarse, _NONE, np.zeros(0)), np.arange(self._coarse.n_units)
+        levels = (self._usual, *OTHERS)
+        chi = [float(self._chis(nothing.with_each(every, one)).min()) for one in levels]
+        at = int(np.argmin(chi))
+        return [levels[at], self._usual] if chi[at] < FAR * chi[0] else [self._usual]
 
     def _satisfied(self, state: State) -> bool:
         """Return whether a set explains the frame, and none of its units is one too many."""
@@ -275,6 +257,43 @@ class Search:
         return self._better(state, again)
 
     def _fitted(self, state: State, common: bool) -> State:
-        """Return a set with its contrasts fitted."""
-        self.evaluations += STEPS
-        return fitted(self._frame, self._flat, state, common=common, late=self._late)
+        """Return a set with its contrasts fitted by Gauss and Newton, each within its sign."""
+        start = np.log(state.contrasts)
+        at = start.copy()
+        best, best_chi = state, self._chi(state)
+        for _ in range(STEPS):
+            slopes = self._frame.whiten(state.slopes() / self._flat)
+            left = self._frame.whiten(self._frame.ratio - state.volts / self._flat)
+            if common:
+                slopes = slopes.sum(axis=0, keepdims=True)
+            inflation = self._inflation(float(left @ left))
+            square = slopes @ slopes.T / inflation + np.eye(len(slopes)) / LOG_SD**2
+            pull = slopes @ left / inflation
+            if not common:
+                pull = pull + (start - at) / LOG_SD**2
+            at = at + np.clip(np.linalg.solve(square, pull), -1.0, 1.0)
+            signs = np.sign(start)
+            at = signs * np.clip(signs * at, NEAR_ONE, np.where(signs > 0, np.log(RANGE[1]), -np.log(RANGE[0])))
+            state = self._state(state.units, np.exp(at))
+            chi = self._chi(state)
+            if chi >= best_chi * (1.0 - 1e-4):
+                break
+            best, best_chi = state, chi
+            if self._late():
+                break
+        return best
+
+    def _from_nothing(self, best: State) -> State:
+        """Return a set that is built up from nothing with contrasts of either sign."""
+        found = self._descended(self._state(_NONE, np.zeros(0)), (self._usual, *OTHERS))
+        if len(found.units) and not self._late() and not self._explained(found):
+            found = self._better(found, self._fitted(found, common=False))
+        return found
+
+    def _refitted(self, best: State) -> State:
+        """Return the best set with steps of either sign, and its contrasts fitted anew."""
+        found = self._descended(best, (self._usual, *OTHERS))
+        if len(found.units) and not self._late() and not self._explained(found):
+            found = self._better(found, self._fitted(found, common=False))
+            found = self._better(found, self._descended(found, (self._usual, *OTHERS)))
+        return found
