@@ -4,9 +4,10 @@ What is followed is taken out of the frames, and of two kinds. The sheet that is
 look to look (:mod:`eitskin.health.resting`), from the moment of a reference that was taken just now: common drift,
 uneven drift and after-effects of presses. And where a scan says what the shape does, a common factor c of at least
 ``LEAST`` is taken over from the untouched sheet's Gaussian (:mod:`eitskin.health.untouched`), once the frames have
-rested for ``HOLD``, and if the scan explains the rest to D <= ``CLEAN``: no touch of 16 to 25 mm within that has a
-common part of half of ``LEAST``. So no scan takes any touch out. Otherwise what was found stays, for as long as it
-lasts, and its standard deviation grows by that of real sheets ::
+rested for ``HOLD``, and if the scan explains the rest to D <= ``CLEAN``: no touch of 16 to 25 mm within that, of
+contrast up to 0.6 or from 2, has a common part of ``LEAST``. So no scan takes such a touch out; of fainter ones, 0.85
+or 1.2, up to 4 % may be taken for drift where the bundle's Gaussian allows for random devices. Otherwise what was found
+stays, for as long as it lasts, and its standard deviation grows by that of real sheets ::
 
     frame = (1 + dV) exp(-drift) - 1          drift (104,) in log
 

@@ -16,8 +16,8 @@ from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.unit_exchange import Exchange
-from eitskin_sim.verification.unit_price import UnitPrice
+from eitskin_sim.verification.sets.exchange import Exchange
+from eitskin_sim.verification.sets.price import UnitPrice
 
 SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
 """Few, large units."""

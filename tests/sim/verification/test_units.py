@@ -18,7 +18,7 @@ from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.unit_price import BESIDE, UnitPrice
+from eitskin_sim.verification.sets.price import BESIDE, UnitPrice
 from eitskin_sim.verification.units import UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Verdict
 

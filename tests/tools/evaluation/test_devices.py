@@ -46,7 +46,7 @@ def test_classical_solvers_find_presses(tmp_path, capsys):
 
 def test_drift_is_taken_out_as_the_runtime_does(tmp_path, capsys):
     (tmp_path / "drift.json").write_text(json.dumps([{"name": "drift", "drift_percent": 10}]))
-    few = ["--deformations", "1", "--each", "1", "--draws", "1", "--trials", "single", "--json"]
+    few = ["--solver", "tikhonov", "--deformations", "1", "--each", "1", "--draws", "1", "--trials", "single", "--json"]
     found = {}
     for drift in ("left", "met"):
         assert cli.main(["evaluate", "--devices", str(tmp_path / "drift.json"), *few, "--drift", drift]) == 0

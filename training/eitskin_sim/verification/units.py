@@ -25,7 +25,7 @@ from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.frame import Doubts, Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Array, Noise, Rows
-from eitskin_sim.verification.unit_search import Search
+from eitskin_sim.verification.sets.search import Search
 from eitskin_sim.verification.verdict import Verdict
 
 CONTRAST: Final = 50.0

@@ -22,7 +22,7 @@ from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.frame import Frame
-from eitskin_sim.verification.unit_price import UnitPrice
+from eitskin_sim.verification.sets.price import UnitPrice
 
 REACH: Final = 3
 """Units that are put in lie at most so many, along and across, from one that was taken out."""

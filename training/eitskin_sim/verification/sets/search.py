@@ -15,17 +15,12 @@ from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
-from eitskin_sim.verification.unit_exchange import Exchange
-from eitskin_sim.verification.unit_price import LOG_SD, OTHERS, UnitPrice
+from eitskin_sim.verification.sets.contrasts import STEPS, fitted
+from eitskin_sim.verification.sets.exchange import Exchange
+from eitskin_sim.verification.sets.price import OTHERS, UnitPrice
 
 CONTENT: Final = 0.05
 """The search ends where p is above."""
-
-RANGE: Final = (0.1, 200.0)
-"""Contrasts are fitted within."""
-
-NEAR_ONE: Final = 0.05
-"""No contrast's logarithm is fitted nearer to 0: such a touch is none."""
 
 MOST_TOUCHED: Final = 20
 """Sets grow no further."""
@@ -35,10 +30,6 @@ REACH: Final = 2
 
 FAR: Final = 0.7
 """A unit of another contrast must leave such a part of what one of the usual contrast leaves, to be looked at first."""
-
-STEPS: Final = 4
-"""Of Gauss-Newton, for contrasts."""
-
 
 _NONE: Final[Index] = np.zeros(0, dtype=np.intp)
 
@@ -257,31 +248,9 @@ class Search:
         return self._better(state, again)
 
     def _fitted(self, state: State, common: bool) -> State:
-        """Return a set with its contrasts fitted by Gauss and Newton, each within its sign."""
-        start = np.log(state.contrasts)
-        at = start.copy()
-        best, best_chi = state, self._chi(state)
-        for _ in range(STEPS):
-            slopes = self._frame.whiten(state.slopes() / self._flat)
-            left = self._frame.whiten(self._frame.ratio - state.volts / self._flat)
-            if common:
-                slopes = slopes.sum(axis=0, keepdims=True)
-            inflation = self._inflation(float(left @ left))
-            square = slopes @ slopes.T / inflation + np.eye(len(slopes)) / LOG_SD**2
-            pull = slopes @ left / inflation
-            if not common:
-                pull = pull + (start - at) / LOG_SD**2
-            at = at + np.clip(np.linalg.solve(square, pull), -1.0, 1.0)
-            signs = np.sign(start)
-            at = signs * np.clip(signs * at, NEAR_ONE, np.where(signs > 0, np.log(RANGE[1]), -np.log(RANGE[0])))
-            state = self._state(state.units, np.exp(at))
-            chi = self._chi(state)
-            if chi >= best_chi * (1.0 - 1e-4):
-                break
-            best, best_chi = state, chi
-            if self._late():
-                break
-        return best
+        """Return a set with its contrasts fitted."""
+        self.evaluations += STEPS
+        return fitted(self._frame, self._flat, state, common=common, late=self._late)
 
     def _from_nothing(self, best: State) -> State:
         """Return a set that is built up from nothing with contrasts of either sign."""
