@@ -62,6 +62,13 @@ def true_model() -> Model:
     return untouched._model
 
 
+@pytest.fixture(autouse=True, scope="module")
+def models() -> None:
+    """Make the models that all tests here share."""
+    true_model()
+    verifier()
+
+
 def seen(pieces: Array, seed: int = 0) -> Array:
     model = true_model()
     volts = (1.0 + model.solve(pieces)[1]) * flat_V()
