@@ -4,12 +4,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.devices.runs import Plan
-from eitskin_sim.evaluation.harness import solve_l1
+from eitskin_sim.evaluation.harness import Conditions, solve_l1
+from eitskin_sim.measurement.noise import Kind
 from eitskin_tools.bench.tradeoff.front import mark_front, markdown
 from eitskin_tools.bench.tradeoff.picture import style
 from eitskin_tools.bench.tradeoff.seen import of_devices
-from eitskin_tools.bench.tradeoff.variants import whole_error
+from eitskin_tools.bench.tradeoff.variants import variants, whole_error
 from eitskin_tools.cli import main
 
 pytestmark = pytest.mark.heavy
@@ -86,6 +88,16 @@ def test_panels_of_devices_show_what_an_untold_solver_would_see(tmp_path: Path) 
             assert case.lowering == (one.touches == "lowering")
             assert truth.shape == case.sheet.skin.grid.shape
             assert truth.max() > 0.5
+
+
+@pytest.mark.parametrize(
+    ("labels", "touches", "noise"),
+    [("units", "lowering", "N2"), ("area", "lowering", "N1"), ("units", "raising", "none")],
+)
+def test_every_kind_of_touch_has_its_variants_under_every_noise(labels: str, touches: TouchKind, noise: Kind) -> None:
+    names = [one.name for one in variants(labels, touches, [], Conditions(noise=noise))]
+    assert {"tikhonov", "vd2t", "vd2t-int8", "verified"} <= set(names)
+    assert len(set(names)) == len(names)
 
 
 def test_l1_with_fewer_steps_is_another_way_and_knows_presses(tmp_path: Path) -> None:

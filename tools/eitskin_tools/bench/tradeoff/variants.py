@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.gate import Gate
 from eitskin.model.geometry import GeometryGraph
@@ -20,7 +20,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, solve_l1, solve_sbl
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.surface.predict import flat_voltages
 from eitskin_tools.bench.tradeoff.front import GATE
-from eitskin_tools.evaluation.solvers import VERIFIED, Request, named
+from eitskin_tools.evaluation.solvers import VERIFIED, Request, bundle_for, named
 
 L1_STEPS: Final = (10, 50, 200, 400)
 """Iterations of FISTA that are compared; the last is the solver's own."""
@@ -57,7 +57,7 @@ def variants(labels: str, touches: TouchKind, more: Sequence[str], conditions: C
     """
     found = [Variant("tikhonov", solve_tikhonov, whole_error), Variant("sbl", solve_sbl, whole_error)]
     found += [Variant(f"l1, {steps} steps", partial(solve_l1, iterations=steps), whole_error) for steps in L1_STEPS]
-    shipped = default_path(labels, touches)
+    shipped = bundle_for(Request("vd2t"), labels, touches).path
     for path in [shipped, *map(Path, more)]:
         found += _networks(path, labels, "" if path == shipped else f" of {path.name}")
     verified = named(Request(VERIFIED), labels, touches=touches, conditions=conditions)
