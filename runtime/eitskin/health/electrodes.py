@@ -91,6 +91,8 @@ class ElectrodeWatch:
         """The frames fit nothing: neither a sheet nor any single failure."""
         self.alters = False
         """Whether :meth:`correct` changes anything."""
+        self.lacks_rows = False
+        """Whether rows are filled in altogether."""
         self._row = -1
         self.exclude(excluded)
 
@@ -276,4 +278,5 @@ class ElectrodeWatch:
         taken = np.isin(np.arange(N_ELECTRODES), [finding.electrode for finding in self.findings])
         self._pair_in_use = ~(taken | np.roll(taken, -1))
         self.imputation.leave_out(rows, self.precision, out, self._noise)
+        self.lacks_rows = bool(rows.any())
         self.alters = self.rearranged is not None or not self.imputation.idle

@@ -7,6 +7,9 @@ at a threshold that cured that.) ::
 
     l_m = E[l_m | the others, untouched]            l = log(V / V0), Gaussian over deformations of the bundle
 
+A gate of matched filters does that by itself, with the Gaussian that it is made of, and makes up for what its filters
+lose (:mod:`eitskin.model.matched_filters`): rows filled in from outside left it blind where two electrodes were gone.
+
 Its threshold then follows: of ``BLOCKS`` * ``BLOCK`` sheets drawn from that Gaussian, with this device's own noise by
 the spread of its reference, a share of ``FALSE_ALARMS`` lies above it. Where no row is missing the bundle's threshold,
 which was set on solved deformations, is the least. The sheets are drawn a block at a time while the line rests; until
@@ -72,7 +75,9 @@ class GateWithoutRows:
         Args:
             rows: (104,) missing ones.
         """
-        self._filling.leave_out(rows, self._precision)
+        self._missing = rows.copy()
+        by_itself = self._gate.leave_out(rows)
+        self._filling.leave_out(np.zeros_like(rows) if by_itself else rows, self._precision)
         self._gate.threshold = self._gate.usual_threshold
         self._gate.forget()
         self._logits = []
@@ -96,7 +101,7 @@ class GateWithoutRows:
         self._logits.append(self._gate.logits(self.filled(changes)))
         if len(self._logits) == BLOCKS:
             found = float(np.quantile(np.concatenate(self._logits), 1.0 - FALSE_ALARMS))
-            whole = not self._filling.missing.any()
+            whole = not self._missing.any()
             self._gate.threshold = max(found, self._gate.usual_threshold) if whole else found
             self._calibrating = False
 

@@ -100,6 +100,11 @@ class Health:
         self._reciprocal_again = {}
         self._waiting = self._following = self._touched = 0
 
+    @property
+    def lacks_rows(self) -> bool:
+        """Whether rows are missing, which a gate needs more than a network does."""
+        return self.electrodes.lacks_rows
+
     def exclude(self, electrodes: tuple[int, ...]) -> None:
         """Leave these electrodes out by hand from the next frame on; may be called from another thread.
 

@@ -20,12 +20,12 @@ the strongest filter is to be ``NOISE`` times what it is on average.
 A sheet that is bent anew under a faint press may lose it: then the single frame is all there is, as without this.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+
+from eitskin.model.matched_filters import Filters
 
 Array = npt.NDArray[np.float32]
 
@@ -62,49 +62,6 @@ LEVEL: Final = 1.0 / 256.0
 
 MEAN: Final = (2 * FAST - 1) ** -0.5
 """Noise of ``recent`` over that of a frame."""
-
-TWO_SIGNS: Final = -0.9
-"""Cosine of two filters below which they are one touch of both signs."""
-
-
-@dataclass(frozen=True, slots=True)
-class Filters:
-    """What a gate of matched filters is made of.
-
-    Args:
-        whitened: k; a response begins with w (k,) and -w (k,) and goes on with f.
-        limit: c.
-        still: a.
-        one_sign: No two filters are the same touch with its sign turned.
-    """
-
-    whitened: int
-    limit: float
-    still: float
-    one_sign: bool
-
-    @classmethod
-    def of(cls, arrays: Mapping[str, npt.NDArray[np.generic]]) -> "Filters | None":
-        """Return those of a gate's arrays, or None of a gate that is made of something else.
-
-        Args:
-            arrays: As :class:`eitskin.model.gate.Gate` takes them.
-        """
-        if "w3" not in arrays:
-            return None
-        first, second, bias = (np.asarray(arrays[name], dtype=np.float64) for name in ("w1", "w2", "b2"))
-        count = second.shape[1]
-        twice = second.shape[0] - count
-        size = twice // 2
-        if size < 1 or twice % 2 or not np.array_equal(second[twice:], np.eye(count)):
-            return None
-        whitening, scale = first[:, :size], float(second[0, 0])
-        made_so = (second[:twice] == scale).all() and (bias == bias[0]).all()
-        if not (made_so and scale < 0 < -bias[0] and np.array_equal(first[:, size:twice], -whitening)):
-            return None
-        patterns, *_ = np.linalg.lstsq(whitening, first[:, twice:], rcond=None)
-        limit = -scale * size
-        return cls(size, limit, float(-bias[0]) / limit, bool((patterns.T @ patterns).min() > TWO_SIGNS))
 
 
 class Changes:

@@ -18,8 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin.model.changes import Changes, Filters
+from eitskin.model.changes import Changes
 from eitskin.model.denormals import flushed
+from eitskin.model.matched_filters import Filters
 from eitskin.model.small_products import product
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -50,8 +51,8 @@ class Gate:
 
     __slots__ = (
         "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
-        "_second_hidden", "_shift", "_start", "change", "features", "logit", "response", "threshold",
-        "usual_threshold",
+        "_second_hidden", "_shift", "_start", "_whole", "change", "features", "filters", "logit", "response",
+        "threshold", "usual_threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -77,6 +78,10 @@ class Gate:
         bias = values["b1"] - values["mean"] @ weights
         start = 0 if weights[:rows].any() else rows  # a gate that goes by logarithms alone reads half of the weights
         self._first = np.ascontiguousarray(flushed(np.vstack([weights[start:], bias[None]])), dtype=np.float32)
+        self._whole: npt.NDArray[np.float32] | None = None
+        """The first layer for all rows, while another is used."""
+        self.filters = Filters.of(arrays) if start else None
+        """What a gate of matched filters is made of; None for any other."""
         self._second: npt.NDArray[np.float32] | None = None
         if deep:
             layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
@@ -118,6 +123,21 @@ class Gate:
     def forget(self) -> None:
         """Judge the next frame by itself; this gate never does otherwise."""
 
+    def leave_out(self, rows: npt.NDArray[np.bool_]) -> bool:
+        """Judge without some rows from the next frame on, and return whether this gate can: one of matched filters.
+
+        Args:
+            rows: (104,) or (rows,) the missing ones; none brings all back.
+        """
+        if self.filters is None:
+            return False
+        if self._whole is None:
+            if not rows.any():
+                return True
+            self._whole = self._first.copy()
+        self._first[:] = flushed(self.filters.without(self._whole, rows)) if rows.any() else self._whole
+        return True
+
     def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
         """Return (n,) logits of (n, 104) dV, the last frame's untouched: for a look at many frames at once."""
         small = np.asarray(changes, dtype=np.float32)
@@ -147,8 +167,7 @@ class RememberingGate(Gate):
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
         super().__init__(arrays, rows)
-        filters = Filters.of(arrays)
-        self.changes = None if filters is None else Changes(filters, self.response.size)
+        self.changes = None if self.filters is None else Changes(self.filters, self.response.size)
 
     def touched(self) -> bool:
         """Return whether the sheet is touched, by ``change`` and the frames before it."""

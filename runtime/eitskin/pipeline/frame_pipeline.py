@@ -204,7 +204,7 @@ class Pipeline:
         if health is not None:
             health.complete(self._change, self.buffers.log_predicted[0])
         stamps[GATE] = time.perf_counter_ns()
-        if not record.touched and wanted and self.audit.looks() and self._look():
+        if not record.touched and wanted and self.audit.looks(health) and self._look():
             record.touched = True
             record.skipped = self._skipped_new if fresh_cloud else self._skipped
         elif not record.touched or not wanted:

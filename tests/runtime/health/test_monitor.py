@@ -97,10 +97,12 @@ def test_what_changes_is_an_event_of_the_next_frame(watching, counts):
     go(watching, counts, 2)
     go(watching, counts, 3)
     assert "electrode:9:excluded:imputed" in watching.record.events
+    assert watching.health.lacks_rows
     watching.health.exclude(())
     go(watching, counts, 4)
     go(watching, counts, 5)
     assert {"electrode:5:back", "electrode:9:back"} <= set(watching.record.events)
+    assert not watching.health.lacks_rows
     assert HEALTHY > 5  # by hand it does not take a second
 
 

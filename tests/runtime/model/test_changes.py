@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import default_path, load_bundle
-from eitskin.model.changes import FEWEST, GONE, SLOW, Changes, Filters
+from eitskin.model.changes import FEWEST, GONE, SLOW, Changes
 from eitskin.model.gate import Gate, RememberingGate
+from eitskin.model.matched_filters import Filters
 
 WHITENED, COUNT, LIMIT, STILL = 60, 24, 7.0, 0.25
 NOISE = 0.2
@@ -166,17 +167,6 @@ def shipped():
     if arrays is None:
         pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
     return arrays
-
-
-def test_the_shipped_gate_of_presses_says_what_it_is_made_of(shipped):
-    filters = Filters.of(shipped)
-    assert filters is not None
-    assert filters.one_sign
-    assert filters.limit > 4
-    assert 0 < filters.still < 1
-    assert Filters.of(load_bundle(default_path("units")).gate_arrays() or {}) is None  # it was trained
-    turned = dict(shipped) | {"b2": np.asarray(shipped["b2"]) + np.arange(len(shipped["b2"]))}
-    assert Filters.of(turned) is None
 
 
 def test_a_gate_that_remembers_says_of_one_frame_what_any_gate_says(shipped):

@@ -5,7 +5,7 @@ import pytest
 
 from eitskin.errors import BundleError
 from eitskin.pipeline.frame_pipeline import Pipeline
-from eitskin.pipeline.gate_audit import AUDIT_FRAMES, GateAudit, audit_pixels
+from eitskin.pipeline.gate_audit import AUDIT_FRAMES, WITHOUT_ROWS, GateAudit, audit_pixels
 from eitskin.reference.captured import Reference
 
 from .passing import go, payload
@@ -66,6 +66,20 @@ def test_a_look_at_an_untouched_sheet_changes_nothing_but_what_was_skipped(pipel
     assert solvers == {"none"}
     assert skipped.count("map:untouched") == 2
     assert skipped.count("inference:untouched") == 2 * AUDIT_FRAMES - 2
+
+
+class Sheet:
+    """Knows whether rows are missing."""
+
+    def __init__(self, lacks_rows):
+        self.lacks_rows = lacks_rows
+
+
+@pytest.mark.parametrize(("sheet", "each"), [(Sheet(True), WITHOUT_ROWS), (Sheet(False), AUDIT_FRAMES)])
+def test_while_rows_are_missing_frames_are_looked_at_more_often(sheet, each):
+    audit = GateAudit(9, 1350)
+    assert [audit.looks(sheet) for _ in range(3 * each)] == [n % each == each - 1 for n in range(3 * each)]
+    assert not any(GateAudit(None, 1350).looks(sheet) for _ in range(3 * each))
 
 
 def test_frames_that_nobody_wants_are_not_looked_at(pipeline, counts):

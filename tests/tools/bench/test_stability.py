@@ -180,17 +180,18 @@ def test_what_the_stream_shows_is_what_the_pipeline_publishes(sample):
     assert tally.withheld["no_signal"] == 1
 
 
-def test_rows_that_noise_drowns_cost_less_when_the_reference_says_how_much_they_vary(sample):
-    # One touched sheet, the same 40 frames: N3 at 35 dB drowns a fifth of the rows. Maps are compared, not scores,
-    # which saturate. Measured 0.80; without any effect it would be 1, give or take 0.02 over draws.
+def test_rows_that_noise_drowns_cost_less_when_the_reference_says_how_much_they_vary():
+    # Four touched sheets, the same 40 frames of each: N3 at 35 dB drowns a fifth of the rows. Maps are compared, not
+    # scores, which saturate. Together 0.64 and 0.80 for two networks, a single sheet from 0.38 to 1.01.
     rng = np.random.default_rng(2)
     stream = Stream(load_bundle(default_path("units")), Tally(), gated=False)
-    calm = stream.show(sample)
-    noisy = [add_noise(sample.voltages, sample.flat, "N3", 35.0, rng) for _ in range(40)]
-    off = []
-    for spread in (None, spread_of(sample, "N3", 35.0)):
-        shown = [stream.show(replace(sample, voltages=volts, spread=spread)) for volts in noisy]
-        off.append(float(np.mean([np.mean((image - calm) ** 2) for image in shown])))
+    off = np.zeros(2)
+    for one in samples("units", 4, LEAST.element_size_mm):
+        calm = stream.show(one)
+        noisy = [add_noise(one.voltages, one.flat, "N3", 35.0, rng) for _ in range(40)]
+        for number, spread in enumerate((None, spread_of(one, "N3", 35.0))):
+            shown = [stream.show(replace(one, voltages=volts, spread=spread)) for volts in noisy]
+            off[number] += np.mean([np.mean((image - calm) ** 2) for image in shown])
     assert stream.pipeline.normaliser.weak_count > 3
     assert off[1] < 0.9 * off[0]
 
@@ -206,6 +207,8 @@ def test_a_frame_gives_the_same_map_again_and_a_head_of_single_frames_says_so(sa
     batch = rows["repeat: batch of 1, batch of 16", "vd2t"]
     if bundle.manifest["recipe"]["architecture"].get("symmetric"):
         assert "four images" in batch["why"]
+    elif "left out" in batch["why"]:
+        assert "of one" in batch["why"]
     else:
         assert 0.0 <= batch["worst"] < 1e-5
 

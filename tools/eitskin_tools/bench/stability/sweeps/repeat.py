@@ -144,7 +144,7 @@ def _batch_maps(bundle: Bundle, name: str, changes: Floats) -> Floats:
     """Return the maps of a head whose batch of one was made a free dimension.
 
     Raises:
-        UnbatchedError: A symmetric head puts four images where others have a batch.
+        UnbatchedError: A symmetric head puts four images where others have a batch; or only the first map comes out.
     """
     if bundle.manifest.get("recipe", {}).get("architecture", {}).get("symmetric"):
         raise UnbatchedError("four images of one frame stand where a batch would")
@@ -157,7 +157,10 @@ def _batch_maps(bundle: Bundle, name: str, changes: Floats) -> Floats:
     options.intra_op_num_threads = 1
     options.log_severity_level = 3
     session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
-    return np.asarray(session.run(["map"], _feed(bundle, changes))[0])
+    maps = np.asarray(session.run(["map"], _feed(bundle, changes))[0])
+    if len(maps) != len(changes):
+        raise UnbatchedError(f"the head gives {len(maps)} map of {len(changes)} frames: its last gather is of one")
+    return maps
 
 
 def _feed(bundle: Bundle, changes: Floats) -> dict[str, Floats]:

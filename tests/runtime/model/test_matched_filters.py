@@ -1,0 +1,109 @@
+"""Gates of matched filters: what they are made of, and the same without some rows."""
+
+import numpy as np
+import pytest
+
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.gate import Gate
+from eitskin.model.matched_filters import LEFT_OF_IT, Filters, patterns_of
+from eitskin_proto.sensor.row_gaussian import rows_of
+from eitskin_proto.sensor.table import N_ROWS
+
+LOST = rows_of((2, 11))
+
+
+@pytest.fixture(scope="module", params=["raising", "lowering"])
+def arrays(request):
+    found = load_bundle(default_path(touches=request.param)).gate_arrays()
+    if found is None:
+        pytest.skip("the shipped bundle has no gate; 'eitskin export' makes one")
+    return found
+
+
+@pytest.fixture
+def first(arrays):
+    """The (105, h) weights and bias by which the gate judges logarithms."""
+    scale = np.asarray(arrays["scale"], dtype=np.float64)[N_ROWS:, None]
+    weights = np.asarray(arrays["w1"], dtype=np.float64)[N_ROWS:] / scale
+    bias = np.asarray(arrays["b1"], dtype=np.float64) - np.asarray(arrays["mean"], dtype=np.float64)[N_ROWS:] @ weights
+    return np.vstack([weights, bias[None]])
+
+
+@pytest.fixture
+def drawn(arrays, first):
+    """Return (4000, 104) logarithms of the gate's own Gaussian: w is white."""
+    size = Filters.of(arrays).whitened
+    white = np.random.default_rng(3).standard_normal((4000, size)) - first[-1, :size]
+    return white @ np.linalg.pinv(first[:-1, :size])
+
+
+def test_the_shipped_gates_say_what_they_are_made_of(arrays):
+    filters = Filters.of(arrays)
+    assert filters is not None
+    assert filters.limit > 4
+    assert 0 < filters.still < 1
+    turned = dict(arrays) | {"b2": np.asarray(arrays["b2"]) + np.arange(len(arrays["b2"]))}
+    assert Filters.of(turned) is None
+
+
+def test_filters_of_presses_know_one_sign():
+    arrays = load_bundle(default_path(touches="lowering")).gate_arrays()
+    assert arrays is None or Filters.of(arrays).one_sign
+
+
+def test_without_no_row_a_gate_is_what_it_was(arrays, first):
+    same = Filters.of(arrays).without(first, np.zeros(N_ROWS, dtype=np.bool_))
+    np.testing.assert_allclose(same, first, rtol=0, atol=1e-5 * np.abs(first).max())
+
+
+def test_without_rows_it_says_what_it_would_of_the_rows_that_its_own_gaussian_expects(arrays, first, drawn):
+    filters = Filters.of(arrays)
+    size, weights = filters.whitened, filters.without(first, LOST)
+    assert not weights[:-1][LOST].any()
+    whitening, bias = first[:-1, :size], first[-1, :size]
+    precision = whitening @ whitening.T
+    mean = -np.linalg.lstsq(whitening.T, bias, rcond=None)[0]
+    filled = drawn[:50].copy()
+    back = np.linalg.solve(precision[np.ix_(LOST, LOST)], precision[np.ix_(LOST, ~LOST)])
+    filled[:, LOST] = mean[LOST] - (filled[:, ~LOST] - mean[~LOST]) @ back.T
+    expected = filled @ whitening + bias
+    found = drawn[:50] @ weights[:-1, :size] + weights[-1, :size]
+    ratio = (found * expected).sum() / (expected * expected).sum()
+    assert 1.0 < ratio < 1.5  # what makes up for two electrodes of sixteen: (103 / 53)^0.5 at most
+    np.testing.assert_allclose(found, ratio * expected, rtol=0, atol=1e-3 * np.abs(expected).max())
+    np.testing.assert_allclose(weights[:, size : 2 * size], -weights[:, :size])
+
+
+def test_untouched_sheets_spread_as_before_in_every_number(arrays, first, drawn):
+    filters = Filters.of(arrays)
+    size, weights = filters.whitened, filters.without(first, LOST)
+    before, after = (drawn @ one[:-1] + one[-1] for one in (first, weights))
+    assert np.abs(after[:, :size]).mean() == pytest.approx(np.abs(before[:, :size]).mean(), rel=0.03)
+    patterns = patterns_of(first[:-1, :size], first[:-1, 2 * size :])
+    shown = np.linalg.lstsq(first[:-1, :size].T, patterns, rcond=None)[0]  # in logarithms
+    kept = np.sqrt(np.einsum("rn,rn->n", shown, weights[:-1, 2 * size :]) ** 2)
+    seen = kept > LEFT_OF_IT
+    assert seen.mean() > 0.7
+    np.testing.assert_allclose(after[:, 2 * size :].std(0)[seen], before[:, 2 * size :].std(0)[seen], rtol=0.06)
+    assert (after[:, 2 * size :].std(0) < 1.1 * before[:, 2 * size :].std(0)).all()
+
+
+def test_rows_that_come_back_bring_the_gate_back_to_the_last_bit(arrays):
+    gate, changes = Gate(arrays), 0.05 * np.random.default_rng(4).standard_normal((9, N_ROWS))
+    before = gate.logits(changes)
+    assert gate.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
+    for lost in (LOST, rows_of((5,))):
+        assert gate.leave_out(lost)
+        spoilt = changes.copy()
+        spoilt[:, lost] = 7.0
+        assert np.array_equal(gate.logits(spoilt), gate.logits(np.where(lost, -0.5, changes)))
+    assert gate.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
+    assert np.array_equal(gate.logits(changes), before)
+
+
+def test_a_gate_of_another_kind_leaves_rows_to_who_fills_them_in():
+    arrays = {
+        "mean": np.zeros(2 * N_ROWS), "scale": np.ones(2 * N_ROWS), "w1": np.ones((2 * N_ROWS, 3)), "b1": np.zeros(3),
+        "w2": np.ones(3), "b2": np.zeros(1), "threshold": np.zeros(1),
+    }  # fmt: skip
+    assert not Gate(arrays).leave_out(LOST)
