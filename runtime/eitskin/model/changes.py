@@ -78,10 +78,18 @@ class Changes:
     )  # fmt: skip
 
     def __init__(self, filters: Filters, width: int) -> None:
-        self._filters = filters
         self._base, self._recent, self._change, self._step = (np.zeros(width, dtype=np.float32) for _ in range(4))
         self._whitened, self._found = self._change[: filters.whitened], self._change[2 * filters.whitened :]
         self._sizes = np.zeros(filters.whitened, dtype=np.float32)
+        self.begin(filters)
+
+    def begin(self, filters: Filters) -> None:
+        """Begin anew, with filters of as many numbers that look for the same touches.
+
+        Args:
+            filters: The gate's from now on.
+        """
+        self._filters = filters
         self.forget()
 
     def forget(self) -> None:

@@ -50,7 +50,7 @@ class Gate:
     """
 
     __slots__ = (
-        "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
+        "_all_filters", "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
         "_second_hidden", "_shift", "_start", "_whole", "change", "features", "filters", "logit", "response",
         "threshold", "usual_threshold",
     )  # fmt: skip
@@ -80,8 +80,8 @@ class Gate:
         self._first = np.ascontiguousarray(flushed(np.vstack([weights[start:], bias[None]])), dtype=np.float32)
         self._whole: npt.NDArray[np.float32] | None = None
         """The first layer for all rows, while another is used."""
-        self.filters = Filters.of(arrays) if start else None
-        """What a gate of matched filters is made of; None for any other."""
+        self._all_filters = self.filters = Filters.of(arrays) if start else None
+        """What a gate of matched filters is made of now; None for any other."""
         self._second: npt.NDArray[np.float32] | None = None
         if deep:
             layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
@@ -129,13 +129,18 @@ class Gate:
         Args:
             rows: (104,) or (rows,) the missing ones; none brings all back.
         """
-        if self.filters is None:
+        if self._all_filters is None or self._second is None:
             return False
         if self._whole is None:
             if not rows.any():
                 return True
             self._whole = self._first.copy()
-        self._first[:] = flushed(self.filters.without(self._whole, rows)) if rows.any() else self._whole
+        first, self.filters = self._whole, self._all_filters
+        if rows.any():
+            weights, self.filters = self._all_filters.without(self._whole, rows)
+            first = flushed(weights).astype(np.float32)
+        self._first[:] = first
+        self._second[-1] = -self.filters.limit * self.filters.still
         return True
 
     def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
@@ -176,8 +181,8 @@ class RememberingGate(Gate):
 
     def forget(self) -> None:
         """Begin anew: the reference, or what the rows mean, is another one."""
-        if self.changes is not None:
-            self.changes.forget()
+        if self.changes is not None and self.filters is not None:
+            self.changes.begin(self.filters)
 
 
 class Forgets(Protocol):

@@ -7,14 +7,15 @@ With w the whitened logarithms of a frame, W^T l + b, and p the unit pattern of 
 What a frame says without the rows m is w with the rows filled in as the gate's own Gaussian expects them. That is a
 projection of w, off the space that the rows m span ::
 
-    Q = 1 - W_m^T (W_m W_m^T)^-1 W_m            w' = r^-1 Q w            f' = (p^T Q p)^-1/2 p^T Q w
+    Q = 1 - W_m^T (W_m W_m^T)^-1 W_m            w' = Q w            f' = (p^T Q p)^-1/2 p^T Q w            a' = r a
 
-with r such that |w'| is on average what it was. So an untouched sheet's numbers spread as before, the limit stays, and
-a touch that shows in the other rows is found by them.
+So a filter's noise is what it was, and a touch that shows in the other rows is found by them. The size |w'| of noise
+is r = mean (diag Q)^1/2 of what it was. It is left so, and ``a`` follows: of a bend that is not in the Gaussian, most
+is in few directions, and its strongest filter over its size goes as the root of their number, as r does.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -69,8 +70,10 @@ class Filters:
         limit = -scale * size
         return cls(size, limit, float(-bias[0]) / limit, bool((patterns.T @ patterns).min() > TWO_SIGNS))
 
-    def without(self, first: npt.NDArray[np.floating], rows: npt.NDArray[np.bool_]) -> npt.NDArray[np.float64]:
-        """Return the (n + 1, h) first layer that makes of n - len(rows) rows what this one makes of all.
+    def without(
+        self, first: npt.NDArray[np.floating], rows: npt.NDArray[np.bool_]
+    ) -> tuple[npt.NDArray[np.float64], "Filters"]:
+        """Return the (n + 1, h) first layer that judges by the rows that are left, and what the gate is made of then.
 
         Args:
             first: (n + 1, h) weights of the logarithms, and the bias.
@@ -83,12 +86,11 @@ class Filters:
         left = np.eye(size) - product(gone.T, product(precision_of(product(gone, gone.T)), gone))
         shown = product(left, patterns)
         share = np.sqrt(np.maximum((patterns * shown).sum(axis=0) / (patterns**2).sum(axis=0), 0.0))
-        level = float(np.sqrt(np.maximum(np.diag(left), 0.0)).mean())
-        one = left / level
-        change = np.hstack([one, -one, shown / np.maximum(share, LEFT_OF_IT)])
+        change = np.hstack([left, -left, shown / np.maximum(share, LEFT_OF_IT)])
         weights = product(whitening, change)
         weights[rows] = 0.0  # but for rounding they are
-        return np.vstack([weights, product(bias[None], change)])
+        smaller = float(np.sqrt(np.maximum(np.diag(left), 0.0)).mean())
+        return np.vstack([weights, product(bias[None], change)]), replace(self, still=smaller * self.still)
 
 
 def patterns_of(whitening: npt.NDArray[np.float64], filters: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -133,6 +133,7 @@ def _ways(
 
     if not count:
         return {"whole": runtime}
+    plain = Gate(arrays)
     filling = Imputation(consistency.mean, consistency.precision(), consistency.ratio_range, consistency.layers)
 
     def shared(lost: Lost) -> Judge:
@@ -142,7 +143,7 @@ def _ways(
             changes = dv.astype(np.float32)
             for change in changes:
                 filling.fill(change)
-            return np.asarray(gate.logits(changes) > gate.usual_threshold)
+            return np.asarray(plain.logits(changes) > plain.threshold)
 
         return judge
 
