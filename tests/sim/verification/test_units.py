@@ -77,6 +77,20 @@ def test_from_any_start_the_true_set_is_found(
     assert verdict.evaluations < 10 or start != [9, 14]
 
 
+@pytest.mark.parametrize(
+    "contrasts", [{9: 50.0, 14: 0.4, 20: 3.0}, {9: 0.5, 14: 0.5}, {3: 0.2, 9: 8.0, 14: 0.3, 21: 50.0}]
+)
+def test_units_whose_signs_alone_are_unknown_are_found_at_once(
+    exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier, contrasts: dict[int, float]
+) -> None:
+    change = frame(exact, flat, contrasts, "N2")
+    verdict = verifier.verify(change, flat, [bits(list(contrasts))], Noise("N2"), budget_s=LONG_S)
+    assert units_of(verdict) == set(contrasts)
+    assert not verdict.flagged
+    assert all((one.contrast > 1.0) == (contrasts[one.unit] > 1.0) for one in verdict.touches)
+    assert verdict.evaluations < 150  # a search for them takes 300 to 1100
+
+
 def test_a_sheet_that_nothing_touches_has_no_touches(
     exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier
 ) -> None:

@@ -16,6 +16,9 @@ RANGE: Final = (0.1, 200.0)
 NEAR_ONE: Final = 0.05
 """No contrast's logarithm is fitted nearer to 0: such a touch is none."""
 
+MOST_DIPOLE: Final = 0.98
+"""Of a unit of contrast 100, over that of a perfect conductor."""
+
 STEPS: Final = 4
 """Of Gauss-Newton."""
 
@@ -66,3 +69,25 @@ def within(logs: Array, signs: Array) -> Array:
     """Return logarithms of contrasts held within ``RANGE``, each on the side of 1 that its sign says."""
     most = np.where(signs > 0, np.log(RANGE[1]), -np.log(RANGE[0]))
     return np.asarray(signs * np.clip(signs * logs, NEAR_ONE, most))
+
+
+def estimated(frame: Frame, flat_V: Array, state: State) -> Array:
+    """Return the contrast of each unit of a set that the frame says by least squares, of either sign.
+
+    What a unit changes has nearly one form at all contrasts c, and the size of a disc's dipole, (c - 1) / (c + 1).
+
+    Args:
+        frame: What is to be explained.
+        flat_V: (rows,) V of the flat, untouched sheet.
+        state: The set; its contrasts are not 1.
+    """
+    nothing = state_of(state.model, state.units[:0], state.contrasts[:0])
+    forms = [
+        frame.whiten((nothing.with_each(state.units[[number]], float(contrast))[0] - nothing.volts) / flat_V)
+        for number, contrast in enumerate(state.contrasts)
+    ]
+    left = frame.whiten(frame.ratio - nothing.volts / flat_V)
+    shares, *_ = np.linalg.lstsq(np.stack(forms, axis=1), left, rcond=None)
+    dipoles = np.clip(shares * (state.contrasts - 1.0) / (state.contrasts + 1.0), -MOST_DIPOLE, MOST_DIPOLE)
+    logs = np.log((1.0 + dipoles) / (1.0 - dipoles))
+    return np.asarray(np.exp(within(logs, np.where(logs < 0.0, -1.0, 1.0))))

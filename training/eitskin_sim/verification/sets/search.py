@@ -15,7 +15,7 @@ from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
-from eitskin_sim.verification.sets.contrasts import STEPS, fitted
+from eitskin_sim.verification.sets.contrasts import STEPS, estimated, fitted
 from eitskin_sim.verification.sets.exchange import Exchange
 from eitskin_sim.verification.sets.price import OTHERS, UnitPrice
 
@@ -93,7 +93,7 @@ class Search:
         if self._satisfied(start) or self._late():
             return start
         best = self._fitted(start, common=True) if len(start.units) else start
-        best = best if self._explained(best) else start
+        best = best if self._explained(best) else self._of_either_sign(start)
         for contrast in self._levels():
             if self._explained(best) or self._late():
                 return best
@@ -105,6 +105,17 @@ class Search:
                 break
             best = self._better(best, other(best))
         return best
+
+    def _of_either_sign(self, start: State) -> State:
+        """Return the units of a set with the contrasts that the frame gives them, if that explains it."""
+        if not len(start.units):
+            return start
+        contrasts = estimated(self._frame, self._flat, state_of(self._coarse, start.units, start.contrasts))
+        if np.all(contrasts > 1.0):
+            return start
+        # Of one sign, one contrast for all: with one for each, a wrong set may explain the frame.
+        found = self._fitted(self._state(start.units, contrasts), common=bool(np.all(contrasts < 1.0)))
+        return self._descended(found) if self._explained(found) else start  # without units that it does not need
 
     def _levels(self) -> list[float]:
         """Return contrasts to search with: another than the usual one first where one unit of it explains far more."""
