@@ -7,12 +7,14 @@ excluded by hand are. What else is wrong with electrodes, and drift, the runtime
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
 from eitskin.model.engine import solvers
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.bundles import bundle_of, reference_of
+from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.script import Script, Step
 
@@ -61,12 +63,15 @@ class Player:
         if solver is None:
             then = script.told("solvers").split()
             solver = then[0] if then and then[0] in solvers(loaded) else None
-        first = script.conditions[min(script.conditions)] if script.conditions else None
-        reference = reference_of(script, script.reference(), loaded.skin)
-        self._first = first
+        first, left_out = _first_known(script, manner)
+        if left_out:
+            tell(f"the recording does not say what its first {left_out} frames met: they are left out")
+        assert first.conditions is not None
+        assert first.reference is not None
+        began, reference = first.conditions, reference_of(script, first.reference, loaded.skin)
 
         def steps() -> Iterator[Step]:
-            return script.steps(manner.from_s, manner.to_s)
+            return islice(script.steps(manner.from_s, manner.to_s), left_out, None)
 
         self.line = RecordedLine(
             str(script.path), script.hello, steps, paced=manner.paced, loop=manner.loop, speed=manner.speed
@@ -76,11 +81,11 @@ class Player:
             bundle=loaded,
             reference=reference,
             solver=solver,
-            skip_unchanged=first is not None and first.skip_unchanged,
-            exclude=() if first is None else tuple(one for one, state, _ in first.electrodes if state == "excluded"),
+            skip_unchanged=began.skip_unchanged,
+            exclude=tuple(one for one, state, _ in began.electrodes if state == "excluded"),
             idle_after_s=NEVER_S if _idles(script) else None,
         )
-        self._reference = "" if first is None else first.reference
+        self._reference = began.reference
         self.line.before = self._before
         self.line.ended = self.skin.stop
 
@@ -112,6 +117,19 @@ class Player:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _first_known(script: Script, manner: Manner) -> tuple[Step, int]:
+    """Return the first frame of which the recording says all that it met, and how many of the part lie before it.
+
+    Raises:
+        RecordingError: There is none.
+    """
+    for before, step in enumerate(script.steps(manner.from_s, manner.to_s)):
+        if step.known:
+            return step, before
+    script.reference()  # says that there is none at all
+    raise RecordingError(f"{script.path} does not say what the frames of this part met; choose another by --from, --to")
 
 
 def _idles(script: Script) -> bool:
