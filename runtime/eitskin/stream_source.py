@@ -5,7 +5,7 @@ moment (:mod:`eitskin.acquisition.afterwards`): it waits for none of this.
 Only where somebody takes all that is sent is it told before, so that who keeps one message keeps the frame; so what is
 told of withheld frames waits for the next frame, or until ``MOST_WAITING`` of them wait. ::
 
-    conditions, cloud, state     when they change, when somebody comes, and once a second
+    conditions, cloud, state     when they change, when somebody comes (conditions at once), and once a second
     wire                         every frame, last: all that decides its map has been told by then
 """
 
@@ -38,7 +38,10 @@ LEAST_NS: Final = 50_000_000
 """Between two states: changes that come faster are told together."""
 
 JOIN_NS: Final = 200_000_000
-"""Between two times that everything is told again for newcomers: who comes and goes all the time costs no more."""
+"""In which all is told again for newcomers ``MOST_JOINS`` times: who comes and goes all the time costs no more."""
+
+MOST_JOINS: Final = 4
+"""The topics of one who comes may arrive one at a time, and a frame between each two."""
 
 MOST_WAITING: Final = 8
 """Withheld frames that wait for a frame that is published."""
@@ -64,7 +67,7 @@ class StreamSource:
         self._revision = 0
         self._geometry: object = None
         self._state_key: tuple[Any, ...] = ()
-        self._repeat_ns = self._state_ns = self._joined_ns = 0
+        self._repeat_ns = self._state_ns = self._joined_ns = self._joins = 0
         self._states = 0
         self._events: deque[Event] = deque(maxlen=MOST_EVENTS)
         try:
@@ -92,8 +95,8 @@ class StreamSource:
         now_ns = record.stamps[0]
         if desk.state:
             self._events.extend((record.sequence, text) for text in record.events)
-        repeat = self._is_time(now_ns)
-        self._tell_conditions(repeat=repeat)
+        joined, repeat = desk.joined, self._is_time(now_ns)
+        self._tell_conditions(repeat=repeat or joined)
         if desk.cloud and (repeat or self._pipeline.buffers.geometry is not self._geometry):
             self._tell_cloud()
         if desk.state:
@@ -140,9 +143,12 @@ class StreamSource:
 
     def _is_time(self, now_ns: int) -> bool:
         """Return whether everything is to be told again."""
-        joined = self._desk.joined and now_ns - self._joined_ns >= JOIN_NS
+        if now_ns - self._joined_ns >= JOIN_NS:
+            self._joined_ns, self._joins = now_ns, 0
+        joined = self._desk.joined and self._joins < MOST_JOINS
         if joined:
-            self._desk.joined, self._joined_ns, self._states = False, now_ns, 0
+            self._desk.joined, self._states = False, 0
+            self._joins += 1
         if not joined and now_ns - self._repeat_ns < REPEAT_NS:
             return False
         self._repeat_ns = now_ns

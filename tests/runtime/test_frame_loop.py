@@ -1,6 +1,7 @@
 """The order of a frame's way: who does what before what, and one record for all frames."""
 
 import time
+from itertools import pairwise
 
 import pytest
 
@@ -8,7 +9,7 @@ from eitskin.acquisition.afterwards import GIVE_WAY_S, Afterwards
 from eitskin.errors import PortLost
 from eitskin.messaging.frame import STAGES, unpack_frame
 from eitskin.messaging.streams.desk import StreamDesk
-from eitskin.messaging.streams.envelope import FIRST_BYTE, opened
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, STATE, TOPICS, WIRE, opened
 from eitskin.messaging.streams.measured import WireFrame
 from eitskin.pipeline.stats import Statistics
 from eitskin.skin import Skin
@@ -94,6 +95,34 @@ def test_a_frame_goes_out_before_all_that_is_told_of_it_unless_somebody_takes_ev
     frames, told = taker.got[first::2], taker.got[not first :: 2]  # the last one too, although nobody comes back
     assert frames == [one.frame for one in told] == list(range(1, 11))
     assert [one.seq for one in told] == sequences
+
+
+class Names(Both):
+    """Notes which stream each message is of."""
+
+    def send(self, message):
+        pass
+
+    def told(self, message):
+        self.got.append(opened(message).name)
+
+
+def test_a_newcomer_is_told_at_once_whatever_it_asks_for(streaming):
+    """Its topics come one by one, as libzmq sorts them, and frames between them; then others come with each frame."""
+    topics, asked, begins = [WIRE, CLOUD, STATE, CONDITIONS], [TOPICS[STATE]], []
+    taker = Names(asked)
+    for _ in streaming.publish(taker):
+        if len(begins) == 10:
+            break
+        if len(begins) < len(topics):
+            asked.append(TOPICS[topics[len(begins)]])
+        taker.streams.judge(asked)
+        begins.append(len(taker.got))
+    told = [taker.got[one:two] for one, two in pairwise([*begins, None])]
+    for name, found in zip(topics, told[: len(topics)], strict=True):
+        assert name in found
+    for found in told[len(topics) - 1 : -1]:
+        assert (found[0], found[-1], found.count(WIRE)) == (CONDITIONS, WIRE, 1)
 
 
 def test_what_is_left_to_do_is_done_while_the_line_rests_or_when_bytes_come_and_if_it_is_lost():

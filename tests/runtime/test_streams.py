@@ -73,8 +73,6 @@ def again(bundle, items, frames):
         if not isinstance(item, WireFrame) or item.frame is None:
             continue
         assert item.withheld == ""
-        if item.conditions < min(conditions):
-            continue  # a newcomer is told of conditions soon after it has come, not at once
         found = conditions[item.conditions]
         if found is not now:
             if now is None or found.reference != now.reference:

@@ -129,6 +129,19 @@ class Drift:
         """(104,) what 1 + dV is multiplied with, a copy; None if nothing is taken out."""
         return self._factor.copy() if self.active else None
 
+    def go_on_with(self, factors: npt.NDArray[np.float32] | None) -> None:
+        """Take out of the frames, from the next one on, what was found before, whatever they say.
+
+        Args:
+            factors: (104,) what 1 + dV is multiplied with; None for nothing.
+        """
+        before = self.factors
+        self.active = factors is not None
+        if factors is not None:
+            self._factor[:] = factors
+        same = before is None if factors is None else before is not None and np.array_equal(before, factors)
+        self.changes += not same
+
     @property
     def known(self) -> bool:
         """Whether the sheet is followed now; else what was found is held."""

@@ -28,6 +28,9 @@ class Step:
     conditions: Conditions | None = None
     cloud: CloudInUse | None = None
     reference: bytes | None = None
+    known: bool = True
+    """Whether the recording has all that the frame met: it may lack that of the first ones, if something changed just
+    then, and of those behind a damaged chunk."""
 
 
 class Script(Told):
@@ -78,10 +81,10 @@ class Script(Told):
         return (self.last_ns - self.first_ns) * 1e-9
 
     def reference(self) -> bytes:
-        """Return what the first frame is held against, as in :class:`Told`."""
-        first = next(self.steps())
-        if first.reference is not None:
-            return first.reference
+        """Return what the first frame is held against of which that is known, as in :class:`Told`."""
+        for step in self.steps():
+            if step.reference is not None:
+                return step.reference
         raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
 
     def _look(self) -> None:
@@ -129,8 +132,9 @@ class Script(Told):
                 continue
             count += 1
             now = self.conditions.get(frame.conditions)
-            yield self._step(frame, entry.log_ns, now, before)
-            before = now or before
+            step = self._step(frame, entry.log_ns, now, before)
+            yield step
+            before = now if step.known else before
         if not count:
             raise RecordingError(
                 f"{self.path} has no frame from {from_s or 0:g} s to {self.seconds if to_s is None else to_s:g} s; it "
@@ -138,8 +142,34 @@ class Script(Told):
             )
 
     def _step(self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None) -> Step:
-        if now is None or now is before:
+        if now is None:
+            return Step(frame, log_ns, known=False)
+        if now is before:
             return Step(frame, log_ns)
-        cloud = self.clouds.get(now.cloud) if before is None or before.cloud != now.cloud else None
-        changed = before is None or before.reference != now.reference
-        return Step(frame, log_ns, now, cloud, self.references.get(now.reference) if changed else None)
+        cloud, reference = self.clouds.get(now.cloud), self.references.get(now.reference)
+        return step_of(frame, log_ns, now, before, cloud, reference)
+
+
+def step_of(
+    frame: WireFrame,
+    log_ns: int,
+    now: Conditions,
+    before: Conditions | None,
+    cloud: CloudInUse | None,
+    reference: bytes | None,
+) -> Step:
+    """Return a frame with what changed before it; with nothing where the recording lacks some of what it met.
+
+    Args:
+        frame: It.
+        log_ns: When it was read, on the wall clock.
+        now: What held.
+        before: What held when everything was known last; None at the beginning.
+        cloud: That of ``now``; None if it is not there.
+        reference: That of ``now``; None if it is not there.
+    """
+    new_cloud = before is None or before.cloud != now.cloud
+    new_reference = before is None or before.reference != now.reference
+    if (new_cloud and cloud is None) or (new_reference and reference is None):
+        return Step(frame, log_ns, known=False)
+    return Step(frame, log_ns, now, cloud if new_cloud else None, reference if new_reference else None)

@@ -1,16 +1,30 @@
-"""Goes on in a new file when one is large or old enough; each of them can be read by itself."""
+"""Goes on in a new file when one is large or old enough; each of them can be read by itself.
 
+A file that is there already is never written over: the next one takes the next number that is free.
+"""
+
+import os
+import re
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.recording.layout import Channel
+from eitskin_tools.recording.layout import Channel, RecordingError
 from eitskin_tools.recording.writer import RecordingWriter
 
 
 def path_of(first: Path, number: int) -> Path:
     """Return the path of a file of a series: FILE.mcap, FILE.0002.mcap, FILE.0003.mcap, ..."""
     return first if number == 1 else first.with_name(f"{first.stem}.{number:04d}{first.suffix}")
+
+
+def others(first: Path) -> list[Path]:
+    """Return the files that are there already and are called like the second or a later one of a series."""
+    name = re.compile(rf"{re.escape(first.stem)}\.[0-9]{{4,}}{re.escape(first.suffix)}")
+    with suppress(OSError):  # a folder that may be written to and not read
+        return sorted(path for path in first.parent.iterdir() if name.fullmatch(path.name))
+    return []
 
 
 class Series:
@@ -44,7 +58,8 @@ class Series:
         self.files: list[Path] = []
         """Made so far."""
         self._before = 0
-        self._writer = self._begin()
+        self._number = 1
+        self._writer = self._begin(first)
 
     @property
     def size(self) -> int:
@@ -61,8 +76,19 @@ class Series:
         """Of the file in hand."""
         return self._writer.path
 
-    def _begin(self) -> RecordingWriter:
-        path = path_of(self._first, len(self.files) + 1)
+    def _begin_next(self) -> RecordingWriter:
+        while True:
+            self._number += 1
+            path = path_of(self._first, self._number)
+            if os.path.lexists(path):
+                continue
+            try:
+                return self._begin(path)
+            except RecordingError:
+                if not os.path.lexists(path):  # else somebody else made it just now
+                    raise
+
+    def _begin(self, path: Path) -> RecordingWriter:
         writer = RecordingWriter(path, {**self._head, "file": str(len(self.files) + 1)}, **self._options)
         self.files.append(path)
         return writer
@@ -106,7 +132,7 @@ class Series:
         if before.full:
             return
         self._before += before.size
-        self._writer = self._begin()
+        self._writer = self._begin_next()
         if self._attached is not None:
             self._writer.attach(*self._attached, log_ns)
         for channel, data, sequence in self._lasting.values():

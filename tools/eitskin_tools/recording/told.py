@@ -32,7 +32,7 @@ class Told(ABC):
 
     @abstractmethod
     def reference(self) -> bytes:
-        """Return what the first frame is held against, as ``eitskin reference`` writes it.
+        """Return what the first frame is held against of which that is known, as ``eitskin reference`` writes it.
 
         Raises:
             RecordingError: There is none.

@@ -15,7 +15,7 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.received.subscriber import Subscriber
-from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, NAMES, STATE, TOPICS, WIRE, Joiner, opened
+from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, NAMES, STATE, TOPICS, WIRE, Joiner, opened
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
 
@@ -76,7 +76,8 @@ class StreamSubscription(Subscriber):
         self._reference: tuple[str, bytes | None] = ("", None)
         super().__init__(
             default_publish() if endpoint is None else endpoint,
-            [TOPICS[name] for name, is_asked in asked.items() if is_asked],
+            # All by one topic: of several libzmq sends the wire's first, whose frames would come before the others.
+            [FIRST_BYTE] if all(asked.values()) else [TOPICS[name] for name, is_asked in asked.items() if is_asked],
             QUEUE,
             keys=keys,
         )

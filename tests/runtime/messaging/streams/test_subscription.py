@@ -9,7 +9,7 @@ import zmq
 import eitskin
 from eitskin.errors import EndpointError, NoFrame
 from eitskin.messaging.frame import EVERY_FRAME
-from eitskin.messaging.streams.envelope import NAMES, TOPICS
+from eitskin.messaging.streams.envelope import FIRST_BYTE, NAMES, TOPICS
 
 from ..publishing import send, wait_for
 from .test_bodies import CLOUD, CONDITIONS, STATE, WIRE
@@ -145,6 +145,21 @@ def test_messages_that_are_none_are_counted_and_left(publisher, desk):
         desk.send("wire", WIRE.body())
         assert next(streams).payload == WIRE.payload
         assert streams.rejected == 2
+
+
+def test_all_streams_are_asked_for_at_once(tmp_path):
+    """Else a frame may come before its conditions are asked for, and they may have changed by then."""
+    context = zmq.Context()
+    server = context.socket(zmq.XPUB)
+    try:
+        server.bind(endpoint := f"ipc://{tmp_path}/f")
+        with eitskin.subscribe_streams(endpoint, timeout_s=60):
+            assert server.poll(60_000)
+            assert server.recv() == b"\x01" + FIRST_BYTE
+            assert not server.poll(0)
+    finally:
+        server.close(0)
+        context.term()
 
 
 def test_who_comes_later_makes_all_be_told_again(publisher, desk):

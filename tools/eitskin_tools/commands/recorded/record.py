@@ -59,9 +59,12 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin.messaging.subscription import subscribe
     from eitskin_tools.recording.intake import Intake
     from eitskin_tools.recording.recorder import Kept, Recorder
-    from eitskin_tools.recording.series import Series
+    from eitskin_tools.recording.series import Series, others
 
     keys = load_client_keys(arguments.server_key, arguments.client_key) if arguments.server_key else None
+    if (there := others(arguments.out)) and not arguments.quiet:
+        some = f"{there[0]} is" if len(there) == 1 else f"{there[0]} and {len(there) - 1} more are"
+        print(f"eitskin record: {some} there already and stay: numbers go on behind what is taken", file=sys.stderr)
     stopped = _Stop()
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, stopped)

@@ -15,6 +15,9 @@ from eitskin_tools.errors import UsageError
 LOOK_S = 0.01
 """Between two looks whether somebody subscribed, with --wait."""
 
+SETTLED_S = 0.5
+"""Nothing else was subscribed to for so long: whoever wants frames and streams has two connections."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -30,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
     parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
     parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
-    parser.add_argument("--wait", action="store_true", help="begin when somebody subscribes")
+    parser.add_argument("--wait", action="store_true", help="begin half a second after somebody subscribed")
     parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
 
@@ -51,9 +54,8 @@ def run(arguments: argparse.Namespace) -> int:
     log = RunLog(sys.stderr, quiet=arguments.quiet, command="replay")
     keys = None if arguments.curve_keys is None else load_server_keys(arguments.curve_keys)
     script = Script(arguments.file)
-    log.say(
-        f"{script.path}: {script.frames} frames of {script.told('serial')} in {script.seconds:.1f} s{script.ending}"
-    )
+    say = log.warn if script.ending else log.say
+    say(f"{script.path}: {script.frames} frames of {script.told('serial')} in {script.seconds:.1f} s{script.ending}")
     manner = Manner(
         not arguments.as_fast_as_possible, arguments.loop, arguments.from_s, arguments.to_s, arguments.speed
     )
@@ -84,10 +86,13 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _wait(skin: Any, publisher: Any) -> None:
-    """Return when somebody subscribed to anything, or nobody waits for it any more."""
+    """Return when somebody subscribed, and to nothing more for ``SETTLED_S``, or nobody waits for it any more."""
+    found, since_s = publisher.topics, time.monotonic()
     while not skin.stopping:
         publisher.look()
-        if publisher.wanted or publisher.streams.asked:
+        if (topics := publisher.topics) != found:
+            found, since_s = topics, time.monotonic()
+        if (publisher.wanted or publisher.streams.asked) and time.monotonic() - since_s >= SETTLED_S:
             return
         time.sleep(LOOK_S)
 

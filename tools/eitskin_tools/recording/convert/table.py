@@ -3,7 +3,7 @@
 ::
 
     seq, device_us, read_ns, wall_ns, withheld, touched, gate_logit, solver, conditions     of every frame of the wire
-    voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none
+    voltages_V (n, 104) V       cloud_index (n,) into the clouds, -1 for none, or where it is not known
     map (n, rows, columns)      where the recording has it
     reference_V (104,) V        cloud_mm (k, 3, rows, columns), with predicted_V and predicted_flat_V (k, 104)
 
@@ -99,7 +99,7 @@ def table_of(script: Script, from_s: float | None = None, to_s: float | None = N
             "seq": frame.seq, "device_us": frame.device_us or 0, "read_ns": frame.read_ns, "wall_ns": step.log_ns,
             "withheld": frame.withheld, "touched": frame.touched, "gate_logit": frame.gate_logit,
             "solver": frame.solver, "map_seq": -1 if frame.map_seq is None else frame.map_seq,
-            "conditions": frame.conditions, "cloud_index": cloud,
+            "conditions": frame.conditions, "cloud_index": cloud if step.known else -1,
         }  # fmt: skip
         for name, value in found.items():
             rows[name].append(value)
@@ -128,6 +128,8 @@ def measured_arrays(script: Script) -> dict[str, npt.NDArray[Any]]:
     """
     found = table_of(script)
     fit = found.columns["withheld"] == ""
+    if len(found.clouds_mm):
+        fit &= found.columns["cloud_index"] >= 0  # of others it is not known how the sheet lay
     if not fit.any():
         raise RecordingError(f"{script.path} holds no frame that was fit to publish{script.ending}")
     arrays: dict[str, npt.NDArray[Any]] = {

@@ -81,7 +81,7 @@ class OfSimulation:
             self._flat_V = reference_of(self._script, step.reference, skin).flat().voltages_V
         if step.cloud is not None:
             self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(len(self._flat_V), np.nan))
-        if self._flat_V is None or self._sheet is None or step.frame.withheld:
+        if self._flat_V is None or self._sheet is None or not step.known or step.frame.withheld:
             return None
         self._view.load(step.frame.payload)
         if not step.frame.touched or self._view.drives != ALL_DRIVES:

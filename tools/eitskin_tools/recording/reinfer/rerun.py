@@ -71,7 +71,7 @@ class Rerun:
         """
         self._change(step)
         frame = step.frame
-        if not self._ready or frame.withheld:
+        if not self._ready or not step.known or frame.withheld:
             return None
         self._view.load(frame.payload)
         if self._view.drives != ALL_DRIVES:  # of the idle mode: there is no map

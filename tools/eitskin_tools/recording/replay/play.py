@@ -2,17 +2,23 @@
 
 The bundle, the reference and the solver are those of the recording unless others are named. Each cloud is taken before
 the frame that met it first, and a reference that was captured anew takes effect where it did. Electrodes that were
-excluded by hand are. What else is wrong with electrodes, and drift, the runtime finds out by itself, as it did then.
+excluded by hand are. What else is wrong with electrodes, drift and the gate's threshold are those of the recording too
+(:mod:`eitskin_tools.recording.replay.health`); with another bundle the runtime finds them out by itself.
 """
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import islice
 from pathlib import Path
 
+from eitskin.health.imputation import Consistency
+from eitskin.messaging.streams.measured import Conditions
 from eitskin.model.engine import solvers
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.bundles import bundle_of, reference_of
+from eitskin_tools.recording.layout import RecordingError
+from eitskin_tools.recording.replay.health import HealthThen, Noted
 from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.script import Script, Step
 
@@ -61,12 +67,21 @@ class Player:
         if solver is None:
             then = script.told("solvers").split()
             solver = then[0] if then and then[0] in solvers(loaded) else None
-        first = script.conditions[min(script.conditions)] if script.conditions else None
-        reference = reference_of(script, script.reference(), loaded.skin)
-        self._first = first
+        first, left_out = _first_known(script, manner)
+        if left_out:
+            tell(f"the recording does not say what its first {left_out} frames met: they are left out")
+        assert first.conditions is not None
+        assert first.reference is not None
+        began, reference = first.conditions, reference_of(script, first.reference, loaded.skin)
+        self._noted: Noted | None = None
 
         def steps() -> Iterator[Step]:
-            return script.steps(manner.from_s, manner.to_s)
+            self._noted = None if self._health is None else Noted(script, manner.from_s)
+            return islice(script.steps(manner.from_s, manner.to_s), left_out, None)
+
+        arrays = loaded.consistency_arrays() if loaded.id == script.told("bundle") else None
+        exclude = tuple(one for one, state, _ in began.electrodes if state == "excluded")
+        self._health = None if arrays is None else HealthThen(Consistency.of(arrays), exclude)
 
         self.line = RecordedLine(
             str(script.path), script.hello, steps, paced=manner.paced, loop=manner.loop, speed=manner.speed
@@ -76,22 +91,31 @@ class Player:
             bundle=loaded,
             reference=reference,
             solver=solver,
-            skip_unchanged=first is not None and first.skip_unchanged,
-            exclude=() if first is None else tuple(one for one, state, _ in first.electrodes if state == "excluded"),
+            skip_unchanged=began.skip_unchanged,
+            exclude=exclude,
             idle_after_s=NEVER_S if _idles(script) else None,
         )
-        self._reference = "" if first is None else first.reference
+        self._reference = began.reference
+        if self._health is not None:
+            self.skin.pipeline.health = self._health
+            self.skin.loop.use(reference)
         self.line.before = self._before
         self.line.ended = self.skin.stop
 
     def _before(self, step: Step) -> None:
         """Let hold what holds from a frame on."""
-        if step.conditions is not None and step.reference is not None and step.conditions.reference != self._reference:
+        if self._health is not None and self._noted is not None:
+            self._health.tell(*self._noted.of(step))
+        if step.conditions is None:
+            return
+        self.skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
+        if step.reference is not None and step.conditions.reference != self._reference:
             self._reference = step.conditions.reference
             try:
                 self.skin.loop.use(reference_of(self._script, step.reference, self.skin.bundle.skin))
             except SkinError as error:
                 self._tell(f"a reference of the recording is left out: {error}")
+        self._use_conditions(step.conditions)
         if step.cloud is not None and not (step.cloud.why == "start" and self.skin.pipeline.record.cloud == 0):
             given = step.cloud.why == "given"
             try:
@@ -103,6 +127,18 @@ class Player:
             except (SkinError, ValueError) as error:
                 self._tell(f"cloud {step.cloud.revision} of the recording is left out: {error}")
 
+    def _use_conditions(self, conditions: Conditions) -> None:
+        pipeline = self.skin.pipeline
+        if conditions.volts_per_count != pipeline.normaliser.volts_per_count:
+            pipeline.normaliser.use_scale(conditions.volts_per_count)
+        if self._health is None:
+            return
+        if self._health.go_on_with(conditions):
+            pipeline.maps.change_projection(self._health.projection)
+        threshold = conditions.gate_threshold
+        if pipeline.gate is not None and threshold is not None and self._health.by_hand is None:
+            pipeline.gate.threshold = threshold
+
     def close(self) -> None:
         """Close the skin; closing twice is fine."""
         self.skin.close()
@@ -112,6 +148,19 @@ class Player:
 
     def __exit__(self, *_: object) -> None:
         self.close()
+
+
+def _first_known(script: Script, manner: Manner) -> tuple[Step, int]:
+    """Return the first frame of which the recording says all that it met, and how many of the part lie before it.
+
+    Raises:
+        RecordingError: There is none.
+    """
+    for before, step in enumerate(script.steps(manner.from_s, manner.to_s)):
+        if step.known:
+            return step, before
+    script.reference()  # says that there is none at all
+    raise RecordingError(f"{script.path} does not say what the frames of this part met; choose another by --from, --to")
 
 
 def _idles(script: Script) -> bool:

@@ -4,6 +4,7 @@ What is kept in memory does not grow with the file: the places of its chunks, an
 looked at last.
 """
 
+import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -16,7 +17,7 @@ from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import CLOUD, CONDITIONS, FRAME, WIRE, RecordingError
 from eitskin_tools.recording.reader import Entry, Recording
-from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.script import Step, step_of
 from eitskin_tools.recording.seek.places import Places
 from eitskin_tools.recording.told import Told
 
@@ -32,7 +33,7 @@ class Span:
     """Some of a recording."""
 
     steps: tuple[Step, ...]
-    """The frames of the wire; the first has all that held then."""
+    """The frames of the wire; the first of which it is known has all that held then."""
     notes: dict[int, dict[str, Any]]
     """What was published, by the number of the published frame; as far as it was recorded."""
 
@@ -79,10 +80,11 @@ class Moments(Told):
         return None
 
     def reference(self) -> bytes:
-        """Return what the first frame is held against, as in :class:`Told`."""
-        steps = self.span(0.0, 1.0).steps
-        if steps and (found := steps[0].reference) is not None:
-            return found
+        """Return what the first frame is held against of which that is known, as in :class:`Told`."""
+        for second in range(math.floor(self.seconds) + 1):
+            for step in self.span(second, second + 1.0).steps:
+                if step.reference is not None:
+                    return step.reference
         raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
 
     def span(self, from_s: float, to_s: float) -> Span:
@@ -113,19 +115,18 @@ class Moments(Told):
                     continue
                 now = self._held(self._conditions, CONDITIONS.topic, frame.conditions, number)
                 steps.append(self._step(frame, entry.log_ns, now, before, number))
-                before = now or before
+                before = now if steps[-1].known else before
         return Span(tuple(steps), notes)
 
     def _step(
         self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int
     ) -> Step:
-        if now is None or now is before:
+        if now is None:
+            return Step(frame, log_ns, known=False)
+        if now is before:
             return Step(frame, log_ns)
-        cloud = None
-        if before is None or before.cloud != now.cloud:
-            cloud = self._held(self._clouds, CLOUD.topic, now.cloud, number)
-        changed = before is None or before.reference != now.reference
-        return Step(frame, log_ns, now, cloud, self._references.get(now.reference) if changed else None)
+        cloud = self._held(self._clouds, CLOUD.topic, now.cloud, number)
+        return step_of(frame, log_ns, now, before, cloud, self._references.get(now.reference))
 
     def _held(self, kept: "_Kept", topic: str, revision: int, number: int) -> Any:
         """Return what had a revision when a chunk was written; None where it is not there any more."""
