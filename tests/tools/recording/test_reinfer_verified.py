@@ -146,6 +146,7 @@ def test_the_command_says_what_physics_says(
     assert cli.main([*words, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["solver"] == "verified"
+    assert found["other_bundle"] == found["bundle"]
     assert found["verified"]["frames"] == 10
 
 

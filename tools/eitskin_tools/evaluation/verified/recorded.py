@@ -43,6 +43,7 @@ class OfPhysics:
     def __init__(self, script: Script, bundle: Bundle) -> None:
         self._script, self._bundle = script, bundle
         self._rerun = Rerun(script, bundle, NETWORK)
+        self.bundle_id = bundle.id
         self.verdicts = Verdicts()
         """On the frames so far."""
         self._reference: Reference | None = None

@@ -77,6 +77,7 @@ class OfSimulation:
             every = dict.fromkeys((*OWN, *SOLVERS, *besides))
             raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
         self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
+        self.bundle_id = bundle.id
         self._normaliser = Normaliser(script.hello.volts_per_count)
         self._view = FrameView()
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)

@@ -54,6 +54,7 @@ class Rerun:
         self._script, self._bundle = script, bundle
         self.as_recorded = bundle.id == script.told("bundle")
         """The bundle is the one that was running."""
+        self.bundle_id = bundle.id
         self._again = MapsAgain(bundle, script.hello.volts_per_count)
         if solver is not None and solver not in self._again.solvers:
             raise ValueError(f"solver {solver!r} does not exist; {bundle.path} has {', '.join(self._again.solvers)}")
