@@ -66,6 +66,17 @@ class MapsAgain:
         self._buffers.take(self._graph.geometry(None, None, 0))
 
     @property
+    def change(self) -> npt.NDArray[np.float32]:
+        """(104,) dV of the frame in hand, as its solver saw it; valid until the next one."""
+        return np.asarray(self._change, dtype=np.float32)
+
+    @property
+    def missing(self) -> npt.NDArray[np.bool_]:
+        """(104,) which rows are filled in from the others."""
+        nothing = np.zeros(len(self._change), dtype=np.bool_)
+        return nothing if self._watch is None else self._watch.missing
+
+    @property
     def solvers(self) -> Sequence[str]:
         """Names of the bundle's solvers, from the most accurate to the fastest."""
         return tuple(self._of(self._all))

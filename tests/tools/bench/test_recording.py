@@ -57,9 +57,10 @@ def test_a_case_is_all_its_parts_and_nothing_between_them() -> None:
 
 
 def test_what_reinfer_said_of_several_files_is_added_up() -> None:
-    one = {"frames": 10, "withheld": 0, "published": 9, "equal": 8, "unknown": 0, "recorded_s": 2.0, "elapsed_s": 0.1,
-           "cpu_s": 0.05, "differing": {"map": 1}}  # fmt: skip
+    one = {"frames": 10, "withheld": 0, "published": 9, "equal": 8, "unknown": 1, "recorded_s": 2.0, "elapsed_s": 0.1,
+           "cpu_s": 0.05, "differing": {"map": 1}, "unknown_why": {"before_file": 1}}  # fmt: skip
     found = bench.summed([one, one | {"equal": 9, "differing": {}}])
+    assert (found["unknown"], found["unknown_why"]) == (2, {"before_file": 2})
     assert (found["published"], found["equal"], found["differing"]) == (18, 17, 1)
     assert (found["times_real_time"], found["times_real_time_cpu"]) == (20.0, 40.0)
 

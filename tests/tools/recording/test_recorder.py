@@ -2,11 +2,13 @@
 
 import base64
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.second_skin import SECOND, rolled
 
 from eitskin import CloudInUse, Conditions, Frame, SkinState, WireFrame
 from eitskin_proto.skin.skin import PAPER
@@ -145,6 +147,46 @@ def test_the_surface_as_foxglove_points_is_the_cloud_in_metres_with_the_map() ->
     assert np.abs(points["touched"] - values.reshape(-1)).max() <= 0.5 / 1024
     assert found["point_stride"] % 3 == 0
     assert set(found) == set(json.loads(pictures.SURFACE.schema)["properties"])
+
+
+KEYS = {
+    pictures.GRID: {
+        "timestamp", "frame_id", "pose", "column_count", "cell_size", "row_stride", "cell_stride", "fields", "data",
+    },
+    pictures.SURFACE: {"timestamp", "frame_id", "pose", "point_stride", "fields", "data"},
+}  # fmt: skip
+"""Of ``foxglove.Grid`` and ``foxglove.PointCloud``: https://docs.foxglove.dev/docs/visualization/message-schemas/grid
+and point-cloud."""
+
+
+@pytest.mark.parametrize("channel", KEYS, ids=lambda channel: channel.schema_name)
+def test_pictures_have_the_keys_of_foxgloves_own_schemas(file: Path, channel: Any) -> None:
+    assert set(json.loads(channel.schema)["properties"]) == KEYS[channel]
+    every = [json.loads(entry.data) for entry in Recording(file).entries({channel.topic})]
+    assert every
+    assert all(set(one) == KEYS[channel] for one in every)
+
+
+@pytest.mark.parametrize("bent", [False, True])
+def test_the_grid_of_another_sheet_has_that_sheets_pixels(tmp_path: Path, items: list[Any], bent: bool) -> None:
+    rows, columns = SECOND.grid.shape
+    cloud = (rolled(SECOND, 90.0) if bent else SECOND.grid.flat_cloud_mm()).astype("f4")
+
+    def of_second(item: Any) -> Any:
+        if isinstance(item, SkinState):
+            return replace(item, grid_id=SECOND.grid_id)
+        if isinstance(item, CloudInUse):
+            return replace(item, cloud=cloud, why="given" if bent else "start")
+        return replace(item, map=np.zeros((rows, columns), np.float32)) if isinstance(item, Frame) else item
+
+    recorded(tmp_path / "a.mcap", [of_second(item) for item in items])
+    found = [json.loads(one.data) for one in Recording(tmp_path / "a.mcap").entries({pictures.GRID.topic})]
+    assert found
+    width, height = SECOND.grid.pixel_mm
+    for one in found:
+        assert one["cell_size"]["x"] == pytest.approx(1e-3 * width, rel=1e-3)
+        assert one["cell_size"]["y"] == pytest.approx(1e-3 * height, rel=1e-3)
+        assert one["column_count"] == columns
 
 
 @pytest.mark.parametrize("data", [b"", b"\x00", pack_map(1, np.zeros((2, 2), np.float32))[:-1], b"\x81\xa3seq\x01"])

@@ -17,10 +17,10 @@ from eitskin_tools.recording.reinfer.choice import others
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.reinfer.results import draw, write
 from eitskin_tools.recording.reinfer.session import Span, reinfer
-from eitskin_tools.recording.reinfer.tally import Agreement, Equality, centre_mm
+from eitskin_tools.recording.reinfer.tally import Agreement, Equality, centre_mm, told_of_unknown
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, measured, recorded
+from .conftest import TINY, hello, measured, recorded, reference, scans
 
 SECOND = TINY.with_name("second.eitskin")
 
@@ -47,6 +47,29 @@ def test_a_recording_that_begins_while_an_earlier_untouched_map_is_published_on(
     assert (equality.equal, equality.published) == (1, 1)
     equality.published_as(replace(before, solver="vd2t"), digest_of(nothing), Computed(nothing, True, "vd2t"))
     assert (equality.equal, equality.unknown) == (1, 1), "a map from before the recording is not known"
+    assert equality.fields()["unknown_why"] == {"before_file": 1}
+
+
+def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
+    steps = [step.frame for step in Script(file).steps()]
+    nothing, equality = np.zeros((30, 45), dtype=np.float32), Equality()
+    first, seq = steps[0], steps[0].seq or 0
+
+    def came(after: int, map_seq: int, found: Computed | None) -> None:
+        equality.published_as(replace(first, seq=seq + after, map_seq=map_seq, solver="vd2t"), "", found)
+
+    touched = Computed(nothing, True, "vd2t")
+    came(0, seq, None)
+    came(1, seq - 5, None)
+    came(2, seq - 5, touched)
+    came(3, seq + 1, touched)
+    came(4, seq + 3, touched)
+    found = equality.fields()
+    assert found["unknown_why"] == {"no_conditions": 3, "before_file": 1, "frame_missing": 1}
+    assert found["unknown"] == 5
+    said = told_of_unknown(found)
+    assert said.startswith("; 5 cannot be told: 3 came before the file says")
+    assert told_of_unknown(Equality().fields()) == ""
 
 
 def test_a_map_that_was_published_otherwise_is_found(tmp_path: Path, items: list[Any]) -> None:
@@ -99,6 +122,34 @@ def test_a_solver_that_is_not_there_is_named_with_those_that_are(file: Path) -> 
     script, bundle = Script(file), load_bundle(TINY)
     with pytest.raises(ValueError, match=r"'sblx' does not exist; expected one of vd2t, vd2t-int8, tikhonov, .*sbl"):
         others(script, bundle, None, "sblx")
+
+
+def test_a_solver_of_the_simulation_has_the_sheets_own_model(monkeypatch: pytest.MonkeyPatch) -> None:
+    from types import SimpleNamespace
+
+    from eitskin_sim.evaluation.harness import SOLVERS, Sheet
+    from eitskin_tools.recording.reinfer import choice
+
+    bundle, asked = load_bundle(SECOND), []
+    steps, cloud = scans(3), bundle.skin.grid.flat_cloud_mm()
+    flat = SimpleNamespace(flat=reference)
+
+    def flat_voltages(skin: Any) -> Any:
+        asked.append(skin)
+        return np.ones(104)
+
+    def solve(case: Any) -> Any:
+        asked.append(case.sheet.skin)
+        return np.zeros(bundle.skin.grid.shape)
+
+    monkeypatch.setattr(choice, "reference_of", lambda *_: flat)
+    monkeypatch.setattr("eitskin_sim.surface.predict.flat_voltages", flat_voltages)
+    monkeypatch.setattr(Sheet, "predicted", lambda self: np.ones(104))
+    monkeypatch.setitem(SOLVERS, "spy", solve)  # type: ignore[misc]
+    solver = choice.OfSimulation(SimpleNamespace(hello=hello()), bundle, "spy")  # type: ignore[arg-type]
+    step = replace(steps[1], frame=replace(steps[1].frame, touched=True), reference=b"it")
+    solver.compute(replace(step, cloud=SimpleNamespace(cloud=cloud)))  # type: ignore[arg-type]
+    assert asked == [bundle.skin, bundle.skin]
 
 
 def test_a_bundle_of_another_skin_is_refused(file: Path) -> None:

@@ -76,6 +76,19 @@ SURFACE: Final = Channel(
 )  # fmt: skip
 
 
+def pixel_of(cloud_mm: npt.NDArray[np.float32]) -> tuple[float, float]:
+    """Return width and height of a pixel in mm, by the places of their centres on a sheet that may be bent.
+
+    Args:
+        cloud_mm: (3, rows, columns).
+    """
+    rows, columns = cloud_mm.shape[1:]
+    places = cloud_mm.astype(np.float64)
+    width = float(np.linalg.norm(np.diff(places, axis=2), axis=0).mean()) if columns > 1 else 0.0
+    height = float(np.linalg.norm(np.diff(places, axis=1), axis=0).mean()) if rows > 1 else 0.0
+    return width or height, height or width
+
+
 def grid(values: npt.NDArray[np.float32], pixel_mm: tuple[float, float], wall_ns: int) -> bytes:
     """Return a map as ``foxglove.Grid``.
 

@@ -76,11 +76,11 @@ class Recorder:
     Args:
         opener: Makes the files, as soon as the skin has said what it is.
         kept: What of the stream is kept.
-        pixel_mm: Width and height of a pixel, for pictures.
     """
 
-    def __init__(self, opener: Opener, kept: Kept, pixel_mm: tuple[float, float] = PAPER.grid.pixel_mm) -> None:
-        self._opener, self._kept, self._pixel_mm = opener, kept, pixel_mm
+    def __init__(self, opener: Opener, kept: Kept) -> None:
+        self._opener, self._kept = opener, kept
+        self._pixel_mm: tuple[float, float] | None = None
         self._series: Series | None = None
         self._early: list[tuple[str, Callable[[Any], None], Any]] = []
         self._run = self._reference = ""
@@ -155,6 +155,7 @@ class Recorder:
             else:
                 self._series.begin_anew(head)
             self._run, self._reference = found.run, ""
+            self._cloud, self._pixel_mm = NO_CLOUD, PAPER.grid.pixel_mm if found.grid_id == PAPER.grid_id else None
             self._number = self._map_sequence = self._conditions_revision = self._cloud_revision = -1
         assert self._series is not None
         if found.reference is not None and found.reference_sha256 != self._reference:
@@ -181,6 +182,8 @@ class Recorder:
             return
         self._cloud_revision, self._cloud = found.revision, found.cloud
         self._picture_sequence = -1
+        if self._pixel_mm is None:  # of a sheet of its own: no stream says how large it is, but by its surface
+            self._pixel_mm = pictures.pixel_of(found.cloud)
         self._series_in_hand.add(CLOUD, found.body(), found.utc_ns or time.time_ns(), found.n)
 
     def _conditions(self, found: Conditions) -> None:
@@ -207,7 +210,7 @@ class Recorder:
 
     def _draw(self, values: npt.NDArray[np.float32], sequence: int, wall_ns: int) -> None:
         """Write pictures, if it is time for some."""
-        if not self._kept.pictures_hz or values.shape != self._cloud.shape[1:]:
+        if not self._kept.pictures_hz or self._pixel_mm is None or values.shape != self._cloud.shape[1:]:
             return
         since_ns = wall_ns - self._picture_ns
         if since_ns < 1e9 / self._kept.pictures_hz or (sequence == self._picture_sequence and since_ns < RESTING_NS):

@@ -15,16 +15,12 @@ from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import BUDGET_S, UnitTouch
-from eitskin_tools.evaluation.verified.units import REBUILT, STILL, Material, material_shown, unit_starts
+from eitskin_tools.evaluation.verified.units import REBUILT, STILL, Material, material_shown, noise_shown, unit_starts
 from eitskin_tools.verifier.letters import Array, FrameLetter, Setup
 
 FREE_BUDGET_S: Final = 0.2
 """What a frame of touches anywhere may take, unless told otherwise."""
-
-SPREADS: Final = (1e-5, 0.01)
-"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
 
 Three = tuple[float, float, float]
 
@@ -72,11 +68,8 @@ class _Shape:
         self.grid: Grid = self.skin.grid
         self.cloud_mm: Array = np.frombuffer(setup.cloud_mm, dtype="<f4").reshape(self.grid.cloud_shape).astype(float)
         self.reference_V: Array = np.frombuffer(setup.reference_V, dtype="<f8")
-        inverse = inverse_reference(self.reference_V)
-        self.usable = inverse != 0.0
-        spread = np.frombuffer(setup.spread_V, dtype="<f8")
-        sd = np.clip(spread * np.abs(inverse), *SPREADS)
-        self.noise = Noise("measured", measured=np.where(self.usable, sd, SPREADS[1]))
+        self.usable = inverse_reference(self.reference_V) != 0.0
+        self.noise = noise_shown(self.reference_V, np.frombuffer(setup.spread_V, dtype="<f8"))
         self._surface = Surface(self.cloud_mm, self.grid)
 
     def placed(self, centres_mm: list[tuple[float, float]]) -> list[tuple[Three, Three]]:

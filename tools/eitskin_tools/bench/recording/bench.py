@@ -10,6 +10,7 @@ import argparse
 import json
 import sys
 import tempfile
+from collections import Counter
 from pathlib import Path
 from typing import Any, Final
 
@@ -134,6 +135,7 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
     }
     return {
         **{key: round(value, 3) for key, value in total.items()},
+        "unknown_why": dict(sum((Counter(one.get("unknown_why", {})) for one in found), Counter())),
         "differing": sum(sum(one.get("differing", {}).values()) for one in found),
         "times_real_time": round(total["recorded_s"] / total["elapsed_s"], 2),
         "times_real_time_cpu": round(total["recorded_s"] / total["cpu_s"], 2),
@@ -141,6 +143,8 @@ def summed(found: list[dict[str, Any]]) -> dict[str, Any]:
 
 
 def _print(found: dict[str, Any]) -> None:
+    from eitskin_tools.recording.reinfer.tally import told_of_unknown
+
     for name in CASES.values():
         one = found[name]
         latency = "  ".join(f"{key} {value:.0f}" for key, value in one["latency_us"].items())
@@ -154,6 +158,6 @@ def _print(found: dict[str, Any]) -> None:
     print(f"ratio with recorder and viewer beside: p50 {found['ratios']['p50']}, p99 {found['ratios']['p99']}")
     print(f"recorded {kept['frames']} frames, {kept['missed']} missed, {kept['bytes'] / 1e6:.1f} MB; "
           f"{found['beside']['pictures_a_page_s']} pictures/s a page")  # fmt: skip
-    print(f"computed again: {again['equal']} of {again['published']} published maps bit-equal, {again['unknown']} "
-          f"cannot be told; {again['times_real_time']} times real time, {again['times_real_time_cpu']} by CPU time",
-    )  # fmt: skip
+    print(f"computed again: {again['equal']} of {again['published']} published maps bit-equal"
+          f"{told_of_unknown(again)}; {again['times_real_time']} times real time, {again['times_real_time_cpu']} by "
+          "CPU time")  # fmt: skip

@@ -6,7 +6,8 @@ a skin can cost. Per count the two follow each other, and again in each round, s
 
 CPU time is read from /proc, each process by itself. The virtual skins need cores too, about as much as the runtimes,
 which a robot's own electronics do not take: frames that are lost here would be lost later there. What other programs
-took meanwhile is said in each row; where that is much, frames are lost by them, and not by the number of skins.
+took meanwhile is said in each row; where that is much, frames are lost by them, and not by the number of skins: then
+nothing is concluded on how many skins the machine carries.
 """
 
 import argparse
@@ -37,6 +38,10 @@ WARM_S: Final = 1.0
 """Of the stream before anything is counted."""
 
 
+MOST_OTHERS: Final = 0.25
+"""Of all cores: where other programs take more, losses say nothing on the number of skins."""
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--counts", default="1,2,4", metavar="N,N", help="how many skins (default 1,2,4)")
@@ -54,13 +59,17 @@ def run(arguments: argparse.Namespace) -> int:
     if not 1 <= arguments.seconds < 1e5 or not 1 <= arguments.rate <= 1000 or arguments.rounds < 1:
         raise UsageError("--seconds must be at least 1, --rate 1 to 1000 and --rounds at least 1")
     rows = measure([int(part) for part in parts], arguments.seconds, arguments.rate, arguments.rounds)
-    found: dict[str, Any] = {"rows": rows, "summary": summary(rows), "cores": len(os.sched_getaffinity(0))}
+    cores = len(os.sched_getaffinity(0))
+    found: dict[str, Any] = {"rows": rows, "summary": summary(rows, cores), "cores": cores}
     if arguments.json:
         print(json.dumps(found))
         return 0
     for row in rows:
         print("  ".join(f"{name} {value}" for name, value in row.items()))
-    print("  ".join(f"{name} {value}" for name, value in found["summary"].items()))
+    not_concluded = found["summary"].pop("not_concluded")
+    print("  ".join(f"{name} {value}" for name, value in found["summary"].items() if value is not None))
+    if not_concluded:
+        print(not_concluded)
     return 0
 
 
@@ -183,18 +192,32 @@ def busy_s() -> float:
     return (user + nice + system + interrupts + soft + stolen) / os.sysconf("SC_CLK_TCK")
 
 
-def summary(rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """Return medians over all rows, touched against untouched, and the most skins of which no frame was ever lost."""
+def summary(rows: list[dict[str, Any]], cores: int) -> dict[str, Any]:
+    """Return medians over all rows, touched against untouched, and the most skins of which no frame was ever lost.
+
+    Args:
+        rows: As :func:`measure` returns them.
+        cores: Of this machine; where other programs took much of them, the most skins are None, and
+            ``not_concluded`` says so.
+    """
     import numpy as np
 
     found: dict[str, Any] = {}
+    others, most = max(row["others_core_percent"] for row in rows), round(100 * MOST_OTHERS * cores)
+    busy = others > most
+    found["not_concluded"] = (
+        f"how many skins {cores} cores carry is not concluded: other programs took up to {others} % of a core, "
+        f"expected at most {most} %; run it while little else runs"
+        if busy
+        else ""
+    )
     for kind in SCENES:
         own = [row for row in rows if row["what"] == kind]
         found[f"{kind}_cpu_us_a_frame"] = int(np.median([row["cpu_us_a_frame"] for row in own]))
         lossy = {row["skins"] for row in own if row["lost"] + row["withheld"] + row["not_taken"]}
         clean = [row["skins"] for row in own if row["skins"] not in lossy]
         below = [count for count in clean if all(count < other for other in lossy)]
-        found[f"{kind}_most_without_loss"] = max(below, default=0)
+        found[f"{kind}_most_without_loss"] = None if busy else max(below, default=0)
     found["touched_to_untouched"] = round(
         found["touched_cpu_us_a_frame"] / max(found["untouched_cpu_us_a_frame"], 1), 2
     )

@@ -25,7 +25,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--recorded-bundle", type=Path, metavar="FILE", help="the one that was running, if it is not a shipped one"
     )
     parser.add_argument(
-        "--solver", metavar="NAME", help="vd2t, vd2t-int8, tikhonov, or any of 'eitskin evaluate' (extra: sim)"
+        "--solver",
+        metavar="NAME",
+        help="vd2t, vd2t-int8, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="another solver: one frame in N (default 1)")
     parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
@@ -49,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     if script.ending:
         print(f"eitskin reinfer: {script.path}{script.ending}", file=sys.stderr)
     recorded = _recorded(script, arguments)
-    other = others(script, recorded, arguments.bundle, arguments.solver)
+    other = others(script, recorded, arguments.bundle, arguments.solver, {"verified": _verified})
     line = StatusLine(sys.stderr)
 
     def progress(done: int, of: int) -> None:
@@ -86,6 +88,13 @@ def run(arguments: argparse.Namespace) -> int:
     return 1 if found.equality is not None and found.equality.differing else 0
 
 
+def _verified(script: Any, bundle: Any) -> Any:
+    """Return the verified solver on a recording's frames."""
+    from eitskin_tools.evaluation.verified.recorded import OfPhysics
+
+    return OfPhysics(script, bundle)
+
+
 def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
     """Return the bundle that was running; where it is not there, the one that is named instead."""
     from eitskin_tools.recording.bundles import bundle_of
@@ -103,6 +112,8 @@ def _recorded(script: Any, arguments: argparse.Namespace) -> Any:
 
 def _lines(found: dict[str, Any]) -> list[str]:
     """Return what people read."""
+    from eitskin_tools.recording.reinfer.tally import told_of_unknown
+
     lines = [
         f"{found['frames']} frames, {found['withheld']} of them withheld, in {found['elapsed_s']:.1f} s: "
         f"{found['frames_per_s']:.0f} frames/s, {found['times_real_time'] or 0:.1f} times real time"
@@ -111,7 +122,7 @@ def _lines(found: dict[str, Any]) -> list[str]:
         differing = ", ".join(f"{count} by {why}" for why, count in found["differing"].items())
         lines.append(
             f"{found['equal']} of {found['published']} published maps are bit-equal"
-            + (f"; {found['unknown']} cannot be told" if found["unknown"] else "")
+            + told_of_unknown(found)
             + (f"; differing: {differing}, first at frame {found['first_differing']}" if differing else "")
         )
     elif not found["as_recorded"]:
@@ -126,7 +137,23 @@ def _lines(found: dict[str, Any]) -> list[str]:
             f"alike; {against['both_touched']} touched in both: CC {median} median, {low} lowest "
             f"twentieth; centres {near} mm apart, median, {far} highest twentieth"
         )
+    if (verified := found.get("verified")) is not None:
+        lines += _verdicts(verified)
     return lines
+
+
+def _verdicts(found: dict[str, Any]) -> list[str]:
+    """Return what physics says of the frames."""
+    lines = []
+    if found["frames"]:
+        lines.append(
+            f"verified {found['frames']} touched frames: {_share(found['flagged_share'])} flagged; p "
+            f"{_number(found['p_value_median'], '.3g')} median; {found['ms_median']:.1f} ms a frame, median, "
+            f"{found['ms_p95']:.1f} highest twentieth; models took {found['setup_ms'] * 1e-3:.1f} s"
+        )
+    elif not found["not_verified"]:
+        lines.append("verified nothing: no frame of this part was touched")
+    return lines + [f"{count} touched frames not verified: {why}" for why, count in found["not_verified"].items()]
 
 
 def _number(value: float | None, form: str) -> str:

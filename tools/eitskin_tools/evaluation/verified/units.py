@@ -42,6 +42,9 @@ LEAST: Final = 0.02
 MOST: Final = 0.3
 """No amplitude of a real sheet is larger."""
 
+SPREADS: Final = (1e-5, 0.01)
+"""Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
+
 Material = tuple[float, ...]
 Made = dict[bytes, tuple[UnitVerifier, Material]]
 """Verifiers by their cloud, each with the material that frames of its shape have shown."""
@@ -155,6 +158,18 @@ class Verified:
         if not self._keeps:
             self._made.clear()
         self._made[cloud] = verifier, material
+
+
+def noise_shown(reference_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64]) -> Noise:
+    """Return the noise of a frame, as a reference's frames showed it.
+
+    Args:
+        reference_V: (rows,) V.
+        spread_V: (rows,) V, standard deviation of a single frame.
+    """
+    inverse = inverse_reference(reference_V)
+    sd = np.clip(spread_V * np.abs(inverse), *SPREADS)
+    return Noise("measured", measured=np.where(inverse != 0.0, sd, SPREADS[1]))
 
 
 def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material | None:

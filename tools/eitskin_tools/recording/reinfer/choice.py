@@ -1,6 +1,8 @@
 """What a recording is compared with: another bundle, another solver of one, or a solver of the simulation."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -8,6 +10,7 @@ import numpy as np
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import HEADS
 from eitskin.reference.normaliser import Normaliser
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.command_line import needs
@@ -22,7 +25,13 @@ OWN = (*HEADS, "tikhonov")
 """Solvers that a bundle has."""
 
 
-def others(script: Script, recorded: Bundle, named: Path | None, solver: str | None) -> "Solving | None":
+Makers = Mapping[str, Callable[[Script, Bundle], "Solving"]]
+"""What makes solvers that neither a bundle nor the simulation has, by their names."""
+
+
+def others(
+    script: Script, recorded: Bundle, named: Path | None, solver: str | None, makers: Makers = MappingProxyType({})
+) -> "Solving | None":
     """Return what to compare with what was running; None where that itself is asked for.
 
     Args:
@@ -30,6 +39,7 @@ def others(script: Script, recorded: Bundle, named: Path | None, solver: str | N
         recorded: The bundle that was running.
         named: Another bundle's file; None for the same.
         solver: Its name; None for the bundle's own choice.
+        makers: Of further solvers, which need the simulation.
 
     Raises:
         SkinError: The bundle is of another skin, or cannot be used.
@@ -42,7 +52,7 @@ def others(script: Script, recorded: Bundle, named: Path | None, solver: str | N
     if solver in OWN:
         return Rerun(script, bundle, solver)
     needs.require(f"--solver {solver}", ("scipy",))
-    return OfSimulation(script, bundle, solver)
+    return makers[solver](script, bundle) if solver in makers else OfSimulation(script, bundle, solver, tuple(makers))
 
 
 class OfSimulation:
@@ -54,17 +64,20 @@ class OfSimulation:
         script: The recording.
         bundle: Says what labels its maps have.
         name: As ``eitskin evaluate --solver`` takes it.
+        besides: Further names that there are.
 
     Raises:
         ValueError: There is none of this name.
     """
 
-    def __init__(self, script: Script, bundle: Bundle, name: str) -> None:
+    def __init__(self, script: Script, bundle: Bundle, name: str, besides: tuple[str, ...] = ()) -> None:
         from eitskin_sim.evaluation.harness import SOLVERS
 
         if name not in SOLVERS:
-            raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join((*OWN, *SOLVERS))}")
+            every = dict.fromkeys((*OWN, *SOLVERS, *besides))
+            raise ValueError(f"solver {name!r} does not exist; expected one of {', '.join(every)}")
         self._script, self._bundle, self._name, self._solve = script, bundle, name, SOLVERS[name]
+        self.bundle_id = bundle.id
         self._normaliser = Normaliser(script.hello.volts_per_count)
         self._view = FrameView()
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
@@ -80,14 +93,14 @@ class OfSimulation:
         if step.reference is not None:
             self._flat_V = reference_of(self._script, step.reference, skin).flat().voltages_V
         if step.cloud is not None:
-            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(len(self._flat_V), np.nan))
+            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
         if self._flat_V is None or self._sheet is None or not step.known or step.frame.withheld:
             return None
         self._view.load(step.frame.payload)
         if not step.frame.touched or self._view.drives != ALL_DRIVES:
             return Computed(self._nothing, step.frame.touched, "none")
         self._normaliser.load(self._view.counts)
-        held = self._sheet.predicted() * self._flat_V / flat_voltages()
+        held = self._sheet.predicted() * self._flat_V / flat_voltages(skin)
         labels: Any = "units" if self._bundle.labels == "units" else "area"
         lowering = self._bundle.touch_kind == "lowering"
         case = Case(self._normaliser.voltages(), held, self._flat_V, self._sheet, labels, lowering=lowering)

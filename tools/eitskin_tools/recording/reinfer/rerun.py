@@ -17,6 +17,7 @@ from eitskin.pipeline.maps_again import NOTHING, MapsAgain
 from eitskin_proto.wire.frames import FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.recording.bundles import reference_of
+from eitskin_tools.recording.reinfer.verdicts import Judged
 from eitskin_tools.recording.script import Step
 from eitskin_tools.recording.told import Told
 
@@ -31,6 +32,8 @@ class Computed:
     solver: str
     gate_logit: float | None = None
     """As it came out now; None where there is no gate."""
+    judged: Judged | None = None
+    """What physics says of it; None of solvers that ask for none, and of frames that nothing touches."""
 
 
 class Rerun:
@@ -51,6 +54,7 @@ class Rerun:
         self._script, self._bundle = script, bundle
         self.as_recorded = bundle.id == script.told("bundle")
         """The bundle is the one that was running."""
+        self.bundle_id = bundle.id
         self._again = MapsAgain(bundle, script.hello.volts_per_count)
         if solver is not None and solver not in self._again.solvers:
             raise ValueError(f"solver {solver!r} does not exist; {bundle.path} has {', '.join(self._again.solvers)}")
@@ -58,6 +62,16 @@ class Rerun:
         self._nothing = np.zeros(bundle.skin.grid.shape, dtype=np.float32)
         self._view = FrameView()
         self._ready = False
+
+    @property
+    def change(self) -> npt.NDArray[np.float32]:
+        """(104,) dV of the frame whose map came last, as its solver saw it; valid until the next one."""
+        return self._again.change
+
+    @property
+    def missing(self) -> npt.NDArray[np.bool_]:
+        """(104,) which of its rows were filled in from the others."""
+        return self._again.missing
 
     def compute(self, step: Step, *, every: bool = True) -> Computed | None:
         """Compute a frame; None where the recording does not say what it is held against, or it was withheld.

@@ -12,6 +12,8 @@ from eitskin_tools.recording.reinfer.session import Maps, Reinferred
 def write(path: Path, found: Reinferred) -> None:
     """Write ``seq``, ``touched``, ``solver``, ``wall_ns``, ``map``, and ``recorded_map`` beside another solver.
 
+    Of a solver that asks physics also ``p_value``, NaN where nothing touches, and ``flagged``.
+
     Raises:
         RecordingError: No maps were kept.
         OSError: The file cannot be written.
@@ -26,6 +28,9 @@ def write(path: Path, found: Reinferred) -> None:
     }
     if found.others is not None:
         arrays["recorded_map"] = np.array(found.others.maps, dtype=np.float32)
+    if found.verdicts is not None:
+        arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in maps.judged])
+        arrays["flagged"] = np.array([one is not None and one.flagged for one in maps.judged], dtype=np.bool_)
     with replacing(path) as stream:
         np.savez_compressed(stream, allow_pickle=False, **arrays)
 

@@ -13,6 +13,7 @@ from eitskin_tools.recording.codec import unpack_json
 from eitskin_tools.recording.layout import FRAME, RecordingError
 from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
 from eitskin_tools.recording.reinfer.tally import Agreement, Equality
+from eitskin_tools.recording.reinfer.verdicts import Judged, Verdicts
 from eitskin_tools.recording.script import Script, Step
 
 Progress = Callable[[int, int], None]
@@ -42,12 +43,13 @@ class Maps:
     solver: list[str]
     maps: list[npt.NDArray[np.float32]]
     log_ns: list[int]
+    judged: list[Judged | None]
     most: int
 
     @classmethod
     def empty(cls, most: int) -> "Maps":
         """Return room for so many."""
-        return cls([], [], [], [], [], most)
+        return cls([], [], [], [], [], [], most)
 
     def add(self, step: Step, found: Computed) -> None:
         """Keep a copy of a frame's map.
@@ -62,6 +64,7 @@ class Maps:
         self.solver.append(found.solver)
         self.maps.append(found.map.copy())
         self.log_ns.append(step.log_ns)
+        self.judged.append(found.judged)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,6 +84,8 @@ class Reinferred:
     maps: Maps | None
     others: Maps | None
     """Of what was running, beside ``maps``."""
+    verdicts: Verdicts | None = None
+    """Of a solver that asks physics."""
 
     def fields(self) -> dict[str, Any]:
         """Return plain values for ``--json``."""
@@ -99,6 +104,8 @@ class Reinferred:
             found |= self.equality.fields()
         if self.agreement is not None:
             found["against_recorded"] = self.agreement.fields()
+        if self.verdicts is not None:
+            found["verified"] = self.verdicts.fields()
         return found
 
 
@@ -148,12 +155,16 @@ def reinfer(
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
     maps, others = (Maps.empty(keep) if keep else None), (Maps.empty(keep) if keep and solver is not None else None)
     count = withheld = 0
+    before: Step | None = None
     first_ns = last_ns = 0
     start_s, start_cpu_s = time.perf_counter(), time.process_time()
     for step in script.steps(span.from_s, span.to_s):
         first_ns, last_ns = first_ns or step.log_ns, step.log_ns
         found = rerun.compute(step, every=keep > 0 or solver is not None)
-        other = solver.compute(step) if solver is not None and count % every == 0 else None
+        before = _together(before, step)
+        other = None
+        if solver is not None and count % every == 0:
+            other, before = solver.compute(before), None
         count += 1
         withheld += bool(step.frame.withheld)
         if progress is not None and count % 200 == 0:
@@ -168,7 +179,21 @@ def reinfer(
             if others is not None and found is not None:
                 others.add(step, found)
     elapsed_s, cpu_s = time.perf_counter() - start_s, time.process_time() - start_cpu_s
-    return Reinferred(count, elapsed_s, cpu_s, (last_ns - first_ns) * 1e-9, withheld, equality, agreement, maps, others)
+    recorded_s, verdicts = (last_ns - first_ns) * 1e-9, getattr(solver, "verdicts", None)
+    return Reinferred(count, elapsed_s, cpu_s, recorded_s, withheld, equality, agreement, maps, others, verdicts)
+
+
+def _together(before: Step | None, step: Step) -> Step:
+    """Return a frame with all that changed at those before it, which were left out."""
+    if before is None:
+        return step
+    return Step(
+        step.frame,
+        step.log_ns,
+        step.conditions or before.conditions,
+        step.cloud or before.cloud,
+        step.reference or before.reference,
+    )
 
 
 def _hold(equality: Equality, step: Step, found: Computed | None, published: dict[int, str]) -> None:

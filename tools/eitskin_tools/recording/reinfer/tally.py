@@ -5,6 +5,7 @@ published again as it was: then the digest is that of the earlier frame, which `
 """
 
 from collections import Counter, OrderedDict
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -19,6 +20,13 @@ from eitskin_tools.recording.reinfer.rerun import Computed
 REMEMBERED: Final = 256
 """Digests of maps that a later frame may have been published with: a map is made anew every 100 frames at least."""
 
+UNKNOWN: Final = {
+    "no_conditions": "came before the file says what they were held against",
+    "before_file": "have a map that was kept from before the file",
+    "frame_missing": "have a map of a frame that the file lacks",
+}
+"""Why it cannot be told of a published map whether it is equal; and what people read."""
+
 BOTH: Final = 0.5
 """A pixel above it is touched."""
 
@@ -30,14 +38,21 @@ class Equality:
     published: int = 0
     """Frames that were published, with a digest."""
     equal: int = 0
-    unknown: int = 0
-    """Frames whose map is of a frame from before the recording, or without what decides it."""
+    unknown_why: Counter[str] = field(default_factory=Counter)
+    """Of which it cannot be told, by a key of ``UNKNOWN``."""
     differing: Counter[str] = field(default_factory=Counter)
     """Why the others are not equal: ``gate``, its value is another one; ``map``."""
     first_differing: int | None = None
     """``seq`` of the first of them."""
     _digests: OrderedDict[int, str] = field(default_factory=OrderedDict)
     _zero: str = ""
+    _first: int | None = None
+    _first_known: int | None = None
+
+    @property
+    def unknown(self) -> int:
+        """Frames of which it cannot be told."""
+        return self.unknown_why.total()
 
     def computed(self, sequence: int, found: Computed) -> None:
         """Take what a frame came to."""
@@ -55,19 +70,30 @@ class Equality:
             found: What the frame came to; None where nothing could be computed.
         """
         self.published += 1
+        if self._first is None:
+            self._first = frame.seq
         if found is not None:
             self._know_zero(found)
+            if self._first_known is None:
+                self._first_known = frame.seq
         ours = (
             self._zero if frame.solver == NOTHING else self._digests.get(-1 if frame.map_seq is None else frame.map_seq)
         )
         if found is None or ours is None:
-            self.unknown += 1
+            self.unknown_why[self._why_unknown(frame, found)] += 1
         elif found.gate_logit is not None and found.gate_logit != frame.gate_logit:
             self._differs("gate", frame)
         elif ours == digest:
             self.equal += 1
         else:
             self._differs("map", frame)
+
+    def _why_unknown(self, frame: WireFrame, found: Computed | None) -> str:
+        if found is None or frame.map_seq is None or self._first is None or self._first_known is None:
+            return "no_conditions"
+        if frame.map_seq < self._first:
+            return "before_file"
+        return "no_conditions" if frame.map_seq < self._first_known else "frame_missing"
 
     def _know_zero(self, found: Computed) -> None:
         self._zero = self._zero or digest_of(np.zeros_like(found.map))
@@ -83,9 +109,22 @@ class Equality:
             "published": self.published,
             "equal": self.equal,
             "unknown": self.unknown,
+            "unknown_why": dict(self.unknown_why),
             "differing": dict(self.differing),
             "first_differing": self.first_differing,
         }
+
+
+def told_of_unknown(found: Mapping[str, Any]) -> str:
+    """Return what people read of maps that cannot be told, as a clause; "" if there are none.
+
+    Args:
+        found: ``unknown`` and ``unknown_why``, of one file or of several.
+    """
+    if not found["unknown"]:
+        return ""
+    why = ", ".join(f"{count} {UNKNOWN[name]}" for name, count in found["unknown_why"].items())
+    return f"; {found['unknown']} cannot be told: {why}"
 
 
 @dataclass(slots=True)

@@ -1,0 +1,198 @@
+"""The verified solver on recorded frames: what it is given, what is counted, and what the command says of it."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin import WireFrame
+from eitskin.model.bundle import load_bundle
+from eitskin.pipeline.maps_again import MapsAgain
+from eitskin_sim.verification.verdict import Verdict
+from eitskin_tools import cli
+from eitskin_tools.evaluation.verified import recorded as module
+from eitskin_tools.evaluation.verified.recorded import WITHOUT_ROWS, OfPhysics
+from eitskin_tools.evaluation.verified.units import Checked, Verified
+from eitskin_tools.recording.reinfer.rerun import Computed
+from eitskin_tools.recording.reinfer.results import write
+from eitskin_tools.recording.reinfer.session import reinfer
+from eitskin_tools.recording.script import Script, Step
+
+from . import conftest
+from .conftest import CLOUD, TINY, measured, recorded
+
+NOTHING = np.zeros(1350, dtype=np.bool_)
+
+
+class Physics:
+    """Stands for a verifier: explains every other frame, and leaves the map as it is."""
+
+    def __init__(self, network: Any, *_: Any) -> None:
+        self._network = network
+        self.checked: list[Any] = []
+        self.cases: list[Any] = []
+
+    def solve(self, case: Any) -> Any:
+        self.cases.append(case)
+        p = 0.5 if len(self.cases) % 2 else 1e-9
+        self.checked.append(
+            Checked(Verdict((), 1.0, 104, p, 0.01, 1, 0.004), 4.0, 4.0, 100.0 * (len(self.cases) == 1), NOTHING)
+        )
+        return self._network.solver(case)
+
+
+@pytest.fixture
+def physics(monkeypatch: pytest.MonkeyPatch) -> list[Physics]:
+    made: list[Physics] = []
+
+    def make(*words: Any) -> Physics:
+        made.append(Physics(*words))
+        return made[-1]
+
+    monkeypatch.setattr(OfPhysics, "_of", lambda self, reference: make(module.Run(lambda case: self._image, "pre")))
+    return made
+
+
+def test_touched_frames_are_given_with_the_cloud_and_the_reference_that_held(
+    file: Path, physics: list[Physics], tmp_path: Path
+) -> None:
+    script, bundle = Script(file), load_bundle(TINY)
+    found = reinfer(script, bundle, OfPhysics(script, bundle), keep=1000)
+    fields = found.fields()
+    touched = sum(step.frame.touched for step in script.steps())
+    assert fields["against_recorded"]["touched_agreement"] == 1.0
+    assert fields["verified"]["frames"] == touched == sum(len(one.cases) for one in physics) > 10
+    assert fields["verified"]["flagged_share"] == pytest.approx(0.5, abs=0.1)
+    assert fields["verified"]["ms_median"] == 4.0
+    assert fields["verified"]["not_verified"] == {}
+    before, behind = physics  # a cloud was given amid the touch
+    assert np.allclose(behind.cases[0].sheet.cloud_mm, CLOUD, atol=1e-3)
+    assert not np.allclose(before.cases[0].sheet.cloud_mm, CLOUD, atol=1e-3)
+    change = before.cases[0].voltages / before.cases[0].flat_reference - 1.0
+    assert np.abs(change).max() == pytest.approx(0.3, abs=0.02)
+    write(tmp_path / "maps.npz", found)
+    with np.load(tmp_path / "maps.npz") as arrays:
+        assert arrays["flagged"].dtype == np.bool_
+        assert np.isnan(arrays["p_value"]).tolist() == (~arrays["touched"]).tolist()
+        assert arrays["flagged"].sum() == round(fields["verified"]["flagged_share"] * touched)
+        assert set(arrays) == {
+            "seq", "touched", "solver", "wall_ns", "map", "recorded_map", "p_value", "flagged",
+        }  # fmt: skip
+
+
+def test_frames_of_a_shape_without_a_model_are_counted_and_the_model_is_tried_once(
+    file: Path, physics: list[Physics], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tries = []
+
+    def solve(self: Physics, case: Any) -> None:
+        tries.append(case)
+        raise ValueError("the cloud folds in its own plane")
+
+    monkeypatch.setattr(Physics, "solve", solve)
+    script, bundle = Script(file), load_bundle(TINY)
+    found = reinfer(script, bundle, OfPhysics(script, bundle)).fields()["verified"]
+    ((why, count),) = found["not_verified"].items()
+    assert "folds in its own plane" in why
+    assert count == sum(step.frame.touched for step in script.steps())
+    assert (found["frames"], found["p_value_median"], len(tries)) == (0, None, 2)  # one a shape
+
+
+def test_shapes_are_not_verified_without_rows_and_units_are(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorded(tmp_path / "a.mcap", measured(60))
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    some = np.arange(104) < 26
+    monkeypatch.setattr("eitskin_tools.recording.reinfer.rerun.Rerun.missing", some)
+    free = reinfer(script, bundle, OfPhysics(script, bundle)).fields()["verified"]
+    assert free["not_verified"] == {WITHOUT_ROWS: sum(step.frame.touched for step in script.steps())}
+    seen = []
+
+    def solve(self: Verified, case: Any) -> Any:
+        seen.append(case.flat_reference != 0.0)
+        raise ValueError("enough")
+
+    monkeypatch.setattr(Verified, "solve", solve)
+    units = replace(bundle, manifest={**bundle.manifest, "labels": "units"})
+    reinfer(script, bundle, OfPhysics(script, units))
+    assert seen
+    assert (seen[0] == ~some).all()
+
+
+def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> None:
+    class Looking:
+        def __init__(self) -> None:
+            self.clouds: list[int] = []
+
+        def compute(self, step: Step) -> Computed | None:
+            if step.cloud is not None:
+                self.clouds.append(step.cloud.revision)
+            return None
+
+    script, looking = Script(file), Looking()
+    reinfer(script, load_bundle(TINY), looking, every=7)
+    assert looking.clouds == [step.cloud.revision for step in script.steps() if step.cloud is not None]
+    assert len(looking.clouds) == 2
+
+
+def test_the_command_says_what_physics_says(
+    file: Path, physics: list[Physics], capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["reinfer", str(file), "--bundle", str(TINY), "--solver", "verified", "--every", "5", "--quiet"]
+    assert cli.main(words) == 0
+    assert "flagged; p " in capsys.readouterr().out
+    assert cli.main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["solver"] == "verified"
+    assert found["other_bundle"] == found["bundle"]
+    assert found["verified"]["frames"] == 10
+
+
+def test_without_a_touch_and_without_a_network_it_says_so_in_a_line(
+    file: Path, physics: list[Physics], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = ["reinfer", str(file), "--bundle", str(TINY), "--solver", "verified", "--quiet"]
+    script = Script(file)
+    early_s = (list(script.steps())[20].log_ns - script.first_ns) * 1e-9
+    assert cli.main([*words, "--to", f"{early_s:.9f}"]) == 0
+    assert "verified nothing: no frame of this part was touched" in capsys.readouterr().out
+    monkeypatch.setattr(module, "NETWORK", "vd3t")
+    assert cli.main(words) != 0
+    said = capsys.readouterr().err
+    assert "'vd3t' does not exist" in said
+    assert said.count("\n") == 1
+
+
+@pytest.mark.slow
+@pytest.mark.heavy
+def test_the_real_verifier_explains_a_touch_of_a_real_sheet(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from eitskin_sim.verification.free.found import map_of
+    from eitskin_sim.verification.free.model import model_of_cloud
+
+    piece = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
+    change = model_of_cloud(CLOUD).solve(piece)[1]
+
+    def scans(frames: int) -> list[Step]:
+        rng, found = np.random.default_rng(3), []
+        for index in range(frames):
+            read = conftest.counts() * (1.0 + change * (index == frames - 1)) * (1 + 1e-4 * rng.standard_normal(104))
+            payload = conftest.WireScan(100 + index, 1000 + 5000 * index, np.rint(read).astype(np.int32)).pack()
+            found.append(Step(WireFrame(payload, 100 + index, index * 5_000_000), 10**9 + index * 5_000_000))
+        return found
+
+    monkeypatch.setattr(conftest, "scans", scans)
+    recorded(tmp_path / "a.mcap", measured(6))
+    image = map_of(piece).astype(np.float32)
+    own = MapsAgain.map_of
+    monkeypatch.setattr(MapsAgain, "map_of", lambda *words: own(*words) * 0.0 + image)
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    found = reinfer(script, bundle, OfPhysics(script, bundle), keep=10)
+    fields = found.fields()["verified"]
+    assert (fields["frames"], fields["flagged_share"], fields["not_verified"]) == (1, 0.0, {})
+    assert fields["p_value_median"] > 1e-3
+    assert fields["ms_median"] > 0
+    assert fields["setup_ms"] > 0
+    assert found.maps is not None
+    assert np.corrcoef(found.maps.maps[-1].ravel(), image.ravel())[0, 1] > 0.95

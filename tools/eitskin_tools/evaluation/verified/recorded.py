@@ -1,0 +1,111 @@
+"""The verified solver on recorded frames: ``eitskin reinfer --solver verified``.
+
+The network's map of each touched frame is where physics starts, as in ``eitskin evaluate --solver verified``. The frame
+is as the network saw it: held against the recorded reference, drift taken out; rows that were filled in are not looked
+at. Noise is what the reference's own frames showed, as for ``eitskin run --verify``.
+"""
+
+import math
+from typing import Any, Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin.model.bundle import Bundle
+from eitskin.pipeline.maps_again import NOTHING
+from eitskin.reference.captured import Reference
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_sim.evaluation.harness import Case, Run, Sheet
+from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+from eitskin_tools.evaluation.verified.units import Verified, noise_shown
+from eitskin_tools.recording.bundles import reference_of
+from eitskin_tools.recording.reinfer.rerun import Computed, Rerun
+from eitskin_tools.recording.reinfer.verdicts import Judged, Verdicts
+from eitskin_tools.recording.script import Script, Step
+
+NETWORK: Final = "vd2t"
+"""Whose map physics starts from."""
+
+WITHOUT_ROWS: Final = "rows are missing, and shapes are verified with all"
+
+
+class OfPhysics:
+    """A bundle's network and the verifier behind it, by units or by touches anywhere, as the bundle's labels say.
+
+    Args:
+        script: The recording.
+        bundle: Has the network.
+
+    Raises:
+        ValueError: It has none.
+    """
+
+    def __init__(self, script: Script, bundle: Bundle) -> None:
+        self._script, self._bundle = script, bundle
+        self._rerun = Rerun(script, bundle, NETWORK)
+        self.bundle_id = bundle.id
+        self.verdicts = Verdicts()
+        """On the frames so far."""
+        self._reference: Reference | None = None
+        self._sheet: Sheet | None = None
+        self._verified: Verified | VerifiedFree | None = None
+        self._image: npt.NDArray[np.float64] = np.zeros(bundle.skin.grid.shape)
+        self._fits = False
+        self._unfit = ""
+
+    def compute(self, step: Step) -> Computed | None:
+        """Compute a frame; None where the recording does not say what it is held against, or nothing verifies it."""
+        skin = self._bundle.skin
+        if step.reference is not None:
+            self._reference = reference_of(self._script, step.reference, skin).flat()
+            self._verified = None
+        if step.cloud is not None:
+            self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
+            self._verified = None
+        found = self._rerun.compute(step)
+        if found is None or self._reference is None or self._sheet is None:
+            return None
+        return found if found.solver == NOTHING else self._checked(found, self._reference, self._sheet)
+
+    def _checked(self, found: Computed, reference: Reference, sheet: Sheet) -> Computed | None:
+        """Return the network's map as physics leaves it; None, and counted, where there is no verdict."""
+        if self._verified is None:
+            self._verified, self._fits, self._unfit = self._of(reference), False, ""
+        missing = self._rerun.missing.copy()
+        missing[reference.weak] = True
+        if self._unfit:
+            self._left_out(self._unfit)
+            return None
+        if missing.any() and isinstance(self._verified, VerifiedFree):
+            self._left_out(WITHOUT_ROWS)
+            return None
+        flat_V = np.where(missing, 0.0, reference.voltages_V)  # a row of 0 V is not looked at
+        volts = flat_V * (1.0 + self._rerun.change.astype(np.float64))
+        labels: Any = "units" if self._bundle.labels == "units" else "area"
+        case = Case(volts, flat_V, flat_V, sheet, labels, lowering=self._bundle.touch_kind == "lowering")
+        self._image = found.map.astype(np.float64)
+        try:
+            image = self._verified.solve(case)
+        except (ValueError, ArithmeticError) as error:
+            if not self._fits:  # not one frame of this shape: it is the shape's own fault
+                self._unfit = f"no model can be made of cloud and reference: {error}"
+            self._left_out(self._unfit or str(error))
+            return None
+        self._fits = True
+        checked = self._verified.checked.pop()
+        judged = Judged(checked.verdict.p_value, bool(checked.verdict.flagged), checked.extra_ms, checked.setup_ms)
+        self.verdicts.add(judged)
+        return Computed(np.asarray(image, dtype=np.float32), True, "verified", found.gate_logit, judged)
+
+    def _left_out(self, why: str) -> None:
+        self.verdicts.not_verified[why] += 1
+
+    def _of(self, reference: Reference) -> Verified | VerifiedFree:
+        """Return the solver of a reference's frames."""
+        bundle, step_V = self._bundle, self._script.hello.volts_per_count
+        spread_V = np.hypot(reference.spread_V, step_V / math.sqrt(12.0))
+        noise = noise_shown(reference.voltages_V, spread_V)
+        network = Run(lambda case: self._image, "pre")
+        if bundle.labels == "units":
+            return Verified(network, noise, bundle.skin)
+        return VerifiedFree(network, noise, bundle.touch_kind, bundle.skin)
