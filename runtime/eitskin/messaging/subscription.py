@@ -13,18 +13,16 @@ Nobody waits for ever on an address where nobody is: unless told otherwise, the 
 
 import math
 import time
-from contextlib import suppress
 from typing import Final, Self
 
 import zmq
 
 from eitskin.errors import FrameError, NoFrame, StaleFrame
-from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import Frame, MapMissing
 from eitskin.messaging.reachability import explain_silence
-from eitskin.messaging.received.subscriber import Subscriber
+from eitskin.messaging.received.subscriber import LONGEST_WAIT_MS, Subscriber
 from eitskin.messaging.received.wishes import NotAsked, Wishes
 from eitskin.messaging.regions import other_skin
 from eitskin_proto.skin.skin import Skin as SkinDescription
@@ -35,13 +33,6 @@ _POLLIN: Final = int(zmq.POLLIN)
 
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
-
-PATIENCE_S: Final = 1.0
-"""Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
-
-MOST_PATIENCE_S: Final = 16.0
-LONGEST_WAIT_MS: Final = 1000
-"""How long the socket waits at a time."""
 
 FIRST_FRAME_S: Final = 5.0
 """How long the first frame may take where no time was named; a runtime that is there sends one within 0.1 s."""
@@ -104,18 +95,12 @@ class Subscription(Subscriber):
         """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
         self.rejected = 0
         """Messages that were no frames."""
-        self.reconnected = 0
-        """How often the connection was made anew because it was gone, or nothing had ever come over it."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
         self.passed_over = 0
         """Frames without the touches that were asked for."""
         self._known: Frame | None = None
         self._newest_only = mode == "latest" and len(wishes.topics) > 1
-        self._connection: Connection | None = None
-        """Over which the last message came, as far as it is known; looked at anew after silence."""
-        self._patience_s = PATIENCE_S
-        self._heard_ns = time.perf_counter_ns()
         self._run = ""
         self._number = 0
         super().__init__(
@@ -162,8 +147,7 @@ class Subscription(Subscriber):
         """Return the frame of the next message, or of the newest one that waits; None if there is none in it."""
         frame = None
         while True:
-            message = self._socket.recv() if self._connection is not None else self._recv_first()
-            self._heard_ns = time.perf_counter_ns()
+            message = self._recv()
             if self._newest_only and not self._wishes.each and self._waits():
                 continue
             try:
@@ -186,32 +170,6 @@ class Subscription(Subscriber):
     def _waits(self) -> bool:
         """Return whether another message is there."""
         return bool(self._socket.getsockopt(zmq.EVENTS) & _POLLIN)
-
-    def _recv_first(self) -> bytes:
-        """Receive a message, and keep its connection in mind."""
-        message = self._socket.recv(copy=False)
-        with suppress(zmq.ZMQError):  # libzmq does not know
-            self._connection = connection_at(message.get(zmq.SRCFD))
-        self._patience_s = PATIENCE_S
-        return bytes(message.bytes)
-
-    def _look_at_connection(self) -> None:
-        """Connect anew if the connection was lost for good.
-
-        libzmq connects again by itself when the other side ended a connection, but never when it ended one itself:
-        after a message beyond all bounds, or something that is no ZMTP, such as another program on the port.
-        """
-        if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
-            return
-        if self._connection is not None and connection_at(self._connection[0]) == self._connection:
-            return
-        with suppress(zmq.ZMQError):
-            self._socket.disconnect(self.endpoint)
-        self._socket.connect(self.endpoint)
-        self.reconnected += 1
-        self._connection = None
-        self._heard_ns = time.perf_counter_ns()
-        self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
 
     def _count(self, frame: Frame) -> None:
         if frame.run == self._run and frame.number > self._number:

@@ -2,13 +2,13 @@
 
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import suppress
 
 from .peer import GREETING, packed, ready
 
-SUBSCRIPTION = b"\x01\xde\x00"
-"""Of who takes every frame with its map: the two bytes with which each begins."""
+FRAMES = (b"\xde\x00",)
+"""Topics of who takes every frame with its map: the two bytes with which each begins."""
 
 
 class Host:
@@ -18,10 +18,18 @@ class Host:
         path: Where it listens.
         serve: Called with each connection, greeted and subscribed to; what it does not close is closed.
         greeting: What is said first to the first who comes.
+        topics: All that is subscribed to before who came is served, in any order.
     """
 
-    def __init__(self, path: str, serve: Callable[[socket.socket], None], greeting: bytes = GREETING) -> None:
+    def __init__(
+        self,
+        path: str,
+        serve: Callable[[socket.socket], None],
+        greeting: bytes = GREETING,
+        topics: Iterable[bytes] = FRAMES,
+    ) -> None:
         self._serve, self._greeting = serve, greeting
+        self._subscriptions = [packed(b"\x01" + topic) for topic in topics]
         self.served = 0
         """Who came so far."""
         self._listener = socket.socket(socket.AF_UNIX)
@@ -47,7 +55,7 @@ class Host:
                         break
                     received += data
                 stream.sendall(ready("PUB"))
-                while packed(SUBSCRIPTION) not in received[len(GREETING) :]:
+                while not all(one in received[len(GREETING) :] for one in self._subscriptions):
                     if not (data := stream.recv(4096)):
                         break
                     received += data

@@ -1,16 +1,32 @@
-"""A subscribing socket that is connected, and given back: what all subscriptions have in common."""
+"""A subscribing socket that is connected, connected anew, and given back: what all subscriptions have in common.
 
+libzmq connects again by itself when the other side ended a connection, but never when it ended one itself: after a
+message beyond all bounds, or something that is no ZMTP, such as another program on the port. So whoever waits looks
+after its connection: nobody waits longer than ``LONGEST_WAIT_MS`` at a time.
+"""
+
+import math
+import time
 from collections.abc import Iterable
+from contextlib import suppress
 from types import TracebackType
 from typing import Any, Final, Self
 
 import zmq
 
 from eitskin.errors import EndpointError
+from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 
 LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
+
+PATIENCE_S: Final = 1.0
+"""Silence after which it is looked whether the connection still lives; twice as long each time that did not help."""
+
+MOST_PATIENCE_S: Final = 16.0
+LONGEST_WAIT_MS: Final = 1000
+"""How long the socket waits at a time."""
 
 
 class Subscriber:
@@ -31,6 +47,13 @@ class Subscriber:
         self, endpoint: str, topics: Iterable[bytes], queue: int, *, newest: bool = False, keys: ClientKeys | None
     ) -> None:
         self.endpoint = endpoint
+        self.reconnected = 0
+        """How often the connection was made anew because it was gone, or nothing had ever come over it."""
+        self._connection: Connection | None = None
+        """Over which the last message came, as far as it is known; looked at anew after silence."""
+        self._patience_s = PATIENCE_S
+        self._heard_ns = time.perf_counter_ns()
+        """When the last message came."""
         self._context: zmq.Context[zmq.Socket[bytes]] = zmq.Context()
         self._socket: Any = self._context.socket(zmq.SUB)
         self._socket.setsockopt(zmq.LINGER, 0)
@@ -51,6 +74,43 @@ class Subscriber:
             raise EndpointError(
                 f"{endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
             ) from error
+
+    def _comes(self, end_s: float) -> bool:
+        """Wait for a message until ``time.perf_counter()`` shows ``end_s``; return whether one waits."""
+        while True:
+            left_ms = max(0.0, 1000 * (end_s - time.perf_counter()))
+            if self._socket.poll(math.ceil(min(left_ms, LONGEST_WAIT_MS))):
+                return True
+            self._look_at_connection()
+            if left_ms <= LONGEST_WAIT_MS:
+                return False
+
+    def _recv(self) -> bytes:
+        """Receive a message, and keep in mind when it came, and over which connection."""
+        message: bytes = self._socket.recv() if self._connection is not None else self._recv_first()
+        self._heard_ns = time.perf_counter_ns()
+        return message
+
+    def _recv_first(self) -> bytes:
+        message = self._socket.recv(copy=False)
+        with suppress(zmq.ZMQError):  # libzmq does not know
+            self._connection = connection_at(message.get(zmq.SRCFD))
+        self._patience_s = PATIENCE_S
+        return bytes(message.bytes)
+
+    def _look_at_connection(self) -> None:
+        """Connect anew if nothing has come for a while, and the connection was lost for good."""
+        if time.perf_counter_ns() - self._heard_ns < self._patience_s * 1e9:
+            return
+        if self._connection is not None and connection_at(self._connection[0]) == self._connection:
+            return
+        with suppress(zmq.ZMQError):
+            self._socket.disconnect(self.endpoint)
+        self._socket.connect(self.endpoint)
+        self.reconnected += 1
+        self._connection = None
+        self._heard_ns = time.perf_counter_ns()
+        self._patience_s = min(2 * self._patience_s, MOST_PATIENCE_S)
 
     def __enter__(self) -> Self:
         return self

@@ -95,12 +95,11 @@ class StreamSubscription(Subscriber):
             timeout_s = self._timeout_s if self.received else self._first_s
         end_s = time.perf_counter() + timeout_s
         while True:
-            left_ms = -1 if math.isinf(end_s) else max(0, round(1000 * (end_s - time.perf_counter())))
-            if not self._socket.poll(left_ms):
+            if not self._comes(end_s):
                 why = explain_silence(self.endpoint, timeout_s)
                 raise NoFrame(f"nothing of a stream from {self.endpoint} within {timeout_s:g} s: {why}")
             try:
-                item = self._take(self._socket.recv(), time.perf_counter_ns())
+                item = self._take(self._recv(), self._heard_ns)
             except FrameError:
                 self.rejected += 1  # whoever publishes there: a bad message must not end a recording
                 continue

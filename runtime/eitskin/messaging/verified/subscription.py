@@ -93,15 +93,14 @@ class VerifiedSubscription(Subscriber):
             timeout_s = self._timeout_s if self.received else self._first_s
         end_s = time.perf_counter() + timeout_s
         while True:
-            left_ms = -1 if math.isinf(end_s) else max(0, round(1000 * (end_s - time.perf_counter())))
-            if not self._socket.poll(left_ms):
+            if not self._comes(end_s):
                 raise NoFrame(f"no verified frame from {self.endpoint} within {timeout_s:g} s: {self._why(timeout_s)}")
-            found = self._take(self._socket.recv())
+            found = self._take(self._recv())
             while self._newest_only and self._socket.getsockopt(zmq.EVENTS) & zmq.POLLIN:
-                found = _newer(found, self._take(self._socket.recv()))
+                found = _newer(found, self._take(self._recv()))
             if found is not None:
                 return found
-            if left_ms == 0:
+            if time.perf_counter() >= end_s:
                 raise NoFrame(f"no verified frame from {self.endpoint} within {timeout_s:g} s: {self._why(timeout_s)}")
 
     def _why(self, timeout_s: float) -> str:
@@ -111,7 +110,7 @@ class VerifiedSubscription(Subscriber):
 
     def _take(self, message: bytes) -> VerifiedFrame | None:
         """Return what a message says of a frame; None for a frame, which is kept for its verdict."""
-        now_ns = time.perf_counter_ns()
+        now_ns = self._heard_ns
         try:
             if message[:1] == FIRST_BYTE:
                 return self._matched(unpack_verified(message, now_ns))
