@@ -1,5 +1,7 @@
+import os
 import stat
 import time
+from contextlib import closing
 from pathlib import Path
 
 import msgpack
@@ -21,6 +23,16 @@ from eitskin_proto.skin.cloud import flat_cloud
 def test_only_the_owner_may_reach_the_control_socket(server):
     mode = Path(server.endpoint.removeprefix("ipc://")).stat().st_mode
     assert stat.S_IMODE(mode) == 0o600
+
+
+def test_its_socket_is_its_owners_alone_whatever_the_umask(tmp_path, recorder):
+    before = os.umask(0)
+    try:
+        server = ControlServer(f"ipc://{tmp_path}/other", recorder)
+    finally:
+        os.umask(before)
+    with closing(server):
+        assert stat.S_IMODE((tmp_path / "other").stat().st_mode) == 0o600
 
 
 def test_commands_are_answered(server, recorder):

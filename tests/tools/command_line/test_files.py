@@ -138,8 +138,10 @@ WRITING = {
     "demo --picture": ["demo", "--no-draw", "--picture"],
     "evaluate --picture": ["evaluate", "--phantoms", "paper_units", "--picture"],
     "bench stability --plot": ["bench", "stability", "--plot"],
+    "virtual-skin --wire-times": ["virtual-skin", "--seconds=1", "--wire-times"],
+    "virtual-skin --log": ["virtual-skin", "--seconds=1", "--log"],
 }
-"""Every way to name a file that is written whole, without torch; the name comes last."""
+"""Every way to name a file that is written, without torch; the name comes last."""
 
 
 def identity(path: Path) -> tuple[int, int, int]:

@@ -71,7 +71,7 @@ def find(name: str | Path, kind: Kind) -> Path:
 
 
 def parent(path: str | Path) -> Path:
-    """Return the path of a file or a stream that is written line by line, after a look whether its folder is there.
+    """Return the path of what is to be written, after a look whether its folder is there.
 
     Raises:
         MissingFileError: It is not.

@@ -54,10 +54,9 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
     files.find(arguments.config, files.CONFIGURATION)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
-    if arguments.wire_times is not None:
-        files.writable(arguments.wire_times)
-    if arguments.log is not None:  # written as it comes, and so to a stream too
-        files.parent(arguments.log)
+    for path in (arguments.wire_times, arguments.log):
+        if path is not None:
+            files.writable(path)
     skin, kind = skins.chosen(arguments), touches.chosen(arguments)
     try:
         faults = tuple(parse(text) for text in arguments.fault)
