@@ -13,7 +13,7 @@ from typing import Any
 
 import eitskin
 from eitskin.messaging.frame_packer import FramePacker
-from eitskin.messaging.streams.envelope import NAMES, TOPICS, WIRE
+from eitskin.messaging.streams.envelope import FIRST_BYTE, WIRE
 from eitskin.messaging.streams.envelope import packed as enveloped
 from eitskin.messaging.verified.message import COUNTS, TOPIC, head, rest
 from eitskin_proto.skin.skin import PAPER
@@ -44,12 +44,11 @@ def _kinds() -> list[Kind]:
     frame = bytes(packer.message())
     wire = eitskin.WireFrame(payload=b"\x80", seq=1, read_ns=1, device_us=1).body()
     verdict = head(1, "r", dict.fromkeys(COUNTS, 0)) + rest(1, 1, 0, "ready", "", (1, 1, 0, 0))
-    streams = tuple(TOPICS[name] for name in NAMES)
     only = partial(eitskin.subscribe_verified, frames=False)
     return [
         Kind("latest", partial(eitskin.subscribe, mode="latest"), FRAMES, frame, counts=False),
         Kind("all", partial(eitskin.subscribe, mode="all"), FRAMES, frame),
-        Kind("streams", eitskin.subscribe_streams, streams, *enveloped(WIRE, 1, "r", wire)),
+        Kind("streams", eitskin.subscribe_streams, (FIRST_BYTE,), *enveloped(WIRE, 1, "r", wire)),
         Kind("verified latest", partial(only, mode="latest"), (TOPIC,), verdict),
         Kind("verified all", partial(only, mode="all"), (TOPIC,), verdict),
     ]

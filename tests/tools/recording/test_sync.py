@@ -2,6 +2,7 @@
 
 import os
 import pty
+import select
 import sys
 import threading
 from pathlib import Path
@@ -94,7 +95,9 @@ def test_on_a_terminal_a_line_says_each_second_how_far_it_is(monkeypatch: pytest
         intake = SimpleNamespace(next=next_one, silent=None)
         assert not record._go_on(words, stream, intake, record._Stop())  # type: ignore[arg-type]
         monkeypatch.undo()
-        said = os.read(ours, 1 << 16).decode()
+        said = ""
+        while not said.endswith("\r\n") and select.select([ours], [], [], PATIENCE_S)[0]:
+            said += os.read(ours, 1 << 16).decode()
     os.close(ours)
     shown = [line.removesuffix("\x1b[K") for line in said.rstrip().split("\r") if line]
     assert len(shown) >= 5

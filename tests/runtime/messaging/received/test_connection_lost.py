@@ -8,7 +8,7 @@ from functools import partial
 import pytest
 
 import eitskin
-from eitskin.messaging.streams.envelope import NAMES, TOPICS
+from eitskin.messaging.streams.envelope import FIRST_BYTE
 from eitskin.messaging.streams.envelope import packed as enveloped
 from eitskin.messaging.verified.message import TOPIC
 
@@ -30,7 +30,7 @@ def kind(request, packer):
     if request.param == "frames":
         return partial(eitskin.subscribe, mode="all"), FRAMES, bytes(packer.message())
     if request.param == "streams":
-        return eitskin.subscribe_streams, [TOPICS[name] for name in NAMES], *enveloped("wire", 1, "r", WIRE.body())
+        return eitskin.subscribe_streams, [FIRST_BYTE], *enveloped("wire", 1, "r", WIRE.body())
     return partial(eitskin.subscribe_verified, mode="all", frames=False), [TOPIC], MESSAGE
 
 
