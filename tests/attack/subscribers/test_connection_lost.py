@@ -8,14 +8,16 @@ from functools import partial
 import pytest
 
 import eitskin
+from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.streams.envelope import FIRST_BYTE
 from eitskin.messaging.streams.envelope import packed as enveloped
 from eitskin.messaging.verified.message import TOPIC
+from eitskin_proto.skin.skin import PAPER
 
-from ....attack.zmtp.host import FRAMES, Host
-from ....attack.zmtp.peer import GREETING, packed
-from ..streams.test_bodies import WIRE
-from ..verified.test_message import MESSAGE
+from ...runtime.messaging.streams.test_bodies import WIRE
+from ...runtime.messaging.verified.test_message import MESSAGE
+from ..zmtp.host import FRAMES, Host
+from ..zmtp.peer import GREETING, packed
 
 EVILS = {
     "100 kB": (packed(bytes(100_000)), GREETING),
@@ -25,9 +27,11 @@ EVILS = {
 
 
 @pytest.fixture(params=["frames", "streams", "verified"])
-def kind(request, packer):
+def kind(request):
     """Return how to subscribe, all topics of that, and a good message."""
     if request.param == "frames":
+        packer = FramePacker(configuration="paper/1", bundle="b", serial_number="s", run="r", shape=PAPER.grid.shape)
+        packer.put_texts("vd2t", (), ())
         return partial(eitskin.subscribe, mode="all"), FRAMES, bytes(packer.message())
     if request.param == "streams":
         return eitskin.subscribe_streams, [FIRST_BYTE], *enveloped("wire", 1, "r", WIRE.body())
