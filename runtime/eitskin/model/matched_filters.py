@@ -31,6 +31,10 @@ LEFT_OF_IT: Final = 0.2
 """Share of a pattern's size below which a filter is not made stronger any more: its touch hardly shows."""
 
 
+RIDGE: Final = 1e-13
+"""Of the sum of squares, added to each: rows that depend on each other, as all of them do, may be missing together."""
+
+
 @dataclass(frozen=True, slots=True)
 class Filters:
     """What a gate of matched filters is made of.
@@ -83,7 +87,9 @@ class Filters:
         whitening, bias = first[:-1, :size].astype(np.float64), first[-1, :size].astype(np.float64)
         patterns = patterns_of(whitening, first[:-1, 2 * size :].astype(np.float64))
         gone = whitening[rows]
-        left = np.eye(size) - product(gone.T, product(precision_of(product(gone, gone.T)), gone))
+        square = product(gone, gone.T)
+        square += RIDGE * np.trace(square) * np.eye(len(gone))
+        left = np.eye(size) - product(gone.T, product(precision_of(square), gone))
         shown = product(left, patterns)
         share = np.sqrt(np.maximum((patterns * shown).sum(axis=0) / (patterns**2).sum(axis=0), 0.0))
         change = np.hstack([left, -left, shown / np.maximum(share, LEFT_OF_IT)])

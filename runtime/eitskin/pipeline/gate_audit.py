@@ -22,7 +22,7 @@ AUDIT_FRAMES: Final = 50
 """Of so many untouched frames one is inferred: four a second at 200 frames/s, for 2 % of an inference a frame."""
 
 WITHOUT_ROWS: Final = 4
-"""The same while rows are missing: with two electrodes gone the gates of random devices miss most light touches."""
+"""The same while rows are missing: then the gates of random devices miss more of the light touches, beside the gap."""
 
 STRONG_VALUE: Final = 0.5
 """A pixel above it is touched."""
