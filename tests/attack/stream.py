@@ -14,9 +14,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+import numpy as np
+
+from .pace import Passed, pace
+
 ROOT: Final = Path(__file__).parents[2]
 SKIN: Final = ROOT / "tests" / "runtime" / "skin_process.py"
 TINY: Final = ROOT / "tests" / "golden" / "tiny.eitskin"
+EITSKIN: Final = ("-m", "eitskin_tools.cli")
 PATIENCE_S: Final = 600.0
 """How long anything may take that is not itself what is measured: who waits so long waits in vain."""
 
@@ -33,12 +38,19 @@ class Stream:
     folder: Path
     stderr: Path
     """What the runtime says."""
+    wire: Path | None = None
+    """Where the virtual skin notes when each frame went onto the line, if it is ours."""
     honest: list["Honest"] = field(default_factory=list)
 
     def join(self, *keys: str) -> "Honest":
         """Start an honest subscriber and return once it has a frame."""
-        self.honest.append(Honest(self.frames, *keys))
+        self.honest.append(Honest(self, *keys))
         return self.honest[-1]
+
+    def paced(self, found: dict[str, Any]) -> dict[str, Any]:
+        """Return what a subscriber counted with the stream's pace in place of what that follows from."""
+        passed, waited_ns = found.pop("passed"), found.pop("waited_ns")
+        return found | {"pace": None if self.wire is None else paced(self.wire, passed, waited_ns)}
 
     def said(self) -> str:
         """Return the runtime's standard error."""
@@ -48,9 +60,13 @@ class Stream:
 class Honest:
     """An honest subscriber in a process of its own; end it with ``leave``."""
 
-    def __init__(self, endpoint: str, *keys: str) -> None:
+    def __init__(self, stream: Stream, *keys: str) -> None:
+        endpoint, self._stream = stream.frames, stream
         self._process = subprocess.Popen(
-            [sys.executable, "-m", "tests.attack.honest", endpoint, *keys], stdout=subprocess.PIPE, text=True, cwd=ROOT
+            [sys.executable, "-m", "tests.attack.honest", endpoint, str(stream.runtime.pid), *keys],
+            stdout=subprocess.PIPE,
+            text=True,
+            cwd=ROOT,
         )
         assert self._process.stdout is not None
         if self._process.stdout.readline().strip() != "subscribed":
@@ -59,17 +75,34 @@ class Honest:
         self._found: dict[str, Any] | None = None
 
     def leave(self) -> dict[str, Any]:
-        """End it and return what it counted: frames, lost, longest_silence_s."""
+        """End it and return what it counted: frames, lost, longest_silence_s, pace (:mod:`tests.attack.pace`)."""
         if self._found is None:
             self._process.terminate()
             out, _ = self._process.communicate(timeout=PATIENCE_S)
-            self._found = json.loads(out.splitlines()[-1])
+            self._found = self._stream.paced(json.loads(out.splitlines()[-1]))
         return self._found
 
     def kill(self) -> None:
         """End it by force, if it runs."""
         self._process.kill()
         self._process.communicate()
+
+
+def paced(wire: Path, passed: Sequence[Sequence[int]], waited_ns: int) -> float | None:
+    """Return the pace of a stream of the virtual skin.
+
+    Args:
+        wire: Where it noted when each frame went onto the line.
+        passed: Of every frame its number, sequence number, device clock in us, and when it was published in ns.
+        waited_ns: How long the runtime was without a core.
+    """
+    sent_ns = np.load(wire, mmap_mode="r")
+    frames = [
+        Passed(number, sequence, 1000 * device_us, int(sent_ns[sequence % len(sent_ns)]), published_ns)
+        for number, sequence, device_us, published_ns in passed
+    ]
+    found = pace(frames, waited_ns)
+    return None if found is None else round(found, 3)
 
 
 @contextmanager
@@ -85,7 +118,12 @@ def virtual_skin(**options: Any) -> Iterator[str]:
 
 @contextmanager
 def attacked(
-    *arguments: str, files: int | None = None, endpoints: Sequence[str] = (), port: str | None = None, **options: Any
+    *arguments: str,
+    files: int | None = None,
+    endpoints: Sequence[str] = (),
+    port: str | None = None,
+    program: Sequence[str] = EITSKIN,
+    **options: Any,
 ) -> Iterator[Stream]:
     """Run a skin and ``eitskin run`` on it, and give the stream once it is ready.
 
@@ -94,6 +132,7 @@ def attacked(
         files: Hard limit of open files of the runtime.
         endpoints: ``--publish`` and what else names endpoints; without it, ipc in a folder of its own.
         port: A device's port; None starts the tests' virtual skin.
+        program: What Python runs as ``eitskin``.
         options: Of the virtual skin.
     """
     with tempfile.TemporaryDirectory(prefix="a") as name:
@@ -102,19 +141,22 @@ def attacked(
         limited = None if files is None else partial(resource.setrlimit, resource.RLIMIT_NOFILE, (files, files))
         where = list(endpoints) or ["--publish", f"ipc://{folder}/f", "--control", f"ipc://{folder}/c"]
         common = ("--bundle", str(TINY), "--reference-frames", "20")
-        with _port(port, options) as used, stderr.open("w") as out:
+        wire = folder / "wire.npy" if port is None else None
+        told = options if wire is None else options | {"wire": str(wire)}
+        with _port(port, told) as used, stderr.open("w") as out:
             runtime = subprocess.Popen(
-                [sys.executable, "-m", "eitskin_tools.cli", "run", *common, "--port", used, *where, *arguments],
+                [sys.executable, *program, "run", *common, "--port", used, *where, *arguments],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.PIPE,
                 text=True,
+                cwd=ROOT,
                 preexec_fn=limited,  # noqa: PLW1509 -- one system call, and no thread runs
             )
             stream = None
             try:
                 publish, control = _ready(runtime, out)
-                stream = Stream(used, runtime, publish, control, folder, stderr)
+                stream = Stream(used, runtime, publish, control, folder, stderr, wire)
                 yield stream
             finally:
                 for honest in stream.honest if stream else ():

@@ -1,7 +1,8 @@
 """A virtual skin for the runtime's tests: the real state machine, pty and faults, with made-up voltages instead of
 physics.
 
-Takes one JSON object as its argument, prints the port's path, serves until it is terminated.
+Takes one JSON object as its argument, prints the port's path, serves until it is terminated. ``wire`` names a file that
+is made: of the last ``WIRE_FRAMES`` sequence numbers, when each frame was on the line.
 """
 
 import faulthandler
@@ -21,6 +22,8 @@ from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, FaultPlayer, parse
 from eitskin_tools.virtual_skin.identity import Identity
 from eitskin_tools.virtual_skin.pty import PtyPort
+
+WIRE_FRAMES = 1 << 17
 
 
 def untouched():
@@ -58,6 +61,15 @@ class PatientPort(PtyPort):
         return True
 
 
+class NotingServer(server.SkinServer):
+    """Notes when each frame was on the line, rather than when there was to be room for it."""
+
+    def _scan(self, due_ns):
+        sequence = self.device.sequence
+        super()._scan(due_ns)
+        self._note(sequence, self._clock())
+
+
 def main(options):
     player = FaultPlayer([parse(text) for text in options.get("faults", [])], seed=3)
     source = MadeUp(
@@ -74,7 +86,8 @@ def main(options):
     port = PatientPort()
     device = VirtualDevice(source, configuration, perf_counter_ns(), identity)
     device.sequence = options.get("sequence", 0)
-    skin = server.SkinServer(device, port, player)
+    wire = server.wire_times(options["wire"], WIRE_FRAMES) if "wire" in options else None
+    skin = NotingServer(device, port, player, wire)
 
     def stop(number, frame):
         # No exception: one that is raised within a callback of somebody's C code is lost, and the stop with it.

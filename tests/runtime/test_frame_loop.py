@@ -80,8 +80,8 @@ class Both(Taker):
 
     def told(self, message):
         found = opened(message)
-        if found.name == "wire":
-            self.got.append(WireFrame.of(found.body))
+        if found.name == "wire" and not (one := WireFrame.of(found.body)).withheld:  # a busy machine has old ones
+            self.got.append(one)
 
 
 @pytest.mark.parametrize(("topics", "first"), [([FIRST_BYTE], False), ([b"", FIRST_BYTE], True)])

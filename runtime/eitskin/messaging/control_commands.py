@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from eitskin.errors import ControlError, SkinError
 from eitskin.messaging.control_fields import array_field, largest_request, unpack_fields
+from eitskin.reference.captured import DEFAULT_FRAMES
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.sheet_cloud import check_sheet
@@ -101,7 +102,7 @@ class Commands:
         return {"cloud": self._controlled.set_cloud(cloud, predicted, flat), "warnings": list(doubts)}
 
     def _reference(self, request: Request) -> Answer:
-        frames = request.get("frames", 100)
+        frames = request.get("frames", DEFAULT_FRAMES)
         low, high = REFERENCE_FRAMES
         if isinstance(frames, bool) or not isinstance(frames, int) or not low <= frames <= high:
             raise ControlError(f"frames is {str(frames)[:40]}, expected {low} to {high}")

@@ -56,8 +56,8 @@ class MapSource:
     """
 
     __slots__ = (
-        "_buffers", "_change", "_held", "_held_sequence", "_record", "_stillness", "_whole", "budget", "engine_ns",
-        "engines", "map",
+        "_buffers", "_change", "_held", "_held_sequence", "_record", "_whole", "budget", "engine_ns", "engines", "map",
+        "stillness",
     )  # fmt: skip
 
     def __init__(
@@ -76,7 +76,8 @@ class MapSource:
         """(pixels,) what was computed last."""
         self.engines: list[Engine] = engines(bundle, buffers, best=solver, alone=budget_ns is None)
         self._whole = self.engines
-        self._stillness = Stillness() if skip_unchanged else None
+        self.stillness = Stillness() if skip_unchanged else None
+        """Judges whether only noise lies between two frames; None where no map is kept."""
         self._held = ""
         """The solver of the map that is held; empty if none is."""
         self._held_sequence = 0
@@ -109,7 +110,7 @@ class MapSource:
     @property
     def keeps_unchanged(self) -> bool:
         """Whether a map is kept while only noise lies between two frames."""
-        return self._stillness is not None
+        return self.stillness is not None
 
     @property
     def can_overrule(self) -> bool:
@@ -152,8 +153,8 @@ class MapSource:
     ) -> None:
         """Hold frames against each other by another reference's noise; see :meth:`Stillness.use`."""
         self._held = ""
-        if self._stillness is not None:
-            self._stillness.use(voltages_V, spread_V, frames, step_V)
+        if self.stillness is not None:
+            self.stillness.use(voltages_V, spread_V, frames, step_V)
 
     def infer(self) -> bool:
         """Compute the map of the frame in hand, and return whether it is finite."""
@@ -166,13 +167,13 @@ class MapSource:
         record.inferred = True
         record.solver = self._held = engine.name
         record.map_sequence = self._held_sequence = record.sequence
-        if self._stillness is not None:
-            self._stillness.keep(self._change)
+        if self.stillness is not None:
+            self.stillness.keep(self._change)
         return True
 
     def keep(self) -> bool:
         """Let the frame in hand have the map that is held, and return True, if nothing but noise changed since."""
-        stillness = self._stillness
+        stillness = self.stillness
         if stillness is None or self._held != self.engines[self.budget.engine].name:
             return False
         if not stillness.still(self._change):

@@ -8,13 +8,17 @@ with a reference still being captured, SIGTERM ends the runtime within a second 
 import random
 import signal
 import threading
+import time
 from collections.abc import Callable
 from typing import Any
 
 import msgpack
 import zmq
 
+import eitskin
+
 from ..outcome import Effort, Outcome
+from ..pace import ENOUGH
 from ..shutdown.exit_time import MOST_S, end
 from ..stream import PATIENCE_S, Stream, attacked
 
@@ -93,11 +97,18 @@ def _under(
     ]
     for thread in threads:
         thread.start()
+    first = _frames(stream)
     name = attackers[0].__name__
     answers(outcome, stream.control, effort.count(100, 3000), Draw(effort.seed), f"{name}, seed {effort.seed}")
+    while _frames(stream) < first + 2 * ENOUGH:
+        time.sleep(0.05)
     over.set()
     for thread in threads:
         thread.join()
+
+
+def _frames(stream: Stream) -> int:
+    return int(eitskin.request(stream.control, "status", timeout_s=PATIENCE_S)["frames"])
 
 
 def hostile_requests(effort: Effort) -> Outcome:
@@ -109,6 +120,7 @@ def hostile_requests(effort: Effort) -> Outcome:
             _under(attackers, stream, outcome, effort)
         found = honest.leave()
         outcome.frames_lost = found["lost"]
+        outcome.note_pace(found["pace"], "while requests came")
         outcome.figures |= {"frames": found["frames"], "longest_silence_s": found["longest_silence_s"]}
         took = end(stream.runtime.pid, signal.SIGTERM)
         held = took is not None and took.own_s <= MOST_S and stream.runtime.wait(PATIENCE_S) == 0

@@ -3,7 +3,7 @@
     python -m tests.attack.device.process '{"port": "/tmp/x/port", "rate_mHz": 200000}'
 
 Commands: ``{"do": NAME, "seed": N, "seconds": S, ...}`` attacks the line for so long and prints one line about it (see
-``hostile``); ``{"do": "report"}`` prints what was sent so far.
+``hostile``); ``{"do": "report"}`` prints what was sent so far, ``{"do": "sent"}`` when each whole frame of it was.
 """
 
 import json
@@ -12,7 +12,7 @@ import select
 import sys
 import time
 import tty
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from contextlib import suppress
 from typing import Any
 
@@ -30,6 +30,8 @@ class Line:
         self.link = link
         self.master = self._slave = -1
         self.waiting = bytearray()
+        self.pushed = 0
+        """Bytes that were written so far, or given up."""
         self.open()
 
     def open(self) -> None:
@@ -46,6 +48,7 @@ class Line:
         for fd in (self.master, self._slave):
             os.close(fd)
         self.master = self._slave = -1
+        self.pushed += len(self.waiting)
         self.waiting.clear()
 
     @property
@@ -57,7 +60,9 @@ class Line:
         """Write what waits, as far as the host takes it."""
         with suppress(BlockingIOError):
             while self.waiting:
-                del self.waiting[: os.write(self.master, self.waiting[:4096])]
+                written = os.write(self.master, self.waiting[:4096])
+                self.pushed += written
+                del self.waiting[:written]
 
     def read(self) -> bytes:
         """Return what the host sent, perhaps nothing."""
@@ -80,6 +85,10 @@ class Machine:
         self.scans: dict[int, bytes] = {}
         """Payload of each scan that was made, by its sequence number."""
         self.whole: Counter[int] = Counter()
+        self.sent_ns: defaultdict[int, list[tuple[int, int]]] = defaultdict(list)
+        """When each of them was made and when it was on the line, once or more."""
+        self._under_way: deque[tuple[int, int, int]] = deque()
+        """Of what waits to be written, behind how many bytes it ends, its number, and when it was made."""
         self.made = 0
         self.last = self.frozen = b""
         """The newest scan's payload; one that is sent over and over."""
@@ -90,11 +99,13 @@ class Machine:
 
     def put(self, data: bytes) -> None:
         """Send bytes as they are, and note which frames a host can read of them; without a port they are gone."""
+        end = self.line.pushed + len(self.line.waiting) + len(data)
         for payload in self._sent.feed(data):
             if payload[0] == codec.FRAME and len(payload) >= 12:
                 sequence = int.from_bytes(payload[8:12], "little")
                 if self.scans.get(sequence) == payload:
                     self.whole[sequence] += 1
+                    self._under_way.append((end, sequence, time.monotonic_ns()))
         if self.line.there:
             self.line.waiting += data
 
@@ -117,6 +128,8 @@ class Machine:
         """Boot again, unasked; the account begins anew, as the numbers do."""
         self.scans.clear()
         self.whole.clear()
+        self.sent_ns.clear()
+        self._under_way.clear()
         for payload in self.device.boot():
             self.put(codec.packet(payload))
 
@@ -140,6 +153,9 @@ class Machine:
             if self.changed is not None:
                 self.changed.idle()
             self.line.push()
+            while self._under_way and self._under_way[0][0] <= self.line.pushed:
+                _, sequence, made_ns = self._under_way.popleft()
+                self.sent_ns[sequence].append((made_ns, time.monotonic_ns()))
         elif self.changed is not None:
             self.changed.idle()
         if sys.stdin in found:
@@ -152,6 +168,8 @@ class Machine:
         order = json.loads(line)
         if order["do"] == "report":
             self.tell()
+        elif order["do"] == "sent":
+            print(json.dumps(list(self.sent_ns.items())), flush=True)
         else:
             from .hostile import begin
 

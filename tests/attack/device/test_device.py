@@ -21,9 +21,10 @@ OWN = [
     ATTACK / "from_device" / "witness.py",
     *sorted((ATTACK / "zmtp").glob("*.py")),
     ATTACK / "subscribers" / "crowd.py",
+    ATTACK / "pace.py",
 ]
-CLIENT = "..zmtp.peer"
-"""Of the attacks themselves, and among those that are looked at."""
+ATTACKS_OWN = {"..zmtp.peer", "..pace"}
+"""Modules of the attacks themselves that are among those that are looked at."""
 MESSAGES = sorted(GOLDEN["messages"])
 
 
@@ -45,7 +46,7 @@ def imported(path: Path) -> set[str]:
 
 @pytest.mark.parametrize("path", OWN, ids=lambda path: f"{path.parent.name}/{path.stem}")
 def test_shares_no_code_with_the_project(path: Path) -> None:
-    names = imported(path) - {CLIENT}
+    names = imported(path) - ATTACKS_OWN
     assert not {name for name in names if name.split(".")[0].startswith("eitskin") or name.startswith("..")}
     assert not names & {"cobs", "google_crc32c", "importlib", "runpy"}, "nor what the project uses for the same"
 

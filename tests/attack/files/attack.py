@@ -130,7 +130,7 @@ def _tried(kind: str, folder: Path, effort: Effort, short: int) -> tuple[float, 
 
 def files(effort: Effort) -> Outcome:
     """Damage bundles, references, configurations, scenes, scans, clouds, recordings and data sets."""
-    return damaged(LIGHT, "files.readers", effort, 20)
+    return damaged(LIGHT, "files.readers", effort, 12)
 
 
 def runs(effort: Effort) -> Outcome:

@@ -4,14 +4,13 @@ import copy
 import json
 import random
 import re
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
-from . import evaluated, graphs, mutations, samples
+from . import evaluated, folders, graphs, mutations, recorded, replayed, robots, samples
 
 Make = Callable[[Path, random.Random | None], tuple[Path, str]]
 """Puts a sample into a folder, damaged unless there is no generator; returns its path and what was done."""
@@ -80,19 +79,8 @@ def _npz(whole: Callable[[], dict[str, Any]], rng: random.Random | None) -> tupl
     if how < 0.6:
         name = rng.choice(list(arrays))
         parts[f"{name}.npy"] = mutations.array(rng) if how < 0.3 else mutations.valued(arrays[name], rng)
-        return _zipped(parts), "another array" if how < 0.3 else "other values"
+        return mutations.zipped(parts), "another array" if how < 0.3 else "other values"
     return mutations.archive(parts, rng), "archive"
-
-
-def _zipped(parts: dict[str, bytes]) -> bytes:
-    import io
-    import zipfile
-
-    out = io.BytesIO()
-    with zipfile.ZipFile(out, "w") as archive:
-        for name, data in parts.items():
-            archive.writestr(name, data)
-    return out.getvalue()
 
 
 _CONFIGURATION: Final = (
@@ -145,7 +133,7 @@ def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
     how = rng.randrange(10)
     if how < 3:
         text = mutations.text_of(mutations.changed(manifest, rng))
-        return _zipped({"manifest.json": text.encode(), **parts}), "manifest"
+        return mutations.zipped({"manifest.json": text.encode(), **parts}), "manifest"
     if how < 6:
         name = rng.choice([name for name in parts if name.endswith(".onnx")])
         parts[name], what = graphs.hostile(parts[name], rng)
@@ -157,103 +145,11 @@ def _bundle(rng: random.Random | None) -> tuple[bytes, str]:
             parts[name] = mutations.archive(samples.members_of(whole[name]), rng)
         return samples.bundle(parts, manifest), f"{name} is another"
     data = {"manifest.json": json.dumps(manifest).encode(), **parts}
-    return (mutations.archive(data, rng), "archive") if how == 8 else (mutations.bent(_zipped(data), rng), "bytes")
-
-
-def _data_set(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Path, str]:
-    from eitskin_proto.files.digest import sha256_of
-
-    out = folder / "data"
-    shutil.copytree(stays[0], out)
-    if rng is None:
-        return out, "whole"
-    index = json.loads((out / "index.json").read_text())
-    how, name = rng.randrange(6), rng.choice(["touches.npz", "deformation-0000.npz"])
-    if how < 2:
-        (out / "index.json").write_text(mutations.text_of(mutations.changed(index, rng)))
-        return out, "index"
-    if how == 2:
-        (out / "index.json").write_bytes(mutations.bent((out / "index.json").read_bytes(), rng))
-        return out, "index, bytes"
-    target = out / (name if how < 5 or rng.random() < 0.5 else "index.json")
-    if how == 5:
-        target.unlink()
-        return out, f"{target.name} is no file: {mutations.special(target, rng)}"
-    parts = samples.members_of(target.read_bytes())
-    if how == 3:
-        parts[rng.choice(list(parts))] = mutations.array(rng)
-    data = _zipped(parts) if how == 3 else mutations.archive(parts, rng)
-    target.write_bytes(data)
-    for entry in (index["touches"], *index["deformations"]):
-        if entry["file"] == name:
-            entry["sha256"] = sha256_of(data)
-    (out / "index.json").write_text(json.dumps(index))
-    return out, f"{name}, sealed again"
-
-
-def _run(stays: list[Path], folder: Path, rng: random.Random | None) -> tuple[Path, str]:
-    import torch
-
-    out = folder / "run"
-    shutil.copytree(stays[0], out)
-    if rng is None:
-        return out, "whole"
-    target = out / rng.choice(("best.pt", "history.json"))
-    how = rng.randrange(4)
-    if how == 0:
-        target.unlink()
-        return out, f"{target.name} is no file: {mutations.special(target, rng)}"
-    if target.suffix == ".json":
-        target.write_text(mutations.text_of(mutations.changed(json.loads(target.read_text()), rng)))
-        return out, "history"
-    if how == 1:
-        target.write_bytes(mutations.bent(target.read_bytes(), rng))
-        return out, "best.pt, bytes"
-    content = torch.load(target, weights_only=True)
-    weights = content.pop("weights")
-    changed = mutations.changed(content, rng)
-    if isinstance(changed, dict):
-        if how == 2 and weights:
-            name = rng.choice(list(weights))
-            weights[name] = rng.choice((torch.zeros(3), "text", None, torch.zeros(0), 7))
-        changed["weights"] = weights if rng.random() < 0.95 else rng.choice(mutations.HOSTILE)
-    torch.save(changed, target)
-    return out, "best.pt, values"
-
-
-def _make_run(stays: list[Path], folder: Path) -> None:
-    import torch
-
-    from eitskin_proto.sensor.ids import PROTOCOL_ID
-    from eitskin_proto.skin.skin import PAPER
-    from eitskin_training.network.model import VD2T
-    from eitskin_training.recipes import recipe
-
-    torch.set_num_threads(1)
-    out = folder / "run"
-    out.mkdir()
-    chosen = recipe("tiny")
-    epochs = [
-        {"number": 1, "training_loss": 0.5, "validation_loss": 0.4, "validation_cc": 0.9, "seconds": 1.0},
-        {"number": 2, "training_loss": 0.4, "validation_loss": 0.3, "validation_cc": 0.95, "seconds": 1.0},
-    ]
-    content = {
-        "format": 1, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id, "recipe": chosen.as_dict(), "seed": 0,
-        "data_digest": "0" * 16, "data": ["data"], "started_from": None, "history": epochs,
-        "weights": VD2T(chosen.architecture, PAPER).state_dict(),
-    }  # fmt: skip
-    torch.save(content, out / "best.pt")
-    (out / "history.json").write_text(json.dumps(epochs))
-    stays.append(out)
-
-
-def _make_data_set(stays: list[Path], folder: Path) -> None:
-    samples.data_set(folder / "data")
-    stays.append(folder / "data")
-
-
-_DATA: list[Path] = []
-_RUN: list[Path] = []
+    return (
+        (mutations.archive(data, rng), "archive")
+        if how == 8
+        else (mutations.bent(mutations.zipped(data), rng), "bytes")
+    )
 
 
 def _phantoms() -> Any:
@@ -278,14 +174,15 @@ KINDS: Final[dict[str, Kind]] = {
     "scan-npy": Kind(_file("s.npy", partial(_npy, samples.points)), samples.read_scan, long=600),
     "cloud": Kind(_file("c.npz", partial(_npz, samples.cloud)), samples.read_cloud),
     "recording": Kind(_file("r.npy", partial(_npy, samples.recording)), samples.read_recording),
-    "data-set": Kind(
-        partial(_data_set, _DATA), samples.read_data_set, prepare=partial(_make_data_set, _DATA), long=800
-    ),
+    "data-set": Kind(folders.data_set, samples.read_data_set, prepare=folders.make_data_set, long=800),
     "measured": Kind(_file("m.npz", partial(_npz, evaluated.measured)), evaluated.read_measured, long=800),
     "mismatches": Kind(_file("d.json", partial(_json, evaluated.mismatches)), evaluated.read_mismatches, long=1500),
     "tank": Kind(_file("t.npz", partial(_npz, evaluated.tank)), evaluated.read_tank, (OSError, ValueError), long=800),
     "skin": Kind(_file("s.toml", partial(_toml, evaluated.SKIN)), evaluated.read_skin, (OSError, ValueError)),
-    "run": Kind(partial(_run, _RUN), samples.read_run, prepare=partial(_make_run, _RUN), long=400),
+    "mcap": Kind(recorded.make, replayed.read, prepare=recorded.prepare, long=2500),
+    "robot": Kind(_file("robot.toml", partial(_toml, robots.TOML)), robots.read_toml),
+    "robot-state": Kind(_file("robot.json", partial(_json, robots.state)), robots.read_state, long=1500),
+    "run": Kind(folders.run, samples.read_run, prepare=folders.make_run, long=400),
 }
 """By name."""
 

@@ -158,6 +158,15 @@ def valued(array: Any, rng: random.Random) -> bytes:
         return samples.npy(values.astype(rng.choice(kinds)))
 
 
+def zipped(parts: dict[str, bytes]) -> bytes:
+    """Return a ZIP file of these members."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w") as packed:
+        for name, data in parts.items():
+            packed.writestr(name, data)
+    return out.getvalue()
+
+
 def archive(parts: dict[str, bytes], rng: random.Random) -> bytes:
     """Return a ZIP file with members that are missing, strange, repeated, packed, or that explode."""
     how, out = rng.randrange(8), io.BytesIO()

@@ -12,7 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -20,8 +20,9 @@ from typing import Any, Final
 
 from ..device.device import NOISES, PATTERNS, pattern
 from ..outcome import Outcome
+from ..pace import ENOUGH, LEAST, Passed, kept, pace
 from ..shutdown.exit_time import MOST_S, ExitTime, end
-from ..stream import PATIENCE_S, ROOT, Stream, attacked
+from ..stream import EITSKIN, PATIENCE_S, ROOT, Stream, attacked
 from .witness import Seen, Witness
 
 QUIET: Final = 150
@@ -56,6 +57,11 @@ class Process:
         assert self._process.stdin is not None
         self._process.stdin.write(json.dumps(order) + "\n")
         self._process.stdin.flush()
+
+    def sent_ns(self) -> dict[int, list[tuple[int, int]]]:
+        """Return when each whole frame since the last restart was made, and on the line, by its sequence number."""
+        self.start(do="sent")
+        return dict(json.loads(self._line(PATIENCE_S)))
 
     def ended(self, timeout_s: float) -> dict[str, Any]:
         """Return what it says at the end of an attack."""
@@ -172,6 +178,7 @@ class Trial:
         *,
         exact: bool = True,
         content: bool = True,
+        paced: bool = True,
         within_s: float = RECOVERS_S,
         uncounted: int = 1,
         **order: Any,
@@ -182,13 +189,14 @@ class Trial:
             outcome: Where to note it.
             exact: Whether just what was sent whole must have been published, and all damage counted.
             content: Whether what is published must be what was measured.
+            paced: Whether the stream must keep its pace: the device asks no more than it says that it does.
             within_s: How soon after the attack all frames must come again.
             uncounted: Damaged packets that need not be counted: what waits in a line that is opened anew is gone.
             order: What the device is to do.
         """
         outcome.tried += 1
         at = len(self.witness.frames)  # before the account, so that what it leaves out may be seen twice, never missed
-        before = self.device.order(do="report")
+        before, waited_ns = self.device.order(do="report"), self.witness.waits.total_ns
         counts = self.witness.frames[-1].counts
         said = self.device.order(**order)
         recovered_s = self.recovered(said)
@@ -204,6 +212,13 @@ class Trial:
         wrong += [f"published what is no frame: {text}" for text in broken[:2]]
         wrong += [f"frame {frame.sequence} holds what is not finite" for frame in frames if not frame.finite][:2]
         wrong += self.wrong(frames)[:2] if content else []
+        if paced and recovered_s is not None:
+            self.witness.wait(lambda seen: len(seen) >= at + 2 * ENOUGH, 60.0)  # a flood leaves room for few
+            found = self._pace(self.witness.frames[at:], self.witness.waits.total_ns - waited_ns)
+            if found is not None:  # of few frames, as where most are withheld, there is none
+                if not kept(found):
+                    wrong.append(f"published at {found} of the pace of measuring, expected at least {LEAST}")
+                outcome.figures["slowest_pace"] = min(outcome.figures.get("slowest_pace", 1.0), round(found, 3))
         if exact and frames:
             grown = {name: count - counts[name] for name, count in self.witness.frames[-1].counts.items()}
             damaged = after["damaged"] - before["damaged"]
@@ -217,6 +232,16 @@ class Trial:
         slowest = outcome.figures.get("slowest_recovery_s", 0.0)
         outcome.figures["slowest_recovery_s"] = round(max(slowest, recovered_s or 60.0), 2)
         return said
+
+    def _pace(self, frames: list[Seen], waited_ns: int) -> float | None:
+        """Return the pace of frames of which some may be missing, which is judged elsewhere."""
+        sent_ns, passed, last_ns = self.device.sent_ns(), list[Passed](), 0
+        for at, frame in enumerate(frames):  # numbers may come again, but what was sent first is published first
+            times = sent_ns.get(frame.sequence % 2**32, ())
+            if possible := [one for one in times if last_ns < one[1] <= frame.published_ns]:
+                made_ns, last_ns = possible[0]
+                passed.append(Passed(at, at, made_ns, last_ns, frame.published_ns))
+        return pace(passed, waited_ns)
 
     def _inexact(self, before: dict[str, Any], said: dict[str, Any], frames: list[Seen], may_miss: int) -> list[str]:
         """Return how what was published differs from what was sent whole; what waited during a greeting may miss."""
@@ -237,12 +262,12 @@ class Trial:
 
 
 @contextmanager
-def trial(*arguments: str, learn: bool = True, **options: Any) -> Iterator[Trial]:
+def trial(*arguments: str, learn: bool = True, program: Sequence[str] = EITSKIN, **options: Any) -> Iterator[Trial]:
     """Run a device, the runtime with further arguments on it, and a witness; give them once all is learned."""
     with (
         device(**options) as skin,
-        attacked(*arguments, port=skin.port) as stream,
-        Witness(stream.frames) as witness,
+        attacked(*arguments, port=skin.port, program=program) as stream,
+        Witness(stream.frames, stream.runtime.pid) as witness,
     ):
         running = Trial(skin, stream, witness, options.get("first", 0))
         if learn:

@@ -7,6 +7,7 @@ own subscriber made of it.
 import math
 import struct
 import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
@@ -14,6 +15,8 @@ from typing import Any, Self
 
 import msgpack
 import zmq
+
+from ..pace import Waits
 
 CELLS = 30 * 45
 
@@ -33,6 +36,8 @@ class Seen:
     events: list[str]
     counts: dict[str, int]
     skipped: list[str]
+    published_ns: int
+    """By the host's clock."""
 
 
 def _finite(value: Any, key: str = "") -> bool:
@@ -51,13 +56,14 @@ def seen(message: bytes) -> Seen:
     cells = struct.unpack(f"<{CELLS}f", held["map"])
     finite = _finite({**held, "map": None}) and all(map(math.isfinite, cells))
     where = (held["n"], held["seq"], held["device_us"], held["touched"], held["gate_logit"])
-    return Seen(*where, max(cells), finite, held["events"], held["counts"], held["skipped"])
+    return Seen(*where, max(cells), finite, held["events"], held["counts"], held["skipped"], held["host_ns"]["publish"])
 
 
 class Witness:
-    """Subscribes to everything, in a thread, until closed."""
+    """Subscribes to everything, in a thread, until closed; looks at the runtime's process at every frame."""
 
-    def __init__(self, endpoint: str) -> None:
+    def __init__(self, endpoint: str, process: int) -> None:
+        self.waits = Waits(process)
         self._context = zmq.Context()
         self._socket = self._context.socket(zmq.SUB)
         self._socket.set_hwm(0)
@@ -99,6 +105,7 @@ class Witness:
                 message = self._socket.recv()
             except zmq.Again:
                 continue
+            self.waits.look(time.monotonic_ns())
             with self._changed:
                 try:
                     self.frames.append(seen(message))

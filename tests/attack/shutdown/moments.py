@@ -1,9 +1,9 @@
 """``eitskin run`` is told to end at random moments of its life: it ends within a second, cleanly, and leaves nothing.
 
 Six runtimes go beside each other, each on a virtual skin of its own, from the interpreter's start on: while modules are
-loaded, the device is greeted, a reference captured, frames streamed, regions cut, a control request waits, the device
-is silent, or its port is gone. The second is the process's own (:mod:`tests.attack.shutdown.exit_time`); both times are
-among the figures.
+loaded, the device is greeted, a reference captured, frames streamed over ipc and TCP, with CURVE keys, and verified,
+regions cut, a control request waits, the device is silent, or its port is gone. The second is the process's own
+(:mod:`tests.attack.shutdown.exit_time`); both times are among the figures.
 """
 
 import random
@@ -23,6 +23,8 @@ from typing import Any, Final
 import msgpack
 import zmq
 
+from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
+
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, SKIN, TINY
 from .exit_time import MOST_S, SURELY_S, ExitTime, Watch
@@ -32,8 +34,13 @@ OLDEST_S: Final = 150.0
 
 LANES: Final = 6
 
-LIVES: Final = {"start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1}
+LIVES: Final = {
+    "start": 5, "capture": 3, "stream": 3, "control": 3, "regions": 4, "silent": 2, "unplugged": 1,
+    "tcp": 2, "curve": 2, "verify_idle": 2, "verify_always": 2,
+}  # fmt: skip
 """Where in its life a runtime is ended, and how often, one against the other."""
+
+TCP: Final = "tcp://127.0.0.1:*"
 
 LAST: Final = 700
 """Characters of what it said last that are shown."""
@@ -45,7 +52,8 @@ class Lane:
     """Runs runtimes one after the other on a skin of its own; release it with ``close``."""
 
     def __init__(self) -> None:
-        self._folder = Path(tempfile.mkdtemp(prefix="a"))
+        self._folder, self._keys = (Path(tempfile.mkdtemp(prefix=letter)) for letter in "ak")
+        make_keys(self._keys)
         self._context: Any = zmq.Context()
         self._watch = Watch()
         self._start_s = 1.0
@@ -57,7 +65,8 @@ class Lane:
         self._end_skin()
         self._watch.close()
         self._context.destroy(0)
-        shutil.rmtree(self._folder)
+        for folder in (self._folder, self._keys):
+            shutil.rmtree(folder)
 
     def _end_skin(self) -> None:
         with suppress(ProcessLookupError):
@@ -70,11 +79,9 @@ class Lane:
         if time.monotonic() - self._skin_since_s > OLDEST_S or self._skin.poll() is not None:
             self._end_skin()
             self._skin, self._port, self._skin_since_s = *_skin(), time.monotonic()
-        frames, control = self._folder / "f", self._folder / "c"
         out = self._folder / "out"
         words = [sys.executable, "-m", "eitskin_tools.cli", "run", "--bundle", TINY, "--port", self._port, "--json"]
-        words += ["--publish", f"ipc://{frames}", "--control", f"ipc://{control}", "--reference-frames"]
-        words += ["100000" if life == "capture" else "5", *(["--reconnect", "60"] if life == "unplugged" else [])]
+        words += ["--reference-frames", "100000" if life == "capture" else "5", *self._options(life)]
         with ExitStack() as stack, out.open("w") as file:
             process = subprocess.Popen(
                 list(map(str, words)), stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT, cwd=ROOT
@@ -87,8 +94,13 @@ class Lane:
                 return None, f"it was not ready: {_last(out)}"
             else:
                 self._start_s = time.monotonic() - began_s
-                getattr(self, f"_{life}")(stack, f"ipc://{control if life == 'control' else frames}", draw)
+                said = out.read_text(errors="replace").split()
+                at = said.index("ready") if "ready" in said else -6
+                getattr(self, f"_{life}")(stack, said[at + (5 if life == "control" else 3)], draw)
+            children = _children(process.pid)
             took = self._watch.end(process.pid, number)
+        if took is not None and (living := [child for child in children if not _gone(child)]):
+            return took, f"it left processes {living}"
         left = [path.name for path in self._folder.iterdir() if path != out]
         for name in left:
             (self._folder / name).unlink()
@@ -98,11 +110,32 @@ class Lane:
             return took, f"it left {left}"
         return took, _judge(life, number, process.returncode, took, out.read_text(errors="replace"))
 
+    def _options(self, life: str) -> list[str]:
+        """Return the options of ``eitskin run`` of a life."""
+        ipc = ["--publish", f"ipc://{self._folder}/f", "--control", f"ipc://{self._folder}/c"]
+        match life:
+            case "unplugged":
+                return [*ipc, "--reconnect", "60"]
+            case "tcp":
+                return ["--publish", TCP, *ipc[2:]]
+            case "curve":
+                return ["--publish", TCP, "--control", TCP, "--curve-keys", str(self._keys)]
+            case "verify_idle" | "verify_always":
+                return [*ipc, "--verify", life.partition("_")[2]]
+        return ipc
+
     def _capture(self, stack: ExitStack, where: str, draw: random.Random) -> None:
         time.sleep(draw.uniform(0.0, 0.2))
 
     def _stream(self, stack: ExitStack, where: str, draw: random.Random) -> None:
         self._subscribe(stack, where, [b""])
+        time.sleep(draw.uniform(0.0, 0.3))
+
+    _tcp = _verify_idle = _verify_always = _stream
+
+    def _curve(self, stack: ExitStack, where: str, draw: random.Random) -> None:
+        keys = load_client_keys(self._keys / "server.key", self._keys / "client.key_secret")
+        self._subscribe(stack, where, [b""], keys)
         time.sleep(draw.uniform(0.0, 0.3))
 
     def _control(self, stack: ExitStack, where: str, draw: random.Random) -> None:
@@ -130,12 +163,35 @@ class Lane:
         self._end_skin()
         time.sleep(draw.uniform(0.0, 0.3))
 
-    def _subscribe(self, stack: ExitStack, where: str, topics: list[bytes]) -> None:
+    def _subscribe(self, stack: ExitStack, where: str, topics: list[bytes], keys: ClientKeys | None = None) -> None:
         socket = self._context.socket(zmq.SUB)
         stack.callback(socket.close, 0)
+        if keys is not None:
+            keys.apply(socket)
         socket.connect(where)
         for topic in topics:
             socket.setsockopt(zmq.SUBSCRIBE, topic)
+
+
+def _children(process: int) -> list[int]:
+    """Return the processes that a process started and that run."""
+    with suppress(OSError):
+        tasks = list(Path(f"/proc/{process}/task").iterdir())
+        return [int(child) for task in tasks for child in (task / "children").read_text().split()]
+    return []
+
+
+def _gone(process: int) -> bool:
+    """Return whether a process has ended, or does so soon: its parent's end ends it, and somebody must collect it."""
+    until_s = time.monotonic() + SURELY_S
+    while time.monotonic() < until_s:
+        try:
+            if Path(f"/proc/{process}/stat").read_text().rpartition(")")[2].split()[0] in "ZX":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.01)
+    return False
 
 
 def _skin() -> tuple["subprocess.Popen[str]", str]:
@@ -203,8 +259,7 @@ def at_moments(effort: Effort, lives: list[str]) -> Outcome:
     ctrl_c = signal.getsignal(signal.SIGINT) != signal.SIG_IGN  # as behind a shell's "&", and runtimes inherit that
     lock, times, seen = threading.Lock(), [], Counter[str]()
 
-    def work() -> None:
-        lane = Lane()
+    def work(lane: Lane) -> None:
         try:
             while True:
                 with lock:
@@ -221,7 +276,8 @@ def at_moments(effort: Effort, lives: list[str]) -> Outcome:
         finally:
             lane.close()
 
-    threads = [threading.Thread(target=work) for _ in range(effort.count(1, LANES))]
+    lanes = [Lane() for _ in range(effort.count(1, LANES))]  # here: keys are made under a umask, the whole process's
+    threads = [threading.Thread(target=work, args=(lane,)) for lane in lanes]
     for thread in threads:
         thread.start()
     for thread in threads:

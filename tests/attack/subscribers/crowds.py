@@ -11,7 +11,7 @@ from typing import Any
 import eitskin
 
 from ..outcome import Effort, Outcome
-from ..stream import PATIENCE_S, ROOT, attacked
+from ..stream import PATIENCE_S, ROOT, Stream, attacked
 from ..zmtp.peer import GREETING, attempt, connected, packed, ready
 from .ground import TOUCHED, defended, everywhere, status
 
@@ -22,11 +22,11 @@ STRANGERS = 150
 
 
 @contextlib.contextmanager
-def crowd(endpoint: str, number: int) -> Iterator[dict[str, Any]]:
+def crowd(stream: Stream, number: int) -> Iterator[dict[str, Any]]:
     """Run a crowd beside the body; afterwards the dictionary says what it got."""
     found: dict[str, Any] = {}
     process = subprocess.Popen(
-        [sys.executable, "-m", "tests.attack.subscribers.crowd", endpoint, str(number)],
+        [sys.executable, "-m", "tests.attack.subscribers.crowd", stream.frames, str(number), str(stream.runtime.pid)],
         stdout=subprocess.PIPE,
         text=True,
         cwd=ROOT,
@@ -34,11 +34,11 @@ def crowd(endpoint: str, number: int) -> Iterator[dict[str, Any]]:
     assert process.stdout is not None
     try:
         if process.stdout.readline().strip() != "subscribed":
-            raise RuntimeError(f"{number} subscribers at {endpoint} did not all get a frame")
+            raise RuntimeError(f"{number} subscribers at {stream.frames} did not all get a frame")
         yield found
         process.terminate()
         out, _ = process.communicate(timeout=PATIENCE_S)
-        found.update(json.loads(out.splitlines()[-1]))
+        found.update(stream.paced(json.loads(out.splitlines()[-1])))
     finally:
         process.kill()
         process.communicate()
@@ -49,7 +49,7 @@ def honest_crowds(effort: Effort) -> Outcome:
     outcome = Outcome("subscribers.honest")
     rates = outcome.figures["frames_per_s_of_each"] = {}
     for number in (1, 8, 32, 64, 100, PROMISED) if effort.long else (8, PROMISED):
-        with attacked(**TOUCHED) as stream, crowd(stream.frames, number) as found:
+        with attacked(**TOUCHED) as stream, crowd(stream, number) as found:
             late = [Late(stream.frames) for _ in range(effort.count(3, 20))] if number == PROMISED else []
             if late:
                 outcome.note(*_told(stream.frames))
@@ -65,6 +65,7 @@ def honest_crowds(effort: Effort) -> Outcome:
         outcome.figures.setdefault("longest_silence_s", {})[number] = found["longest_silence_s"]
         whole = found["lost"] == 0 and found["ended"] == 0 and found["behind"] < 100
         outcome.note(whole, f"{number} subscribers: {found}")
+        outcome.note_pace(found["pace"], f"{number} subscribers")
     return outcome
 
 

@@ -51,7 +51,10 @@ def few_descriptors(effort: Effort) -> Outcome:
     """Use up the files that a runtime may open, while it publishes and while its reference is captured."""
     outcome = Outcome("subscribers.descriptors")
     rng = random.Random(effort.seed)
-    for files in (64, 256, 1024):
+    for files in (64, 128, 256)[: effort.count(1, 3)]:
+        for _ in range(effort.count(1, 6)):
+            _tcp_beside_ipc(files, outcome, rng, effort.count(2, 8))
+    for files in (64, 1024, 256)[: effort.count(2, 3)]:
         for what, arguments in (("ipc", ()), ("TCP", ("--publish", "tcp://127.0.0.1:*"))):
             for _ in range(effort.count(1, 4)):
                 with defended(outcome, f"{files} files, {what}", arguments=arguments, files=files) as stream:
@@ -59,6 +62,19 @@ def few_descriptors(effort: Effort) -> Outcome:
         for _ in range(effort.count(1, 4)):
             _during_capture(files, outcome, rng)
     return outcome
+
+
+def _tcp_beside_ipc(files: int, outcome: Outcome, rng: random.Random, span_s: float) -> None:
+    """Flood frames on TCP and, at once, control on ipc, where libzmq aborts if a connection finds no descriptor."""
+    what, where = f"{files} files, TCP beside ipc", ("--publish", "tcp://127.0.0.1:*")
+    with defended(outcome, what, arguments=where, files=files) as stream:
+        flood.side_by_side(
+            [
+                lambda: flood.connect(stream.frames, span_s, rng, 1500),
+                lambda: flood.connect(stream.frames, span_s, rng, 1500),
+                lambda: flood.connect(stream.control, span_s, rng, 40),
+            ]
+        )
 
 
 def _during_capture(files: int, outcome: Outcome, rng: random.Random) -> None:

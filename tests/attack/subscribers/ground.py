@@ -76,6 +76,7 @@ def defended(
             served and not any(one["lost"] for one in found) and honest is stream.honest[0],
             f"{what}: {computed} frames computed, {published} published, subscribers {found}",
         )
+        outcome.note_pace(found[0]["pace"], what)
 
 
 def ends(stream: Stream, outcome: Outcome, what: str) -> None:

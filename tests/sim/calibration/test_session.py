@@ -101,6 +101,7 @@ def test_gauge_factor_and_press_are_found_with_their_errors(calibrated):
     assert twin.layer.gauge_factor.value == pytest.approx(gauge["values"][0])
 
 
+@pytest.mark.slow
 def test_the_way_of_presses_is_told_by_the_recording_where_the_skin_says_both(recorded):
     both = replace(STATED, touches=replace(STATED.touches, higher=True))
     _, report = calibrate(both, replace(recorded, bents=()), 50.0)

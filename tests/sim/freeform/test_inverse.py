@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.freeform.inverse import make_lines
+from eitskin_sim.freeform.inverse import make_lines, solve_lines
 from eitskin_sim.freeform.mesh import SharedMesh, shared_mesh
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend
@@ -34,6 +34,17 @@ def test_memory_that_was_used_before_changes_nothing() -> None:
     again = inverted_sheet(BEND, SIZE_MM, into=used)
     assert again.inverse is used
     assert np.array_equal(again.inverse, fresh.inverse)
+
+
+def test_a_sheet_is_solved_line_by_line_as_by_its_inverse() -> None:
+    grid, sheet = shared_mesh(SIZE_MM), inverted_sheet(BEND, SIZE_MM)
+    currents = np.random.default_rng(0).normal(size=(len(grid.sharing), 5))
+    kept = currents.copy()
+    found = solve_lines(grid.lines, sheet.before, sheet.ground, currents)
+    assert np.allclose(found, sheet.inverse @ currents, rtol=1e-9, atol=1e-9 * np.abs(found).max())
+    assert np.array_equal(currents, kept)
+    with pytest.raises(ValueError, match="not positive definite"):
+        solve_lines(grid.lines, -sheet.before, sheet.ground, currents)
 
 
 @pytest.mark.parametrize("size_mm", [1.9, 3.5, 8.0])

@@ -121,3 +121,18 @@ def test_strength_is_log_contrast_times_area() -> None:
     assert np.allclose(areas_mm2(MIXED[:4]), [120.0, 308.0, 48.0 * np.pi, 30.25 * np.pi])
     assert np.allclose(strengths_mm2(MIXED[:1]), 120.0 * np.log(50.0))
     assert strengths_mm2(MIXED)[1] < 0.0
+
+
+def test_a_sheet_solved_whole_reads_as_one_solved_where_it_is_touched(monkeypatch: pytest.MonkeyPatch) -> None:
+    pieces = np.array([[0, 60.0, 45.0, 50.0, 40.0, 10.0, 50.0, 0.0], [0, 120.0, 70.0, 20.0, 10.0, 0.0, 0.3, 0.0]])
+    own = sheet()
+    found = []
+    for large in (0, 10_000):
+        monkeypatch.setattr("eitskin_sim.shapes.sheet.LARGE", large)
+        found.append(own.solve(pieces))
+    whole, part = found
+    assert np.array_equal(whole.dofs, part.dofs)
+    assert np.allclose(whole.voltages_V, part.voltages_V, rtol=1e-9, atol=1e-12)
+    wanted = free(pieces)
+    rates = [own.jacobian(one, wanted)[0] for one in found]
+    assert np.allclose(*rates, rtol=1e-7, atol=1e-9)

@@ -17,6 +17,8 @@ from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sets.exchange import Exchange
+from eitskin_sim.verification.sets.judge import Judge
+from eitskin_sim.verification.sets.known import Candidates
 from eitskin_sim.verification.sets.price import UnitPrice
 
 SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
@@ -36,39 +38,86 @@ def model(sheet: ExactSheet) -> ReducedModel:
     return reduced(sheet, SMALL)
 
 
-def exchange(sheet: ExactSheet, model: ReducedModel, late: bool = False, content: float = CONTENT) -> Exchange:
-    flat = rows_of(exact_sheet(flat_metric_of(SMALL), SMALL).untouched)
-    volts = rows_of(sheet.currents(np.array(TRUE), np.full(3, 50.0))[1])
-    noisy = add_noise(volts, flat, "N2", 50.0, np.random.default_rng(3))
-    frame = Frame(relative_change(noisy, flat), flat, Noise())
+class Case:
+    """An exchange on one frame, and what starts it."""
 
-    def explains(units: np.ndarray, contrast: float) -> bool:
-        state = state_of(model, units, np.full(len(units), contrast))
-        return float(frame.chi_squared(state.volts / flat)) < content
+    def __init__(
+        self,
+        sheet: ExactSheet,
+        model: ReducedModel,
+        late: bool = False,
+        content: float = CONTENT,
+        heights: np.ndarray | None = None,
+        contrasts: tuple[float, ...] = (50.0,),
+    ) -> None:
+        flat = rows_of(exact_sheet(flat_metric_of(SMALL), SMALL).untouched)
+        volts = rows_of(sheet.currents(np.array(TRUE), np.full(3, contrasts[0]))[1])
+        noisy = add_noise(volts, flat, "N2", 50.0, np.random.default_rng(3))
+        frame = Frame(relative_change(noisy, flat), flat, Noise())
+        price = UnitPrice(model.shape, Prior(places=24), 50.0)
+        price.begin([], heights)
+        deadline = -1.0 if late else 1.0
+        self.judge = Judge(model, model.of_rank(8), flat, frame, price, 50.0, deadline, lambda: 0.0)
+        self.judge.content = content
+        self.candidates = Candidates.of(*(np.full(24, one) for one in contrasts))
+        self.search = Exchange(self.judge, self._explains)
 
-    price = UnitPrice(model.shape, Prior(places=24), 50.0)
-    return Exchange(model.of_rank(8), flat, frame, price, content, explains, lambda: late)
+    def _explains(self, units: np.ndarray, contrasts: np.ndarray) -> bool:
+        return self.judge.explained(self.judge.state(units, contrasts))
+
+    def found(self, *starts: list[int], most: int | None = None) -> list[int]:
+        every = [self.candidates.bits(np.array(one, dtype=np.intp)) for one in starts]
+        return sorted(self.candidates.units[self.search.improved(every, self.candidates, most)].tolist())
 
 
 def test_a_unit_between_two_that_are_touched_becomes_the_two(sheet: ExactSheet, model: ReducedModel) -> None:
-    found = exchange(sheet, model).improved([np.array([9, 19])], 50.0)
-    assert found.tolist() == TRUE
+    assert Case(sheet, model).found([9, 19]) == TRUE
 
 
 def test_two_that_are_each_one_place_off_are_put_right(sheet: ExactSheet, model: ReducedModel) -> None:
-    found = exchange(sheet, model).improved([np.array([2, 16, 19])], 50.0)
-    assert found.tolist() == TRUE
+    assert Case(sheet, model).found([2, 16, 19]) == TRUE
+
+
+def test_what_the_network_doubts_is_tried_first(sheet: ExactSheet, model: ReducedModel) -> None:
+    heights = np.full(24, 0.0005)
+    heights[[8, 10, 19, 9]] = 0.3, 0.2, 0.999, 0.7
+    doubting, blind = Case(sheet, model, content=1000.0, heights=heights), Case(sheet, model, content=1000.0)
+    assert doubting.found([9, 19]) == blind.found([9, 19]) == TRUE
+    assert doubting.judge.evaluations < blind.judge.evaluations
+
+
+def test_a_map_that_is_wrong_and_sure_of_it_is_overruled(sheet: ExactSheet, model: ReducedModel) -> None:
+    heights = np.full(24, 0.0005)
+    heights[[9, 19]] = 0.9995
+    assert Case(sheet, model, heights=heights).found([9, 19]) == TRUE
+
+
+def test_a_unit_is_in_a_set_at_one_contrast_only(sheet: ExactSheet, model: ReducedModel) -> None:
+    case = Case(sheet, model, contrasts=(0.4, 50.0))
+    bits = case.search.improved([case.candidates.bits(np.array([9, 19 + 24]))], case.candidates)
+    assert sorted(case.candidates.units[bits].tolist()) == TRUE
+    assert case.candidates.contrasts[bits].tolist() == [0.4, 0.4, 0.4]
+
+
+def test_a_search_that_was_interrupted_goes_on_where_it_was(sheet: ExactSheet, model: ReducedModel) -> None:
+    case = Case(sheet, model, content=0.0)
+    chi = [np.inf]
+    for _ in range(12):
+        units = case.found([2], most=1)
+        state = case.judge.state(np.array(units, dtype=np.intp), np.full(len(units), 50.0), coarse=True)
+        chi.append(case.judge.cost(state, case.judge.chi(state), 2.0))
+        assert chi[-1] <= chi[-2]
+    assert chi[-1] < chi[1]
 
 
 def test_the_search_ends_where_nothing_explains_the_frame(sheet: ExactSheet, model: ReducedModel) -> None:
-    own = exchange(sheet, model, content=0.0)
-    assert own.improved([np.array([9])], 50.0).tolist() == TRUE
-    assert own.evaluations < 200
+    case = Case(sheet, model, content=0.0)
+    assert case.found([9]) == TRUE
+    assert case.judge.evaluations < 20_000
 
 
 def test_without_time_the_cheapest_start_is_the_answer(sheet: ExactSheet, model: ReducedModel) -> None:
-    own = exchange(sheet, model, late=True)
-    assert own.improved([np.array([9]), np.array([8, 10]), np.array([0])], 50.0).tolist() == [8, 10]
+    assert Case(sheet, model, late=True).found([9], [8, 10], [0]) == [8, 10]
 
 
 def test_a_model_of_fewer_patterns_is_nearly_the_model(sheet: ExactSheet, model: ReducedModel) -> None:

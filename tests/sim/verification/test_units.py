@@ -172,6 +172,47 @@ def test_what_the_model_does_not_know_is_flagged(exact: ExactSheet, flat: np.nda
     assert verdict.flagged
 
 
+def test_heights_say_where_to_look_and_do_not_decide(
+    exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier
+) -> None:
+    change = frame(exact, flat, {9: 50.0, 14: 50.0}, "N2")
+    for doubted in ([14, 13], []):  # the second map is sure of a wrong set
+        heights = np.where(bits([9, 13]), 0.999, 0.001)
+        heights[doubted] = 0.4
+        verdict = verifier.verify(change, flat, [bits([9, 13])], Noise(), budget_s=LONG_S, heights=heights)
+        assert units_of(verdict) == {9, 14}
+        assert not verdict.flagged
+    with pytest.raises(ValueError, match="heights of shape"):
+        verifier.verify(change, flat, [bits([9])], Noise(), heights=np.zeros(5))
+
+
+@pytest.mark.parametrize(
+    ("contrasts", "start"), [({2: 0.1, 9: 0.1, 20: 0.1}, [2, 9, 19]), ({2: 2.0, 9: 2.0, 20: 2.0}, [2, 9, 20, 22])]
+)
+def test_a_wrong_set_of_another_contrast_is_put_right(
+    exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier, contrasts: dict[int, float], start: list[int]
+) -> None:
+    change = frame(exact, flat, contrasts, "N2")
+    verdict = verifier.verify(change, flat, [bits(start)], Noise(), budget_s=LONG_S)
+    assert units_of(verdict) == set(contrasts)
+    assert not verdict.flagged
+    assert all(abs(np.log(one.contrast / contrasts[one.unit])) < 0.35 for one in verdict.touches)
+
+
+def test_the_price_of_each_flip_is_that_of_the_set_after_it() -> None:
+    price, usual = UnitPrice((4, 6), Prior(places=UNITS), 50.0), 50.0
+    heights = np.random.default_rng(2).random(UNITS)
+    price.begin([], heights)
+    touched = bits([0, 1, 9, 20])
+    before, found = price.of_bits(touched), price.flips(touched)
+    for unit in (0, 2, 5, 9, 15, 20):  # no touch is split or joined
+        after = touched.copy()
+        after[unit] ^= True
+        own = np.flatnonzero(after)
+        assert price.of(own, np.full(len(own), usual)) - before == pytest.approx(found[unit])
+    assert price.doubts.argmin() == np.abs(heights - 0.5).argmin()
+
+
 def test_units_side_by_side_are_one_touch_and_starts_are_evidence() -> None:
     price = UnitPrice((4, 6), Prior(places=UNITS), 50.0)
     assert price.pieces(np.array([0, 1, 7])) == 1

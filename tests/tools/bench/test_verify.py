@@ -10,6 +10,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
 from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
 from eitskin_tools.bench.verify.matched import LEVELS, of_rows
+from eitskin_tools.bench.verify.moving import STEP_MM, sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
 from eitskin_tools.bench.verify.plot import draw
 from eitskin_tools.bench.verify.printed import tables
@@ -60,6 +61,19 @@ def test_paper_like_touches_lie_on_the_sheet_at_deformations_of_the_trials() -> 
         area = area_map(one.scene.touches, PAPER.grid)
         assert 0.0 < area.sum() < 0.5 * area.size
         assert one.truth == "area"
+
+
+def test_touches_that_slide_stay_on_the_sheet_and_move_by_as_much_each_frame() -> None:
+    found = sliding(3, 2, 40)
+    assert [one.name for one in found[:2]] == ["A0.0", "A0.1"]
+    boxes = np.array([[touch.shapes[0].bounds_mm for touch in one.scene.touches] for one in found])
+    assert boxes.min() > 0.0
+    assert (boxes[..., 2:].max(axis=(0, 1)) < PAPER.grid.size_mm).all()
+    steps = np.hypot(*np.diff(boxes[:40, 0, :2], axis=0).T)
+    assert np.isclose(steps, STEP_MM).mean() > 0.8  # less where it turns back
+    assert steps.max() < STEP_MM + 1e-9
+    follow = [one.follow for one in anywhere_conditions() if "tracked" in one.name]
+    assert follow == [True, False, True, False]
 
 
 def test_the_picture_of_p_is_drawn(tmp_path: Path) -> None:

@@ -101,6 +101,18 @@ def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]
 
 
 @pytest.mark.slow
+def test_a_sheet_of_another_size_is_played_scanned_and_shown(place: Path, cache: Path) -> None:
+    scene = ROOT / "docs" / "examples" / "scene.json"
+    done = subprocess.run(
+        [*COMMAND, "--seconds=2", "--json", f"--bundle={BUNDLE.with_name('second.eitskin')}", f"--scene={scene}"],
+        capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False, env=environment(place, cache),
+    )  # fmt: skip
+    found = summary(done)
+    assert found["frames"] > 0
+    assert found["clouds"] > 0, "the scanner's clouds have the pixels of that sheet"
+
+
+@pytest.mark.slow
 def test_a_longer_demonstration_computes_and_scores_what_it_shows(place: Path, cache: Path) -> None:
     found = summary(demonstrated(20, place, cache))
     assert found["frames"] >= 200, "of 4000: also a busy machine has time for these"

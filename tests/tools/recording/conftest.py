@@ -12,14 +12,15 @@ from eitskin.messaging.streams import envelope
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
 from eitskin.messaging.streams.state import SkinState
-from eitskin.model.bundle import load_bundle
+from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.frames import Frame as WireScan
 from eitskin_tools.recording.recorder import Kept, Recorder
 from eitskin_tools.recording.replay.line import RecordedLine
-from eitskin_tools.recording.script import Step
+from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.script import Script, Step
 from eitskin_tools.recording.series import Series
 
 TINY = Path(__file__).parents[2] / "golden" / "tiny.eitskin"
@@ -79,6 +80,15 @@ class Taker:
         body = self._joiner.take(found)
         if body is not None:
             self.items.append(STREAMS[found.name].of(body, n=found.number, run=found.run))
+
+
+def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
+    """Return what a program gets of a recording that is played."""
+    taker = Taker()
+    with Player(Script(path), Manner(paced=False, **options), bundle=bundle.path) as player:
+        for _ in player.skin.publish(taker):
+            pass
+    return taker.items
 
 
 def measured(frames: int = 150, **options: Any) -> list[Any]:

@@ -13,11 +13,12 @@ from typing import Any
 
 import pytest
 
+from eitskin import WireFrame
 from eitskin_tools import cli
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY
+from .conftest import TINY, recorded
 
 Capture = pytest.CaptureFixture[str]
 
@@ -29,97 +30,6 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
     assert out == ""
     assert err.count("\n") == 1, err
     return status, err
-
-
-READERS = {
-    "replay": ["replay"], "reinfer": ["reinfer"], "convert": ["convert", "--out", "a.npz"],
-    "doctor": ["doctor", "--electrodes", "--recorded"], "evaluate": ["evaluate", "--solver", "tikhonov", "--measured"],
-}  # fmt: skip
-"""Commands that read a recording, which comes last."""
-
-
-@pytest.mark.parametrize("command", READERS)
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [
-        (None, "no file"),
-        (b"", "is empty"),
-        (b"no recording", "is no MCAP file"),
-        (b"\x89MCAP0\r\n", "ends before it says what it is"),
-    ],
-)
-def test_what_is_no_recording_is_one_line(
-    tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch, command: str, content: bytes | None, says: str
-) -> None:
-    path = tmp_path / "a.mcap"
-    if content is not None:
-        path.write_bytes(content)
-    monkeypatch.chdir(tmp_path)
-    status, said = one_line(capsys, *READERS[command], str(path))
-    assert status == 1
-    assert says in said
-
-
-@pytest.mark.parametrize("command", READERS)
-def test_a_recording_of_a_newer_release_is_one_line(
-    tmp_path: Path, items: list[Any], capsys: Capture, command: str, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from eitskin_tools.recording import writer
-
-    from .conftest import recorded
-
-    monkeypatch.setattr(writer, "VERSION", 2)
-    monkeypatch.chdir(tmp_path)
-    recorded(tmp_path / "newer.mcap", items)
-    status, said = one_line(capsys, *READERS[command], "newer.mcap")
-    assert status == 1
-    assert "version 2, this release reads up to 1" in said
-
-
-def test_a_recording_of_another_protocol_is_one_line(
-    file: Path, tmp_path: Path, items: list[Any], capsys: Capture
-) -> None:
-    from dataclasses import replace
-
-    from eitskin import SkinState
-
-    from .conftest import recorded
-
-    other = [replace(one, protocol_id="0123456789abcdef") if isinstance(one, SkinState) else one for one in items]
-    recorded(tmp_path / "other.mcap", other)
-    status, said = one_line(capsys, "reinfer", str(tmp_path / "other.mcap"), "--bundle", str(TINY))
-    assert status == 1
-    assert "protocol_id" in said
-    assert "0123456789abcdef" in said
-
-
-def test_a_bundle_of_another_skin_and_one_that_is_not_there_are_one_line(file: Path, capsys: Capture) -> None:
-    status, said = one_line(capsys, "replay", str(file), "--quiet", "--bundle", str(TINY.with_name("second.eitskin")))
-    assert status == 1
-    assert "grid_id" in said
-    status, said = one_line(capsys, "reinfer", str(file), "--bundle", str(TINY.with_name("second.eitskin")))
-    assert status == 1
-    assert "grid_id" in said
-    assert "name a bundle of the skin that was recorded" in said
-    status, said = one_line(capsys, "reinfer", str(file))
-    assert status == 1
-    assert "name it with --bundle" in said
-
-
-def test_a_replay_onto_an_endpoint_in_use_is_one_line(file: Path, tmp_path: Path, capsys: Capture) -> None:
-    from eitskin.messaging.publish import Publisher
-
-    endpoint = f"ipc://{tmp_path}/f"
-    publisher = Publisher(endpoint)
-    try:
-        status, said = one_line(
-            capsys, "replay", str(file), "--bundle", str(TINY), "--publish", endpoint, "--quiet",
-            "--control", f"ipc://{tmp_path}/c",
-        )  # fmt: skip
-    finally:
-        publisher.close()
-    assert status == 1
-    assert "is in use" in said
 
 
 @pytest.mark.parametrize(
@@ -220,6 +130,45 @@ def test_killed_at_any_moment_it_leaves_a_file_that_lacks_no_frame_but_the_last_
     assert left[-1].frames > 0
     for number in range(3):
         assert Recording(tmp_path / f"k{number}.mcap").head
+
+
+@pytest.mark.process
+@pytest.mark.slow
+@pytest.mark.parametrize("rotation", [("--rotate-mb", "0.02"), ("--rotate-minutes", "0.004")])
+def test_killed_while_one_file_is_ended_and_the_next_begun_all_are_readable_and_lack_no_frame(
+    file: Path, tmp_path: Path, rotation: tuple[str, str]
+) -> None:
+    from eitskin_tools.fault_injection.recorder_kill import Witness, kill_one
+
+    with played(file, tmp_path) as endpoint:
+        witness = Witness(endpoint)
+        left = [
+            kill_one(
+                endpoint, tmp_path / f"k{number}.mcap", 0.301 + 0.307 * number, witness, rotation, at_next_file=True
+            )
+            for number in range(3)
+        ]
+        witness.close()
+    assert [(one.gaps, one.unreadable) for one in left] == [(0, 0)] * 3
+    assert all(one.files > 1 and one.frames > 0 for one in left)
+
+
+def test_what_a_killed_recorder_left_is_told(tmp_path: Path, items: list[Any]) -> None:
+    """Files that cannot be read, and frames that are missing in the middle of a series, are found."""
+    from eitskin_tools.fault_injection.recorder_kill import left_in
+
+    wire = [one for one in items if isinstance(one, WireFrame)]
+    gone = {one.n for one in wire[70:73]}
+    recorder = recorded(
+        tmp_path / "a.mcap", [one for one in items if not (isinstance(one, WireFrame) and one.n in gone)], most_s=0.0
+    )
+    assert recorder.series is not None
+    newest_ns = wire[-1].read_ns + 500_000_000
+    left = left_in(recorder.series.files, newest_ns)
+    assert (left.frames, left.gaps, left.unreadable, left.between) == (len(wire) - 3, 3, 0, True)
+    assert left.missing_s == pytest.approx(0.5, abs=1e-6)
+    recorder.series.files[-1].write_bytes(b"")
+    assert left_in(recorder.series.files, newest_ns).unreadable == 1
 
 
 @pytest.mark.process

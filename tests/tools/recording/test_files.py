@@ -179,7 +179,8 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
     reserve = 64 << 10
     disk = SmallDisk(150_000, reserve)
     clock, path = Clock(), tmp_path / "a.mcap"
-    writer = RecordingWriter(path, HEAD, reserve_bytes=reserve, now_s=clock)
+    held = sinks.Reserve(tmp_path, reserve)
+    writer = RecordingWriter(path, HEAD, reserve=held, now_s=clock)
     disk.sink, disk.used = writer._sink, writer.size
     monkeypatch.setattr(sinks.os, "write", disk.write)
     contents = []
@@ -188,6 +189,7 @@ def test_where_the_disk_is_full_the_file_is_ended_whole(tmp_path: Path, monkeypa
         clock.now += 0.02
         writer.add(WIRE, contents[-1], len(contents), len(contents))
     writer.close()
+    held.give_up()
     assert disk.used <= disk.room
     found = Recording(path)
     assert [entry.data for entry in found.entries()] == contents

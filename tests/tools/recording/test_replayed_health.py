@@ -18,7 +18,7 @@ from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.replay.play import Manner, Player
 from eitskin_tools.recording.script import Script, Step
 
-from .conftest import PERIOD_NS, Taker, hello, recorded
+from .conftest import PERIOD_NS, Taker, hello, play, recorded
 
 FRAMES, REFERENCE, LOST_FROM, LOST = 300, 20, 150, 5
 WITH_TIME = {"age_us", "latency_us", "host_ns", "counts"}
@@ -64,14 +64,6 @@ def told(frame: Frame) -> dict[str, Any]:
     """Return all that a frame says but for clocks; null is equal to itself."""
     found = {name: value for name, value in note_of(frame).items() if name not in WITH_TIME}
     return {**found, "gate_logit": round(found["gate_logit"], 12)}
-
-
-def play(path: Path, bundle: Bundle, **options: Any) -> list[Any]:
-    taker = Taker()
-    with Player(Script(path), Manner(paced=False, **options), bundle=bundle.path) as player:
-        for _ in player.skin.publish(taker):
-            pass
-    return taker.items
 
 
 def of(items: list[Any], kind: type) -> list[Any]:

@@ -1,16 +1,20 @@
 """Files of a series: each takes the next number that is free, and none that is there is lost."""
 
+import errno
+import os
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from eitskin import SkinState
 from eitskin_tools import cli
+from eitskin_tools.recording import sink as sinks
 from eitskin_tools.recording.layout import WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
-from eitskin_tools.recording.series import Series, others, path_of
+from eitskin_tools.recording.series import MOST_ENDING, Series, others, path_of
 
 from .conftest import measured, recorded
 
@@ -67,6 +71,71 @@ def test_where_no_file_can_be_made_it_does_not_go_on_looking(tmp_path: Path, mon
     with pytest.raises(RecordingError, match="less than 8 MB"):
         series.begin_anew({})
     series.close()
+
+
+def test_room_is_kept_once_for_all_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nobody else can take what one file would give back before the next begins."""
+    series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
+
+    def taken(*_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(sinks.os, "posix_fallocate", taken)
+    for number in range(7):
+        series.add(WIRE, bytes([number]), number, number)
+        series.sync()
+    series.close()
+    assert len(series.files) > 7 > MOST_ENDING
+    found = [entry.data for path in series.files for entry in Recording(path).entries({WIRE.topic})]
+    assert found == [bytes([number]) for number in range(7)]
+
+
+@pytest.mark.parametrize("step", ["write", "link"])
+def test_no_file_is_ever_there_without_its_head(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: str) -> None:
+    """Whenever it ends, each file says what it is: looked at just before and behind what gives it its name."""
+    really, seen = getattr(os, step), 0
+
+    def look() -> int:
+        return sum(bool(Recording(path).head["file"]) for path in tmp_path.iterdir())
+
+    def looked_at(*given: Any, **more: Any) -> Any:
+        nonlocal seen
+        seen += look()
+        found = really(*given, **more)
+        seen += look()
+        return found
+
+    monkeypatch.setattr(sinks, "os", SimpleNamespace(**{**vars(os), step: looked_at}))
+    series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
+    for number in range(3):
+        series.add(WIRE, b"frame", number, number)
+        series.sync()
+    series.close()
+    assert seen > 3
+
+
+@pytest.mark.parametrize("refused", ["open", "link"])
+def test_where_every_file_has_a_name_it_is_made_under_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: str
+) -> None:
+    """FAT and some network disks know no nameless files; a container may have no /proc."""
+    really = getattr(os, refused)
+
+    def refuse(*given: Any, **more: Any) -> Any:
+        if refused == "link" or given[1] & os.O_TMPFILE == os.O_TMPFILE:
+            raise OSError(errno.EOPNOTSUPP, "Operation not supported")
+        return really(*given, **more)
+
+    reserve = sinks.Reserve(tmp_path)
+    monkeypatch.setattr(sinks, "os", SimpleNamespace(**{**vars(os), refused: refuse}))
+    sink = sinks.Sink(tmp_path / "a.mcap")
+    sink.write(b"head")
+    sink.begin(reserve)
+    sink.write(b"tail")
+    sink.close()
+    reserve.give_up()
+    assert (tmp_path / "a.mcap").read_bytes() == b"headtail"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.mcap"]
 
 
 def test_a_runtime_that_starts_anew_passes_over_a_file_as_well(tmp_path: Path, items: list[Any]) -> None:

@@ -1,4 +1,4 @@
-"""The supervising process, around stand-ins of skins: ``family_process.py ROBOT.toml GRACE_S``."""
+"""The supervising process, around stand-ins of skins: ``family_process.py ROBOT.toml GRACE_S SILENT_S [PROGRAM]``."""
 
 import os
 import sys
@@ -15,7 +15,7 @@ from eitskin_tools.service.supervisor import Supervisor
 
 robot = load_robot(sys.argv[1])
 make_folders(robot)
-program = (sys.executable, "-S", str(Path(__file__).with_name("skin_script.py")))
-skins = [SkinProcess(one, Pauses(0.05, 0.4, 60.0), program=program) for one in robot.skins]
+program = sys.argv[4:] or (sys.executable, "-S", str(Path(__file__).with_name("skin_script.py")))
+skins = [SkinProcess(one, Pauses(0.05, 0.4, 60.0), (), program, float(sys.argv[3])) for one in robot.skins]
 log = RobotLog(RunLog(sys.stderr, "json"))
 sys.exit(Family(robot.folder, skins, log, Supervisor.of(os.environ), float(sys.argv[2])).run())

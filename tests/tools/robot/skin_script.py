@@ -14,10 +14,36 @@ def say(event, **fields):
     print(json.dumps({"event": event, **fields}), file=sys.stderr, flush=True)
 
 
-def serve():
+def tell(line):
+    """Say something by the socket that was handed down, as to systemd."""
+    os.write(int(os.environ["NOTIFY_SOCKET"].removeprefix("fd:")), line)
+
+
+def serve(until=None):
+    """Give signs of life, for ever or until there is a file."""
     say("ready", publish=words["publish"], control=words["control"])
-    while True:
-        signal.pause()
+    tell(b"READY=1")
+    every_s = int(os.environ["WATCHDOG_USEC"]) * 0.25e-6
+    while until is None or not until.exists():
+        signal.sigtimedwait([], every_s)
+        tell(b"WATCHDOG=1")
+
+
+def hang():
+    """Keep the interpreter for ever, in C code: neither a signal's handler nor any other thread runs again."""
+    import ctypes
+
+    mutex = ctypes.create_string_buffer(64)  # one that is locked twice
+    lock = ctypes.PyDLL(None).pthread_mutex_lock
+    while lock(mutex) == 0:
+        pass
+
+
+def first_time():
+    mark = Path(folder) / "fell"
+    found = not mark.exists()
+    mark.touch()
+    return found
 
 
 signal.signal(signal.SIGTERM, lambda *_: sys.exit(0))
@@ -30,11 +56,17 @@ elif kind == "usage":
     print("eitskin run: --baud is 5", file=sys.stderr)
     sys.exit(2)
 elif kind == "once":  # falls the first time, and is well after that
-    mark = Path(folder) / "fell"
-    if not mark.exists():
-        mark.touch()
+    if first_time():
         os.kill(os.getpid(), signal.SIGKILL)
     serve()
+elif kind == "hangs":  # once it is told to, the first time
+    if first_time():
+        serve(Path(folder) / "hang")
+        hang()
+    serve()
+elif kind == "starts":  # for ever
+    while True:
+        signal.pause()
 elif kind == "deaf":
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     serve()
@@ -42,8 +74,5 @@ elif kind == "babbles":
     os.write(2, b"\xff\xfe no json\n" + b"x" * 300_000 + b"\n[1]\n{\n")
     serve()
 elif kind == "environment":
-    say(
-        "info",
-        text=" ".join(name for name in ("NOTIFY_SOCKET", "WATCHDOG_USEC", "JOURNAL_STREAM") if name in os.environ),
-    )
+    say("info", text=" ".join(os.environ.get(name, "none") for name in ("NOTIFY_SOCKET", "JOURNAL_STREAM")))
     serve()

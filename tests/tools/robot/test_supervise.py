@@ -1,97 +1,20 @@
 """The process that supervises: what becomes of one skin touches no other, and in the end nobody is left."""
 
-import json
 import os
-import select
 import signal
 import socket
 import subprocess
 import sys
-import threading
 import time
-from contextlib import contextmanager
-from pathlib import Path
 
 import pytest
 
-from eitskin.robot.described import FILE, read_states
+from eitskin.robot.described import FILE
 from eitskin_tools.processes.pauses import Pauses
 
-HERE = Path(__file__).parent
-PATIENCE_S = 60.0
+from .conftest import HERE, PATIENCE_S, gone
 
 pytestmark = pytest.mark.process
-
-
-class Family:
-    """The supervising process, whose events are read one by one."""
-
-    def __init__(self, folder, kinds, restart, grace_s, environment):
-        (folder / "ref.json").touch()
-        text = f'format = "eitskin-robot"\nversion = 1\nfolder = "{folder}/r"\n'
-        for name, kind in kinds.items():
-            text += f'[[skins]]\nname = "{name}"\nport = "{kind}@{folder}"\nreference = "ref.json"\n'
-            text += f'restart = "{restart}"\n'
-        (folder / "robot.toml").write_text(text)
-        self.folder = folder / "r"
-        self.process = subprocess.Popen(
-            [sys.executable, HERE / "family_process.py", folder / "robot.toml", str(grace_s)],
-            stderr=subprocess.PIPE, text=True, env={**os.environ, **environment},
-        )  # fmt: skip
-        self.heard = []
-
-    def until(self, wanted):
-        """Return the next event of which a condition holds."""
-        timer = threading.Timer(PATIENCE_S, self.process.kill)
-        timer.start()
-        try:
-            for line in self.process.stderr:
-                self.heard.append(json.loads(line))
-                if wanted(self.heard[-1]):
-                    return self.heard[-1]
-        finally:
-            timer.cancel()
-        raise AssertionError(f"it was not said, but: {self.heard}")
-
-    def ready(self):
-        return self.until(lambda event: event["event"] == "ready" and "of" in event)
-
-    def states(self):
-        return {one.skin.name: one for one in read_states(self.folder)}
-
-    def ended(self):
-        """Read all that is still said, and return the exit status."""
-        self.heard += [json.loads(line) for line in self.process.stderr]
-        return self.process.wait(PATIENCE_S)
-
-
-@pytest.fixture
-def family(tmp_path):
-    """Return a context manager that supervises stand-ins, by name."""
-
-    @contextmanager
-    def run(restart="never", grace_s=PATIENCE_S, environment=None, **kinds):
-        found = Family(tmp_path, kinds, restart, grace_s, environment or {})
-        try:
-            yield found
-        finally:
-            found.process.terminate()
-            found.process.communicate()
-
-    return run
-
-
-def gone(pid):
-    """Wait for the end of a process that is no child of ours."""
-    try:
-        handle = os.pidfd_open(pid)
-    except ProcessLookupError:
-        return True
-    poll = select.poll()
-    poll.register(handle, select.POLLIN)
-    found = bool(poll.poll(int(PATIENCE_S * 1000)))
-    os.close(handle)
-    return found
 
 
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
@@ -219,7 +142,7 @@ def test_a_folder_in_use_is_refused(family, tmp_path):
     with family(a="good") as found:
         found.ready()
         second = subprocess.run(
-            [sys.executable, HERE / "family_process.py", tmp_path / "robot.toml", "1"],
+            [sys.executable, HERE / "family_process.py", tmp_path / "robot.toml", "1", "60"],
             capture_output=True, check=False, text=True, timeout=PATIENCE_S,
         )  # fmt: skip
         assert "is in use: another 'eitskin run --config' runs skins there" in second.stderr
@@ -241,5 +164,7 @@ def test_systemd_hears_of_all_and_the_skins_do_not_speak_to_it(family, tmp_path)
                 heard.append(ear.recv(4000).decode())
             assert found.ended() == 0
     told = [event["text"] for event in found.heard if event["event"] == "info"]
-    assert told == [""]
+    assert len(told) == 1
+    assert told[0].startswith("fd:")  # who supervises them, not systemd
+    assert told[0].endswith(" none")
     assert any(line.startswith("STATUS=1 of 2 skins publish; b failed: ended with status 1") for line in heard)

@@ -7,10 +7,11 @@ import socket
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import pytest
+import zmq
 
 from eitskin_tools.service.watchdog import LIMIT_S, STOOD_STILL
 
@@ -83,6 +84,41 @@ def test_a_supervisor_hears_when_it_is_ready_that_it_lives_how_it_is_and_that_it
 
 
 @pytest.mark.process
+def test_a_supervisor_hears_nothing_once_c_code_keeps_the_interpreter(words, tmp_path):
+    every_s = 0.4
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as ear:
+        ear.bind(str(tmp_path / "notify"))
+        ear.settimeout(PATIENCE_S)
+        environment = {
+            **os.environ, "NOTIFY_SOCKET": str(tmp_path / "notify"), "WATCHDOG_USEC": f"{every_s * 1e6:.0f}",
+            "HANGS_ONCE": str(tmp_path / "hangs"), "PYTHONFAULTHANDLER": "1",
+        }  # fmt: skip
+        with started(HERE / "hanging_process.py", *words, env=environment) as runtime:
+            heard = []
+            while "READY=1" not in heard or "WATCHDOG=1" not in heard[heard.index("READY=1") :]:
+                heard.append(ear.recv(1000).decode())
+            while not (tmp_path / "hangs").exists():
+                assert runtime.poll() is None
+                time.sleep(0.01)
+            time.sleep(every_s)  # a sign may have been on its way
+            ear.setblocking(False)
+            with suppress(BlockingIOError):
+                while True:
+                    ear.recv(1000)
+            time.sleep(5 * every_s)  # not a wait for something: that nothing comes in so long is what is tried
+            with pytest.raises(BlockingIOError):
+                ear.recv(1000)
+            runtime.send_signal(signal.SIGTERM)  # nobody hears it
+            assert runtime.poll() is None
+            runtime.send_signal(signal.SIGABRT)  # as systemd's watchdog does
+            _, said = runtime.communicate(timeout=PATIENCE_S)
+    assert runtime.returncode == -signal.SIGABRT
+    assert "Fatal Python error: Aborted" in said
+    assert "hanging_process.py" in said
+    assert "in hang" in said
+
+
+@pytest.mark.process
 def test_a_process_that_was_stopped_for_longer_than_the_limit_goes_on(words):
     with started("-m", "eitskin_tools.cli", *words) as runtime:
         while not runtime.stderr.readline().startswith("ready "):
@@ -94,3 +130,25 @@ def test_a_process_that_was_stopped_for_longer_than_the_limit_goes_on(words):
         runtime.terminate()
         runtime.communicate(timeout=PATIENCE_S)
         assert runtime.returncode == 0
+
+
+@pytest.mark.process
+def test_sigterm_ends_it_although_a_network_is_being_cut_for_a_region(words, tmp_path):
+    environment = {**os.environ, "CUTS": str(tmp_path / "cuts")}
+    with (
+        started(HERE / "cutting_process.py", *words, "--json", env=environment) as runtime,
+        zmq.Context() as context, context.socket(zmq.SUB) as subscriber,
+    ):  # fmt: skip
+        while not runtime.stderr.readline().startswith("ready "):
+            assert runtime.poll() is None
+        subscriber.linger = 0
+        subscriber.connect(f"ipc://{tmp_path}/f")
+        for topic in (b"\xde", b"eitskin/region/3/5/0/45"):
+            subscriber.subscribe(topic)
+        while not (tmp_path / "cuts").exists():
+            assert runtime.poll() is None
+            time.sleep(0.01)
+        runtime.terminate()
+        out, said = runtime.communicate(timeout=PATIENCE_S)
+    assert runtime.returncode == 0, said
+    assert json.loads(out)["frames"] > 0  # all of it was written

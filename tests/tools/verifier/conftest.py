@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 import eitskin
+from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.publish import Publisher
 from eitskin.serving import serve
 from eitskin.skin import Skin
@@ -54,12 +55,19 @@ class Stream:
     def __init__(self, skin: Skin, publisher: Publisher, keeper: Keeper, handover: Handover, script: Path) -> None:
         self.skin, self.publisher, self.keeper, self.handover = skin, publisher, keeper, handover
         self.script = script
+        self.go = threading.Event()
+        """While it is not set, the frame loop waits behind its frame."""
+        self.go.set()
         skin.loop.verifier_status = handover.status
         self._thread = threading.Thread(target=self._serve)
         self._thread.start()
 
     def _serve(self) -> None:
-        serve(self.skin, self.publisher, behind=self.handover.behind)
+        serve(self.skin, self.publisher, behind=self._behind)
+
+    def _behind(self, record: FrameRecord) -> None:
+        self.go.wait(PATIENCE_S)
+        self.handover.behind(record)
 
     def subscribed(self, **options: Any) -> Any:
         """Subscribe to every verdict."""
@@ -78,6 +86,7 @@ class Stream:
 
     def stop(self) -> None:
         """End the frame loop."""
+        self.go.set()
         self.skin.stop()
         self._thread.join(PATIENCE_S)
         assert not self._thread.is_alive()

@@ -146,6 +146,18 @@ def test_a_verifier_that_dies_or_hangs_is_started_again_and_the_stream_goes_on(s
         assert stream.skin.status()["verifier"]["restarts"] >= 1
 
 
+def test_an_end_is_said_although_another_one_runs_before_the_frame_loop_looks(streaming):
+    with streaming() as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.verified)
+        stream.go.clear()
+        before = stream.keeper.pid
+        os.kill(before, signal.SIGKILL)
+        until(lambda: stream.keeper.restarts == 1 and stream.keeper.pid not in (0, before))
+        stream.go.set()
+        assert "by signal 9 (Killed)" in first(verdicts, lambda one: one.state == "waiting").why
+        first(verdicts, lambda one: one.state in ("starting", "preparing", "ready"))
+
+
 def test_one_that_keeps_dying_is_given_up_and_it_is_said(streaming):
     with streaming(most_failures=3) as stream:
         with stream.subscribed() as verdicts:

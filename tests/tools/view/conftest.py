@@ -7,7 +7,24 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.view.source import Source
+from eitskin_tools.view.viewer import Viewer
+
 from .chromium import Browser
+
+
+@pytest.fixture
+def endpoint(tmp_path):
+    """Where frames come from."""
+    return f"ipc://{tmp_path}/frames"
+
+
+@pytest.fixture
+def viewer(endpoint):
+    """A viewer of the paper's sheet."""
+    with Viewer([Source(PAPER, endpoint)]) as found:
+        yield found
 
 
 @contextlib.contextmanager
@@ -43,6 +60,14 @@ def draws_again(found):
     """Wait until the page has been drawn from now on."""
     found.evaluate("window.mark = eitskin.page.drawings, eitskin.page.changed = true")
     found.wait("eitskin.page.drawings > window.mark")
+
+
+def flat_place(found, x_mm, y_mm):
+    """Return where a place of the sheet lies on the screen, in the flat map."""
+    return found.evaluate(
+        f"(() => {{ const b = document.getElementById('flat').getBoundingClientRect(), [x, y] = "
+        f"eitskin.flat.place({x_mm}, {y_mm}); return [b.left + x, b.top + y]; }})()"
+    )
 
 
 def space_place(found, x_mm, y_mm, skin=0):

@@ -10,10 +10,9 @@ from itertools import count
 
 import pytest
 
-from eitskin import Frame, SkinState
+from eitskin import Frame
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools import cli
-from eitskin_tools.recording import writer as writer_module
 from eitskin_tools.recording.script import Script
 from eitskin_tools.view.recorder import Recorder
 from eitskin_tools.view.source import Source, sources_of
@@ -65,37 +64,6 @@ def one_line(capsys, *words):
     assert out == ""
     assert err.count("\n") == 1, err
     return status, err
-
-
-@pytest.mark.parametrize(
-    ("content", "says"),
-    [(None, "no file"), (b"", "is empty"), (b"no recording", "is no MCAP file"),
-     (b"\x89MCAP0\r\n", "ends before it says what it is")],
-)  # fmt: skip
-def test_what_is_no_recording_is_one_line(tmp_path, capsys, handlers, content, says):
-    path = tmp_path / "a.mcap"
-    if content is not None:
-        path.write_bytes(content)
-    status, said = one_line(capsys, "view", path, "--no-open")
-    assert status == 1
-    assert says in said
-
-
-def test_a_newer_version_another_protocol_and_another_skins_bundle_are_one_line(
-    tmp_path, path, items, capsys, handlers, monkeypatch
-):
-    status, said = one_line(capsys, "view", path, "--bundle", TINY.with_name("second.eitskin"))
-    assert (status, "grid_id" in said) == (1, True)
-    status, said = one_line(capsys, "view", path)
-    assert (status, "name it with --bundle" in said) == (1, True)
-    other = [replace(one, protocol_id="0123456789abcdef") if isinstance(one, SkinState) else one for one in items]
-    recorded(tmp_path / "other.mcap", other)
-    status, said = one_line(capsys, "view", tmp_path / "other.mcap", "--bundle", TINY)
-    assert (status, "protocol_id" in said) == (1, True)
-    monkeypatch.setattr(writer_module, "VERSION", 2)
-    recorded(tmp_path / "newer.mcap", items)
-    status, said = one_line(capsys, "view", tmp_path / "newer.mcap", "--bundle", TINY)
-    assert (status, "version 2, this release reads up to 1" in said) == (1, True)
 
 
 @pytest.mark.parametrize(

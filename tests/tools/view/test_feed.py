@@ -22,11 +22,6 @@ from .scripted import Runtime, Scene, cylinder, disc
 PATIENT = patient_topics(FIRST_BYTE)[-1]
 
 
-@pytest.fixture
-def endpoint(tmp_path):
-    return f"ipc://{tmp_path}/frames"
-
-
 def heads(board, kind, count):
     """Return the heads of so many messages of a kind, one posted after the other."""
     found, seen = [], 0
@@ -102,6 +97,9 @@ def test_own_touches_lie_on_the_surface_that_the_frame_was_computed_with():
     flat, bent = disc(50.0, 40.0), Surface(cylinder(), PAPER.grid)
     (touch,) = touches.listed(frame(flat)).touches
     assert touch.place_mm == pytest.approx((*touch.centre_mm, 0.0), abs=1e-3)
+    assert touch.normal == (0.0, 0.0, 1.0)
+    (unplaced,) = touches.listed(frame(flat, cloud=1, number=2)).touches
+    assert unplaced.normal == (0.0, 0.0, 0.0), "nobody has told of that surface yet"
     touches.use("r", 1, cylinder())
     (again,) = touches.listed(frame(flat, cloud=1, number=2)).touches
     expected = bent.at(np.array([touch.centre_mm[0]]), np.array([touch.centre_mm[1]]))[0]

@@ -12,7 +12,7 @@ from eitskin_tools.view.source import Source
 from eitskin_tools.view.viewer import Viewer
 
 from .chromium import PROGRAM, Browser
-from .conftest import browser, draws_newer, picture, pixel, settled_place, space_place
+from .conftest import browser, draws_newer, flat_place, picture, pixel, settled_place, space_place
 from .scripted import Runtime, Scene, cylinder, disc, flat
 
 pytestmark = [
@@ -23,25 +23,6 @@ pytestmark = [
 
 TOUCHED = disc(110.0, 30.0)
 SHOWN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history.newest"
-
-
-@pytest.fixture
-def endpoint(tmp_path):
-    return f"ipc://{tmp_path}/frames"
-
-
-@pytest.fixture
-def viewer(endpoint):
-    with Viewer([Source(PAPER, endpoint)]) as found:
-        yield found
-
-
-def flat_place(found, x_mm, y_mm):
-    """Return where a place of the sheet lies on the screen, in the flat map."""
-    return found.evaluate(
-        f"(() => {{ const b = document.getElementById('flat').getBoundingClientRect(), [x, y] = "
-        f"eitskin.flat.place({x_mm}, {y_mm}); return [b.left + x, b.top + y]; }})()"
-    )
 
 
 def test_the_touch_is_bright_where_it_is_and_the_rest_is_dark_flat_and_bent(viewer, endpoint):

@@ -34,9 +34,9 @@ def report(skin: Any, log: RunLog) -> None:
             "configuration, and 'eitskin flash write'"
         )
     gate = skin.bundle.manifest.get("gate") or {}
-    log.say(
-        f"gate: false-alarm rate {gate.get('false_alarm_rate', 'unknown')}" if gate else "gate: none in this bundle"
-    )
+    rate = gate.get("false_alarm_rate")
+    stated = f"{rate:.2%}" if isinstance(rate, float) else "unknown"
+    log.say(f"gate: false-alarm rate {stated}" if gate else "gate: none in this bundle")
 
 
 def closing(summary: dict[str, Any]) -> str:

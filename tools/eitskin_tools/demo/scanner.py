@@ -69,7 +69,7 @@ def send_clouds(
             last = bend
             cloud = script.cloud_at(time_s, rng)
             predicted, flat = _predicted(cloud, skin) if predict else (None, None)
-            print(json.dumps({"time_s": time_s, "cloud": _send(control, cloud, predicted, flat)}), flush=True)
+            print(json.dumps({"time_s": time_s, "cloud": _send(control, cloud, predicted, flat, skin)}), flush=True)
         due_ns += period_ns
         behind_ns = time.perf_counter_ns() - due_ns
         if behind_ns > 0:
@@ -84,8 +84,8 @@ def _predicted(cloud: np.ndarray, skin: Skin) -> tuple[np.ndarray, np.ndarray]:
     return predict(cloud, skin), flat_voltages(skin)
 
 
-def _send(control: str, cloud: np.ndarray, predicted: np.ndarray | None, flat: np.ndarray | None) -> int:
-    return eitskin.send_cloud(control, cloud, predicted=predicted, predicted_flat=flat)
+def _send(control: str, cloud: np.ndarray, predicted: np.ndarray | None, flat: np.ndarray | None, skin: Skin) -> int:
+    return eitskin.send_cloud(control, cloud, predicted=predicted, predicted_flat=flat, skin=skin)
 
 
 def main() -> int:

@@ -34,8 +34,8 @@ from eitskin_tools.demo.score import accuracy, timing
 from eitskin_tools.processes.children import GRACE_S, Child, process_group
 from eitskin_tools.processes.skin_log import read_log, script_start
 
-START_S: Final = 120.0
-"""How long solving a script's keyframes may take, which happens once after it changed."""
+START_S: Final = 600.0
+"""How long solving a script's keyframes may take: once for a new sheet, and longer on a busy machine."""
 
 READY_S: Final = 120.0
 """How long the runtime may take for handshake and reference."""
@@ -162,11 +162,10 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     """Start everything."""
     # The skin outlives the demonstration by this much if nobody stops it; it never has to.
     longest = options.seconds + START_S + READY_S
-    scene = ["--scene", str(options.scene)] if options.scene else []
+    scene, sheet = ["--scene", str(options.scene)] if options.scene else [], list[str]()
     if (described := played.skin_of(options.bundle, options.touches)) != PAPER:
-        description = folder / "skin.toml"
-        description.write_text(to_toml(described), encoding="utf-8")
-        scene += ["--skin", str(description)]
+        (description := folder / "skin.toml").write_text(to_toml(described), encoding="utf-8")
+        sheet = ["--skin", str(description)]
     module, first = (
         ("eitskin_tools.emulator.emulated_skin", [])
         if options.device == "qemu"
@@ -174,7 +173,8 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     )
     skin = Child(
         "virtual-skin", module,
-        [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}", *scene,
+        [*first, "--json", f"--rate={options.rate_hz:g}", f"--noise={options.noise}", f"--seed={options.seed}",
+         *scene, *sheet,
          f"--seconds={longest:g}", f"--log={folder / 'skin.log'}", f"--wire-times={folder / 'wire.npy'}"], folder,
     )  # fmt: skip
     children.append(skin)
@@ -197,11 +197,11 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     listener = "eitskin_tools.demo.listener"
     children += [Child("listener", listener, [publish], folder) for _ in range(options.streams)]
     if options.clouds:
-        children.append(_scanner(options, control, folder, scene))
+        children.append(_scanner(options, control, folder, scene + sheet))
     runtime.line(runtime.err, "ready ", READY_S, children)
     if options.view:
-        viewer = Child("view", "eitskin_tools.cli", ["view", f"--endpoint={publish}", "--port=0", "--no-open"], folder)
-        children.append(viewer)
+        words = ["view", f"--endpoint={publish}", "--port=0", "--no-open", *sheet]
+        children.append(viewer := Child("view", "eitskin_tools.cli", words, folder))
         show_page(viewer.line(viewer.out, "viewing ", READY_S, children).split()[3])
 
 

@@ -17,7 +17,7 @@ A recording, ``FILE.mcap``, is read too: its first reference, its frames that we
 Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are left alone and named in the report.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -83,6 +83,8 @@ class Measured:
     """None where the file does not say."""
     ignored: tuple[str, ...]
     """Names of arrays that are none of a measured file's."""
+    ending: str = ""
+    """What is wrong with the end or the middle of a recording, as a clause."""
 
 
 def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
@@ -98,25 +100,30 @@ def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
         FileError: It is no intact file of plain arrays.
         OSError: It cannot be read.
     """
-    arrays = _of_recording(path) if Path(path).suffix == ".mcap" else read_npz(path, LARGEST_FILE)
+    ending = ""
+    if Path(path).suffix == ".mcap":
+        arrays, ending = _of_recording(path)
+    else:
+        arrays = read_npz(path, LARGEST_FILE)
     try:
         _check_ids(arrays, path, skin)
-        return _measured(arrays, skin)
+        return replace(_measured(arrays, skin), ending=ending)
     except MismatchError:
         raise
     except ValueError as error:
         raise MeasuredFileError(f"{path}: {error}") from error
 
 
-def _of_recording(path: str | Path) -> dict[str, npt.NDArray[Any]]:
-    """Return the samples of a recording, ``eitskin record``'s: no truth, but what the gate said then."""
+def _of_recording(path: str | Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
+    """Return the samples of a recording, no truth but what the gate said then, and what is wrong with its end."""
     from eitskin_tools.command_line.needs import require
 
     require("a recording", ("mcap",))
     from eitskin_tools.recording.convert.table import measured_arrays
     from eitskin_tools.recording.script import Script
 
-    return measured_arrays(Script(path))
+    script = Script(path)
+    return measured_arrays(script), script.ending
 
 
 def _measured(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Measured:

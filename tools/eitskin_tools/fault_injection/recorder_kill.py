@@ -1,7 +1,9 @@
 """Kills the recorder, ``kill -9``, at random moments, and reads what it left: ``python -m ... ENDPOINT --kills 50``.
 
-Beside it we subscribe ourselves, so that we know which frame had come when it died. Every file must be readable, hold
-every frame from its first to its last, and end at most a second before that one.
+Beside it we subscribe ourselves, so that we know which frame had come when it died. Every file must be readable; all
+files of a recorder together must hold every frame from their first to their last, and end at most a second before that
+one. With --rotate-mb or --rotate-minutes the recorder goes on in new files meanwhile. Each other kill then waits for
+the next file and comes within 30 ms of it.
 """
 
 import argparse
@@ -12,7 +14,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -21,6 +23,7 @@ from eitskin.messaging.streams.measured import WireFrame
 from eitskin.messaging.streams.subscription import subscribe_streams
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.series import others
 
 LONGEST_S: Final = 3.0
 """Between the first bytes of a file and the kill, at most."""
@@ -30,6 +33,9 @@ START_S: Final = 120.0
 
 ALLOWED_S: Final = 1.0
 """What may be missing at the end."""
+
+ABOUT_S: Final = 0.03
+"""So long behind a new file a kill comes, at most, that is to fall on it."""
 
 
 class Witness:
@@ -61,13 +67,27 @@ class Left:
     """What one recorder left."""
 
     frames: int
+    """In all of its files."""
     missing_s: float
-    """From the last frame of the file to the last one that had come."""
+    """From the last frame of the files to the last one that had come."""
     gaps: int
     """Frames that are missing in the middle."""
+    files: int = 1
+    unreadable: int = 0
+    """Files of which nothing can be said, not even whose they are."""
+    between: bool = False
+    """The last file has no frame, or is whole: it died while one was ended or begun."""
 
 
-def kill_one(endpoint: str, path: Path, after_s: float, witness: Witness) -> Left:
+def kill_one(
+    endpoint: str,
+    path: Path,
+    after_s: float,
+    witness: Witness,
+    options: Sequence[str] = (),
+    *,
+    at_next_file: bool = False,
+) -> Left:
     """Start a recorder, kill it so long after its first bytes, and return what it left.
 
     Args:
@@ -75,32 +95,59 @@ def kill_one(endpoint: str, path: Path, after_s: float, witness: Witness) -> Lef
         path: Of a new file.
         after_s: When to kill.
         witness: Follows the same runtime.
+        options: Of the recorder.
+        at_next_file: Wait for the next file then, and kill within ``ABOUT_S`` of it.
 
     Raises:
-        SkinError: The recorder does not begin, or its file cannot be read.
+        SkinError: The recorder does not begin, or makes no further file.
     """
-    command = [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(path), "--quiet"]
+    command = [sys.executable, "-m", "eitskin_tools.cli", "record", endpoint, "--out", str(path), "--quiet", *options]
     with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
-        end_s = time.monotonic() + START_S
-        while not path.exists() or not path.stat().st_size:
-            if process.poll() is not None or time.monotonic() > end_s:
-                process.kill()
-                raise SkinError(f"the recorder did not begin: {process.communicate()[1].strip()[:300]}")
-            time.sleep(0.005)
+        _until(lambda: path.exists() and path.stat().st_size > 0, process, "did not begin")
         time.sleep(after_s)
+        if at_next_file:
+            before = len(others(path))
+            _until(lambda: len(others(path)) > before, process, "made no further file")
+            time.sleep(after_s % ABOUT_S)
         newest_ns = witness.read_ns
         process.kill()
         process.wait()
-    try:
-        script = Script(path)
-    except SkinError as error:
-        if "no frame" not in str(error):
-            raise
-        return Left(0, after_s, 0)  # killed before its first chunk
-    numbers = [step.frame.n for step in script.steps()]
+    return left_in([path, *others(path)], newest_ns, after_s)
+
+
+def _until(true: Callable[[], bool], process: subprocess.Popen[str], failed: str) -> None:
+    """Wait for what the recorder does."""
+    end_s = time.monotonic() + START_S
+    while not true():
+        if process.poll() is not None or time.monotonic() > end_s:
+            process.kill()
+            raise SkinError(f"the recorder {failed}: {process.communicate()[1].strip()[:300]}")
+        time.sleep(0.001)
+
+
+def left_in(paths: Sequence[Path], newest_ns: int, after_s: float = 0.0) -> Left:
+    """Return what is in the files of one recorder.
+
+    Args:
+        paths: Of the files, in order.
+        newest_ns: When the last frame had come, on the host's clock.
+        after_s: How long it ran: all of that is missing where no file has a frame.
+    """
+    numbers, last_ns, unreadable, between = list[int](), 0, 0, False
+    for path in paths:
+        between = True
+        try:
+            script = Script(path)
+        except SkinError as error:
+            unreadable += "no frame" not in str(error)  # killed before its first chunk
+            continue
+        between = not script.recording.cut
+        numbers += [step.frame.n for step in script.steps()]
+        last_ns = script.last_ns - script.recording.wall_minus_host_ns
+    if not numbers:
+        return Left(0, after_s, 0, len(paths), unreadable, between)
     gaps = numbers[-1] - numbers[0] + 1 - len(numbers)
-    last_ns = script.last_ns - script.recording.wall_minus_host_ns
-    return Left(len(numbers), max(newest_ns - last_ns, 0) * 1e-9, gaps)
+    return Left(len(numbers), max(newest_ns - last_ns, 0) * 1e-9, gaps, len(paths), unreadable, between)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -109,19 +156,28 @@ def main(argv: Sequence[str] | None = None) -> int:
     parser.add_argument("endpoint", help="where a runtime publishes")
     parser.add_argument("--kills", type=int, default=50)
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--rotate-mb", metavar="MB", help="of the recorder; each other kill falls on a new file")
+    parser.add_argument("--rotate-minutes", metavar="M", help="the same")
     arguments = parser.parse_args(argv)
+    named = {"--rotate-mb": arguments.rotate_mb, "--rotate-minutes": arguments.rotate_minutes}
+    options = [word for name, value in named.items() if value is not None for word in (name, value)]
     rng, left = random.Random(arguments.seed), []
     witness = Witness(arguments.endpoint)
     with tempfile.TemporaryDirectory(prefix="eitskin-kill-") as folder:
         for number in range(arguments.kills):
             path = Path(folder) / f"{number}.mcap"
-            left.append(kill_one(arguments.endpoint, path, rng.uniform(0.0, LONGEST_S), witness))
+            on_new = bool(options) and number % 2 == 1
+            left.append(
+                kill_one(arguments.endpoint, path, rng.uniform(0.0, LONGEST_S), witness, options, at_next_file=on_new)
+            )
             print(f"{number + 1}: {left[-1]}", file=sys.stderr)
     witness.close()
     missing = [one.missing_s for one in left]
-    bad = sum(one.missing_s > ALLOWED_S or one.gaps > 0 for one in left)
-    found = {"kills": len(left), "readable": len(left), "most_missing_s": round(max(missing), 3),
-             "mean_missing_s": round(sum(missing) / len(missing), 3), "bad": bad}  # fmt: skip
+    bad = sum(one.missing_s > ALLOWED_S or one.gaps > 0 or one.unreadable > 0 for one in left)
+    found = {"kills": len(left), "files": sum(one.files for one in left),
+             "unreadable": sum(one.unreadable for one in left), "between_files": sum(one.between for one in left),
+             "most_missing_s": round(max(missing), 3), "mean_missing_s": round(sum(missing) / len(missing), 3),
+             "bad": bad}  # fmt: skip
     print(json.dumps(found))
     return 1 if bad else 0
 

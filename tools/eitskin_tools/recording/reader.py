@@ -29,8 +29,11 @@ MAGIC: Final = b"\x89MCAP0\r\n"
 
 LARGEST_RECORDING: Final = 1 << 40
 LARGEST_RECORD: Final = 64 << 20
-LARGEST_CHUNK: Final = 256 << 20
+LARGEST_CHUNK: Final = 8 << 20
 """Bounds in bytes on what is read; a chunk of ours has about a megabyte."""
+
+LATEST_NS: Final = (1 << 63) - 1
+"""The year 2262: what arrays of times can hold."""
 
 MOST_ATTACHED: Final = 1000
 """References that are kept."""
@@ -221,9 +224,9 @@ def check_magic(stream: BinaryIO, path: Path) -> None:
 
 
 def entry_of(message: Message, names: Mapping[int, str], topics: Collection[str] | None) -> Iterator[Entry]:
-    """Yield a message, if it is of a channel that is known and asked for."""
+    """Yield a message, if it is of a channel that is known and asked for, and its time is one of this era."""
     topic = names.get(message.channel_id)
-    if topic is not None and (topics is None or topic in topics):
+    if topic is not None and (topics is None or topic in topics) and message.log_time <= LATEST_NS:
         yield Entry(topic, message.log_time, message.sequence, message.data)
 
 
@@ -262,6 +265,9 @@ def _inner(data: bytes, *, channels_only: bool) -> Iterator[Channel | Message]:
             raise ValueError("a record beyond its chunk")
         if opcode == Opcode.CHANNEL:
             yield Channel.read(stream)
-        elif opcode == Opcode.MESSAGE and not channels_only:
-            yield Message.read(stream, length)
+        elif opcode == Opcode.MESSAGE:
+            if not channels_only:
+                yield Message.read(stream, length)
+        elif opcode != Opcode.SCHEMA:  # a kilobyte can unpack to millions of what means nothing
+            raise ValueError(f"a record of kind {opcode} within a chunk")
         stream.read(end - stream.count)

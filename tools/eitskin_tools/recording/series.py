@@ -5,13 +5,18 @@ A file that is there already is never written over: the next one takes the next 
 
 import os
 import re
+from collections import deque
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin_tools.recording.layout import Channel, RecordingError
+from eitskin_tools.recording.sink import Reserve
 from eitskin_tools.recording.writer import RecordingWriter
+
+MOST_ENDING: Final = 4
+"""Files that may be on their way to the disk beside the one in hand."""
 
 
 def path_of(first: Path, number: int) -> Path:
@@ -59,7 +64,13 @@ class Series:
         """Made so far."""
         self._before = 0
         self._number = 1
-        self._writer = self._begin(first)
+        self._ended: deque[RecordingWriter] = deque()
+        self._reserve = Reserve(first.parent)
+        try:
+            self._writer = self._begin(first)
+        except BaseException:
+            self._reserve.give_up()
+            raise
 
     @property
     def size(self) -> int:
@@ -89,7 +100,8 @@ class Series:
                     raise
 
     def _begin(self, path: Path) -> RecordingWriter:
-        writer = RecordingWriter(path, {**self._head, "file": str(len(self.files) + 1)}, **self._options)
+        head = {**self._head, "file": str(len(self.files) + 1)}
+        writer = RecordingWriter(path, head, reserve=self._reserve, **self._options)
         self.files.append(path)
         return writer
 
@@ -126,9 +138,12 @@ class Series:
         return self._most_s is not None and writer.age_s >= self._most_s
 
     def _next(self, log_ns: int) -> None:
-        """End the file in hand and begin the next with whatever still holds."""
+        """End the file in hand and begin the next with whatever still holds; the disk need not have all of it yet."""
         before = self._writer
-        before.close()
+        if len(self._ended) >= MOST_ENDING:
+            self._ended.popleft().close()
+        before.close(wait=False)
+        self._ended.append(before)
         if before.full:
             return
         self._before += before.size
@@ -143,5 +158,10 @@ class Series:
         self._writer.sync()
 
     def close(self) -> None:
-        """End the file in hand; closing twice is fine."""
-        self._writer.close()
+        """End the file in hand, and wait until all are on the disk; closing twice is fine."""
+        try:
+            self._writer.close()
+            while self._ended:
+                self._ended.popleft().close()
+        finally:
+            self._reserve.give_up()

@@ -13,7 +13,7 @@ from mcap.writer import Writer
 
 from eitskin_tools.recording.channels import CHANNELS
 from eitskin_tools.recording.layout import FORMAT, HEAD, VERSION, Channel
-from eitskin_tools.recording.sink import RESERVE_BYTES, Sink
+from eitskin_tools.recording.sink import Reserve, Sink
 
 FLUSH_S: Final = 0.25
 """So much waits in memory, and is lost with the process; with the power goes what is on its way to the disk besides."""
@@ -28,11 +28,11 @@ class RecordingWriter:
     Args:
         path: Of the file, which must not be there.
         head: Of the metadata: ids, host, clock offset.
-        reserve_bytes: See :mod:`eitskin_tools.recording.sink`.
+        reserve: See :mod:`eitskin_tools.recording.sink`; whoever made it gives it up. None for one of its own.
         now_s: The clock of ``FLUSH_S``.
 
     Raises:
-        RecordingError: It is there, or there is not even room for the reserve.
+        RecordingError: It is there, or there is not even room for a reserve.
         OSError: It cannot be made.
     """
 
@@ -41,10 +41,11 @@ class RecordingWriter:
         path: Path,
         head: Mapping[str, str],
         *,
-        reserve_bytes: int = RESERVE_BYTES,
+        reserve: Reserve | None = None,
         now_s: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._sink = Sink(path, reserve_bytes)
+        self._sink = Sink(path)
+        self._own = None if reserve is not None else Reserve(path.parent)
         self._now_s = now_s
         self._open = True
         self._writer = Writer(self._sink, chunk_size=CHUNK_BYTES, enable_data_crcs=False)  # type: ignore[arg-type]
@@ -52,6 +53,11 @@ class RecordingWriter:
         self.messages = 0
         """Written so far."""
         self.metadata(HEAD, {"format": FORMAT, "version": str(VERSION), **head})
+        try:
+            self._sink.begin(reserve or self._own)
+        except BaseException:
+            self._give_up()
+            raise
         self._ids = {channel.topic: self._register(channel) for channel in CHANNELS}
         self._flushed_s = now_s()
         self._begun_s = self._flushed_s
@@ -77,7 +83,7 @@ class RecordingWriter:
         return self._sink.full
 
     def metadata(self, name: str, fields: Mapping[str, str]) -> None:
-        """Write texts by name; they are on disk when this returns."""
+        """Write texts by name, at once."""
         self._writer.add_metadata(name, dict(fields))
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
@@ -118,15 +124,24 @@ class RecordingWriter:
         self._sink.sync_soon()
         self._flushed_s = self._now_s()
 
-    def close(self) -> None:
+    def close(self, *, wait: bool = True) -> None:
         """Write the summary and end the file; closing twice is fine.
+
+        Args:
+            wait: Until all of it is on the disk; else that is done behind, and closing again waits.
 
         Raises:
             OSError: It cannot be written; what came before can be read all the same.
         """
-        if self._open:
-            self._open = False
-            try:
+        try:
+            if self._open:
+                self._open = False
                 self._writer.finish()  # type: ignore[no-untyped-call]
-            finally:
-                self._sink.close()
+        finally:
+            self._sink.close(wait=wait)
+            self._give_up()
+
+    def _give_up(self) -> None:
+        """Free the reserve, if it is our own."""
+        if self._own is not None:
+            self._own.give_up()

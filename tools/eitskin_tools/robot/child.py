@@ -3,6 +3,7 @@
 import json
 import os
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator, Sequence
@@ -12,7 +13,9 @@ from eitskin.robot.config import SkinSettings
 from eitskin.robot.described import ProcessState
 from eitskin_tools.processes.children import die_with_parent
 from eitskin_tools.processes.pauses import Pauses
+from eitskin_tools.robot.life import OVERDUE, SILENT_S, Life
 from eitskin_tools.robot.words import words_of
+from eitskin_tools.service.supervisor import ADDRESS, HANDED_DOWN, INTERVAL, WHOM
 
 BAD_USAGE: Final = 2
 """Exit status that another start cannot change."""
@@ -20,7 +23,7 @@ BAD_USAGE: Final = 2
 READ: Final = 1 << 16
 LONGEST_LINE: Final = 1 << 20
 
-NOT_OURS: Final = ("NOTIFY_SOCKET", "WATCHDOG_USEC", "WATCHDOG_PID", "JOURNAL_STREAM")
+NOT_OURS: Final = (ADDRESS, INTERVAL, WHOM, "JOURNAL_STREAM")
 """Of the environment: what is meant for the supervising process alone."""
 
 Event = dict[str, Any]
@@ -61,6 +64,7 @@ class SkinProcess:
         pauses: Between starts.
         more: Words of the command line besides.
         program: What runs ``eitskin``; a test gives its own.
+        silent_s: How long it may give no sign of life, once it is ready.
     """
 
     def __init__(
@@ -69,6 +73,7 @@ class SkinProcess:
         pauses: Pauses,
         more: Sequence[str] = (),
         program: Sequence[str] = (sys.executable, "-m", "eitskin_tools.cli"),
+        silent_s: float = SILENT_S,
     ) -> None:
         self.settings = settings
         self._pauses, self._words = pauses, [*program, *words_of(settings), *more]
@@ -79,6 +84,8 @@ class SkinProcess:
         self.seen = False
         """Whether it was ready or has ended since the very first start."""
         self.summary: object = None
+        self.life: Life | None = None
+        self._silent_s = silent_s
         self._failures = 0
         self._ready_s: float | None = None
         self._said = ""
@@ -105,16 +112,27 @@ class SkinProcess:
         Raises:
             OSError: There are too few processes, descriptors or memory.
         """
-        environment = {name: value for name, value in os.environ.items() if name not in NOT_OURS}
-        self._process = subprocess.Popen(
-            self._words,
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.PIPE,
-            env=environment,
-            process_group=0,
-            preexec_fn=die_with_parent,  # noqa: PLW1509 -- no thread runs here, and the function is one system call
-        )
+        environment = {"PYTHONFAULTHANDLER": "1"}  # whoever is ended by SIGABRT shows what each thread was doing
+        environment |= {name: value for name, value in os.environ.items() if name not in NOT_OURS}
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_DGRAM)
+        with theirs:
+            environment[ADDRESS] = f"{HANDED_DOWN}{theirs.fileno()}"
+            environment[INTERVAL] = str(round(OVERDUE * self._silent_s * 1e6))
+            try:
+                self._process = subprocess.Popen(
+                    self._words,
+                    stdin=subprocess.DEVNULL,
+                    stdout=subprocess.PIPE,
+                    stderr=subprocess.PIPE,
+                    env=environment,
+                    pass_fds=(theirs.fileno(),),
+                    process_group=0,
+                    preexec_fn=die_with_parent,  # noqa: PLW1509 -- no thread runs here, and it is one system call
+                )
+            except OSError:
+                ours.close()
+                raise
+        self.life = Life(ours, self._process.pid, self._silent_s)
         assert self._process.stdout is not None
         assert self._process.stderr is not None
         self.outputs, self.errors = Lines(self._process.stdout), Lines(self._process.stderr)
@@ -157,8 +175,12 @@ class SkinProcess:
             if lines is not None:
                 lines.stream.close()
         os.close(self.ended)
-        self._process, self.errors, self.outputs, self.ended, self.seen = None, None, None, -1, True
-        failed = self.status != 0
+        forced = self.life is not None and self.life.forced
+        if self.life is not None:
+            self._said = self.life.why if forced else self._said
+            self.life.close()
+        self._process, self.errors, self.outputs, self.life, self.ended, self.seen = None, None, None, None, -1, True
+        failed = self.status != 0 or forced
         self.why = _how(self.status, self._said) if failed and not ending else "" if ending else "it ended by itself"
         if self._ready_s is not None and now_s - self._ready_s >= self._pauses.settled_s:
             self._failures = 0

@@ -16,7 +16,15 @@ from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
 from eitskin_sim.verification.units import BUDGET_S, UnitTouch
-from eitskin_tools.evaluation.verified.units import REBUILT, STILL, Material, material_shown, noise_shown, unit_starts
+from eitskin_tools.evaluation.verified.units import (
+    REBUILT,
+    STILL,
+    Material,
+    material_shown,
+    noise_shown,
+    unit_heights,
+    unit_starts,
+)
 from eitskin_tools.verifier.letters import Array, FrameLetter, Setup
 
 FREE_BUDGET_S: Final = 0.2
@@ -100,14 +108,16 @@ class UnitChecker:
     def check(self, frame: FrameLetter) -> Verdict:
         """Return the touched units that explain a frame best."""
         shape = self._shape
+        heights = unit_heights(frame.map.astype(np.float64), shape.grid)
         found = self._verifier.verify(
             frame.change.astype(np.float64),
             shape.reference_V,
-            unit_starts(frame.map.astype(np.float64), shape.grid),
+            unit_starts(heights),
             shape.noise,
             rows=shape.usable & ~frame.missing,
             budget_s=self._budget_s,
             before=self._before,
+            heights=heights,
         )
         self._before = found.touches
         self._shown = material_shown(found, self._material) if self._rebuilt < REBUILT else None

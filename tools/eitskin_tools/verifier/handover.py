@@ -78,6 +78,8 @@ class Handover:
         if keeper.answers is not self._answers:  # another process: it knows nothing
             if self._answers is not None:
                 self._answers.close()  # in the thread that reads it
+                if self._told[0] != WAITING:  # the pause was shorter than what passed between two looks
+                    self._say(record, (WAITING, keeper.ended))
             self._answers, self._child, self._hear_ns = keeper.answers, (STARTING, ""), 0
             self._stillness.forget()
         if buffers.geometry is not self._key[0] or self._skin.reference is not self._key[1]:
@@ -198,9 +200,9 @@ class Handover:
             self._spent_ms.append(spent_ms)
         self._send(told)
 
-    def _say(self, record: FrameRecord) -> None:
-        """Say how the verifier is: when that changes, to who has just come, and every second."""
-        found, now_ns = self.state, record.stamps[PUBLISH]
+    def _say(self, record: FrameRecord, was: tuple[str, str] | None = None) -> None:
+        """Say how the verifier is, or was: when that changes, to who has just come, and every second."""
+        found, now_ns = was or self.state, record.stamps[PUBLISH]
         if found != self._told:
             if found[0] != self._told[0]:
                 self._pipeline.intake.tell_next(f"verifier:{found[0]}")

@@ -9,6 +9,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
@@ -26,6 +27,10 @@ STILL_S: Final = 10.0
 
 IDLE_STILL_S: Final = 30.0
 """The same of one that runs only while nothing else wants the core."""
+
+LEAVES_S: Final = 0.2
+"""How long its end is waited for by who leaves. It needs a core to end as well, which one that runs at the lowest
+priority may not get for seconds; who is killed keeps nothing, and the kernel sees to the rest."""
 
 MOST_FAILURES: Final = 5
 """In a row, after which it is given up."""
@@ -69,6 +74,8 @@ class Keeper(Lookout):
         """Where the present process answers; another object for another process."""
         self.state, self.why = STARTING, ""
         """``starting`` while a process is there, else ``waiting`` or ``failed``, and why."""
+        self.ended = ""
+        """What became of the last process that there was, for who looks only once another one runs."""
         self.restarts = 0
         self._process: subprocess.Popen[bytes] | None = None
         self._errors = -1
@@ -105,9 +112,7 @@ class Keeper(Lookout):
         self._beat = beat
         if self._still_looks >= self._most_looks:
             self._hung = True
-            process.kill()
-            process.wait()
-            self._ended(process)
+            process.kill()  # a later look sees it ended: one that runs only while nothing else does may take a while
         elif self._looks * LOOK_S >= self._pauses.settled_s:
             self._failures = 0
 
@@ -158,6 +163,7 @@ class Keeper(Lookout):
         pause_s = self._pauses.after(self._failures)
         self._wait_looks = round(pause_s / LOOK_S)
         self.state, self.why = WAITING, f"the verifier {why}; it starts again in {pause_s:g} s"
+        self.ended = self.why
 
     def _last_words(self) -> str:
         size = os.fstat(self._errors).st_size
@@ -171,7 +177,10 @@ class Keeper(Lookout):
         process = self._process
         if process is not None:
             process.kill()  # also if it is stopped; it keeps nothing
-            process.wait()
+            try:
+                process.wait(LEAVES_S)
+            except subprocess.TimeoutExpired:
+                threading.Thread(target=process.wait, name="verifier-leaves", daemon=True).start()
             self._process = None
             os.close(self._errors)
 

@@ -1,4 +1,4 @@
-"""``eitskin run --verify``: its options, and what they start."""
+"""``--verify`` of ``eitskin run`` and ``eitskin replay``: its options, and what they start."""
 
 import argparse
 import os
@@ -75,7 +75,7 @@ def cpus(arguments: argparse.Namespace, available: set[int]) -> tuple[int, ...]:
     """
     text = arguments.verify_affinity
     if text is None:
-        own = {int(cpu) for cpu in (arguments.affinity or "").split(",") if cpu.isdecimal()}
+        own = {int(cpu) for cpu in (getattr(arguments, "affinity", None) or "").split(",") if cpu.isdecimal()}
         return tuple(sorted(available - own or available))
     if not all(part.isdecimal() for part in text.split(",")):
         raise UsageError(f"--verify-affinity is {text!r}, expected CPU numbers such as 2 or 2,3")

@@ -6,6 +6,7 @@ own rule. While somebody else has the runtime list them, frames bring touches al
 """
 
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -15,6 +16,9 @@ from eitskin.touches.surface import Surface
 from eitskin.touches.touch import LAYOUT, unpack_touches
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.grid import Grid
+
+NOWHERE: Final = (0.0, 0.0, 0.0)
+"""The normal of a touch whose surface is not known yet: who draws it places it on the surface that is drawn."""
 
 
 class OwnTouches:
@@ -48,7 +52,11 @@ class OwnTouches:
             self._run = frame.run
         if frame.touch_list is not None or frame.map.shape != self._grid.shape:
             return frame
-        surface = self._surfaces.get((frame.run, frame.cloud), self._flat)
+        known = self._surfaces.get((frame.run, frame.cloud))
+        surface = known or self._flat
         values = frame.map.reshape(-1) if frame.map.any() else None
         raw, events, more = self._watch.look(values, (frame.solver, frame.map_sequence), surface, frame.device_us)
-        return replace(frame, touch_list=unpack_touches(raw, LAYOUT.size, events, more))
+        found = unpack_touches(raw, LAYOUT.size, events, more)
+        if known is None and frame.cloud:
+            found = replace(found, touches=tuple(replace(one, normal=NOWHERE) for one in found.touches))
+        return replace(frame, touch_list=found)

@@ -37,6 +37,8 @@ class InvertedSheet:
     """(n_dofs, 16) its columns of the electrodes."""
     at_terminals: Array
     """(16, 16) of the electrodes alone."""
+    ground: tuple[int, float]
+    """The unknown that is tied to the ground, and by how many S."""
 
     @property
     def untouched_V(self) -> Array:
@@ -83,7 +85,7 @@ def inverted_metric(
     inverse = dense_inverse(grid.lines, before, (middle, tie), into)
     to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
     tensor = _tensors(first_form, system, true.sheet)
-    return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals])
+    return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals], (middle, tie))
 
 
 def _tensors(first_form: Metric, system: System, sheet: Sheet = IDEAL.sheet) -> Array:

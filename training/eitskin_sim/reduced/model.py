@@ -36,6 +36,8 @@ LEAST, MOST = 0.05, 250.0
 NODES: Final = 10
 """Contrasts at which it is condensed: M is then off by less than 1e-5."""
 
+REMEMBERED: Final = 16
+"""Contrasts whose M is kept."""
 FORMAT: Final = "eitskin-reduced"
 VERSION: Final = 1
 LARGEST_FILE: Final = 64 << 20
@@ -67,13 +69,19 @@ class ReducedModel:
     """Of the cloud it was made from, empty if of none."""
     diagonal: Array = field(init=False, repr=False)
     """(units, r, r) H of every unit with itself."""
+    contact: Index = field(init=False, repr=False)
+    """(units,) the place among ``contacts`` of each unit, -1 under none."""
+    _usual: dict[float, tuple[Array, Array]] = field(init=False, repr=False, default_factory=dict)
+    """M of all contacts and its slopes by contrast."""
 
     def __post_init__(self) -> None:
-        """Gather the diagonal."""
+        """Gather the diagonal, and who is under a contact."""
         n, r = self.n_units, self.rank
-        at = np.arange(n)
-        own = self.coupling.reshape(n, r, n, r)[at, :, at].astype(np.float64)
+        own = self.coupling.reshape(n, r, n, r)[np.arange(n), :, np.arange(n)].astype(np.float64)
         object.__setattr__(self, "diagonal", own)
+        contact = np.full(n, -1, dtype=np.intp)
+        contact[self.contacts] = np.arange(len(self.contacts))
+        object.__setattr__(self, "contact", contact)
 
     @property
     def rank(self) -> int:
@@ -115,8 +123,8 @@ class ReducedModel:
     def between(self, rows: Index, columns: Index) -> Array:
         """Return (n r, m r) H between units (n,) and units (m,)."""
         n, r = self.n_units, self.rank
-        found = self.coupling.reshape(n, r, n, r)[rows].reshape(len(rows) * r, n, r)[:, columns]
-        return found.reshape(len(rows) * r, len(columns) * r).astype(np.float64)
+        found = self.coupling.reshape(n, r, n, r)[rows[:, None], :, columns].transpose(0, 2, 1, 3)
+        return found.astype(np.float64).reshape(len(rows) * r, len(columns) * r)
 
     def paired(self, first: Index, second: Index) -> Array:
         """Return (n, r, r) H between each of some units (n,) and another one (n,)."""
@@ -125,17 +133,27 @@ class ReducedModel:
 
     def own(self, unit: int, contrast: float) -> tuple[Array, Array]:
         """Return the (r, r) M of a unit at a contrast, and its derivative by log c."""
-        at = np.flatnonzero(self.contacts == unit)
-        if not at.size:
+        at = int(self.contact[unit])
+        if at < 0:
             return np.eye(self.rank), np.zeros((self.rank, self.rank))
-        powers = np.power(_scaled(contrast), np.arange(NODES))
-        slopes = np.arange(1, NODES) * powers[:-1] * (2.0 / np.log(MOST / LEAST))
-        held = self.polynomials[at[0]]
-        return np.tensordot(powers, held, 1), np.tensordot(slopes, held[1:], 1)
+        own, slope = self._of_contacts(contrast)
+        return own[at], slope[at]
 
     def own_of_contacts(self, contrast: float) -> Array:
         """Return the (contacts, r, r) M of all units under a contact at one contrast."""
-        return np.tensordot(self.polynomials, np.power(_scaled(contrast), np.arange(NODES)), axes=([1], [0]))
+        return self._of_contacts(contrast)[0]
+
+    def _of_contacts(self, contrast: float) -> tuple[Array, Array]:
+        """Return (contacts, r, r) M and its derivative by log c; kept for the contrasts that were asked for last."""
+        if contrast not in self._usual:
+            powers = np.power(_scaled(contrast), np.arange(NODES))
+            slopes = np.arange(NODES) * np.append(0.0, powers[:-1]) * (2.0 / np.log(MOST / LEAST))
+            flat = np.ascontiguousarray(self.polynomials.transpose(1, 0, 2, 3)).reshape(NODES, -1)
+            shape = len(self.contacts), self.rank, self.rank
+            while len(self._usual) >= REMEMBERED:
+                self._usual.pop(next(iter(self._usual)))
+            self._usual[contrast] = (powers @ flat).reshape(shape), (slopes @ flat).reshape(shape)
+        return self._usual[contrast]
 
 
 def rows_of(drives: Array) -> Array:
@@ -166,9 +184,9 @@ def reduced(sheet: ExactSheet, skin: Skin = PAPER, rank: int = RANK, cloud_diges
     wide = np.empty((size, len(sheet.inverse)))
     for number, (own, unit) in enumerate(zip(scaled, sheet.units, strict=True)):
         np.matmul(own.T, sheet.inverse[unit.dofs], out=wide[number * rank : (number + 1) * rank])
-    coupling = np.empty((size, size), dtype=np.float32)
+    coupling, tall = np.empty((size, size), dtype=np.float32), np.ascontiguousarray(wide.T)
     for number, (own, unit) in enumerate(zip(scaled, sheet.units, strict=True)):
-        coupling[:, number * rank : (number + 1) * rank] = wide[:, unit.dofs] @ own
+        coupling[number * rank : (number + 1) * rank] = own.T @ tall[unit.dofs]
     contacts = sheet.under_contacts
     return ReducedModel(
         coupling=coupling,
@@ -184,7 +202,7 @@ def reduced(sheet: ExactSheet, skin: Skin = PAPER, rank: int = RANK, cloud_diges
 
 
 def cloud_digest(cloud_mm: Array) -> str:
-    """Return the digest of a cloud, of its float32."""
+    """Return the digest of a cloud's float32."""
     return id_of(np.ascontiguousarray(cloud_mm, dtype="<f4").tobytes())
 
 

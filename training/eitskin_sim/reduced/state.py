@@ -13,6 +13,7 @@ both, for one small solve each.
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import lapack
 
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.model import ReducedModel, rows_of
@@ -29,12 +30,21 @@ class State:
     """(k,) conductivity of each over the sheet's, none 1."""
     drives: Array
     """(16, 16) V of drives and measures under 1 A."""
-    _inverse: Array
-    """(k r, k r) B."""
+    _matrix: Array
+    """(k r, k r) A, or B where it is ``_inverted``."""
     _scaled: Array
     """(k r, 16) X."""
     _scale: Array
     """(k r,) s."""
+    _inverted: bool = False
+
+    @property
+    def _inverse(self) -> Array:
+        """Return (k r, k r) B: made once it is asked for."""
+        if not self._inverted:
+            object.__setattr__(self, "_matrix", np.linalg.inv(self._matrix))
+            object.__setattr__(self, "_inverted", True)
+        return self._matrix
 
     @property
     def volts(self) -> Array:
@@ -68,6 +78,7 @@ class State:
             self._inverse[np.ix_(kept, kept)] - cross.T @ solved[:, :size],
             self._scaled[kept] - cross.T @ solved[:, size:],
             self._scale[kept],
+            True,
         )
 
     def with_each(self, units: Index, contrast: float) -> Array:
@@ -86,7 +97,7 @@ class State:
         load = model.loads[_places(units, r)] - across.T @ self._scaled
         held = (self._inverse @ across).reshape(-1, n, r).transpose(1, 0, 2)
         across = across.reshape(-1, n, r).transpose(1, 2, 0)
-        own = model.diagonal[units] + _own_of(model, units, contrast) / (contrast - 1.0) - np.matmul(across, held)
+        own = model.diagonal[units] + own_of(model, units, contrast) / (contrast - 1.0) - np.matmul(across, held)
         return Beside(self, units, load.reshape(n, r, -1), own, across, held)
 
     def slopes(self) -> Array:
@@ -155,14 +166,22 @@ def state_of(model: ReducedModel, units: Index, contrasts: Array) -> State:
     scale = np.repeat(np.sqrt(np.abs(contrasts - 1.0)), r)
     matrix = model.between(units, units) * scale[:, None] * scale
     matrix.reshape(-1)[:: k * r + 1] += np.repeat(np.sign(contrasts - 1.0), r)
-    for number in np.flatnonzero(np.isin(units, model.contacts)).tolist():
+    for number in np.flatnonzero(model.contact[units] >= 0).tolist():
         at = slice(number * r, (number + 1) * r)
         own = model.own(int(units[number]), float(contrasts[number]))[0] - np.eye(r)
         matrix[at, at] += np.sign(contrasts[number] - 1.0) * own
-    inverse = np.linalg.inv(matrix)
     load = model.loads[_places(units, r)] * scale[:, None]
-    scaled = inverse @ load
-    return State(model, units, contrasts, model.untouched - load.T @ scaled, inverse, scaled, scale)
+    scaled = _solved(matrix, load, bool(np.all(contrasts > 1.0)))
+    return State(model, units, contrasts, model.untouched - load.T @ scaled, matrix, scaled, scale)
+
+
+def _solved(matrix: Array, load: Array, positive: bool) -> Array:
+    """Return A^-1 load of a symmetric A, which is positive definite where all contrasts are above 1."""
+    if positive and len(matrix):
+        _, found, failed = lapack.dposv(matrix, load, lower=1)
+        if not failed:
+            return np.asarray(found)
+    return np.asarray(np.linalg.solve(matrix, load))
 
 
 def _places(units: Index, rank: int) -> Index:
@@ -170,11 +189,11 @@ def _places(units: Index, rank: int) -> Index:
     return np.asarray((units[:, None] * rank + np.arange(rank)).ravel())
 
 
-def _own_of(model: ReducedModel, units: Index, contrast: float) -> Array:
+def own_of(model: ReducedModel, units: Index, contrast: float) -> Array:
     """Return (n, r, r) M of some units at one contrast."""
     found = np.broadcast_to(np.eye(model.rank), (len(units), model.rank, model.rank))
-    place = np.searchsorted(model.contacts, units)
-    under = np.take(model.contacts, place, mode="clip") == units
+    place = model.contact[units]
+    under = place >= 0
     if not under.any():
         return found
     found = found.copy()

@@ -186,13 +186,19 @@ def _condense(unit: int, parts: UnitMesh, system: System, place: Index, conducti
     at = local(parts.mesh.element_nodes[elements])
     stiffness = np.zeros((size, size))
     np.add.at(stiffness, (at[:, :, None], at[:, None, :]), system.stiffness[elements])
+    under = [
+        (
+            piece,
+            local(parts.mesh.element_nodes[system.contacts.element[piece]]),
+            kept + int(np.searchsorted(terminals, system.contacts.electrode[piece])),
+        )
+        for piece in pieces
+    ]
     schur = []
     for sigma in conductivities:
         whole = sigma * stiffness
         density = system.contacts.density(np.full(len(system.contacts.element), sigma))
-        for piece in pieces:
-            own = local(parts.mesh.element_nodes[system.contacts.element[piece]])
-            terminal = kept + int(np.searchsorted(terminals, system.contacts.electrode[piece]))
+        for piece, own, terminal in under:
             whole[np.ix_(own, own)] += density[piece] * system.contacts.mass_m2[piece]
             whole[own, terminal] -= density[piece] * system.contacts.load_m2[piece]
             whole[terminal, own] -= density[piece] * system.contacts.load_m2[piece]

@@ -20,11 +20,13 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.reduced.model import ReducedModel
-from eitskin_sim.reduced.state import State
+from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.frame import Doubts, Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Array, Noise, Rows
+from eitskin_sim.verification.sets.judge import Judge
+from eitskin_sim.verification.sets.price import UnitPrice
 from eitskin_sim.verification.sets.search import Search
 from eitskin_sim.verification.verdict import Verdict
 
@@ -36,6 +38,9 @@ COARSE: Final = 8
 
 BUDGET_S: Final = 0.02
 """What a frame may take."""
+
+SEARCHED: Final = 0.9
+"""Part of the budget after which nothing new is begun."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,6 +87,7 @@ class UnitVerifier:
         rows: Rows | None = None,
         budget_s: float = BUDGET_S,
         before: Sequence[UnitTouch] = (),
+        heights: npt.ArrayLike | None = None,
         clock: Callable[[], float] = time.perf_counter,
     ) -> Verdict[UnitTouch]:
         """Return the set of touched units that explains a frame best.
@@ -94,6 +100,7 @@ class UnitVerifier:
             rows: (104,) which rows there are; None is all.
             budget_s: The search ends after it; 0 only judges the starts.
             before: The last frame's touches, another start.
+            heights: (units,) of the network's map, from 0 to 1: how sure it is of each unit; None is not known.
             clock: What the budget is counted by, in seconds; ``time.process_time`` on a machine that is shared.
 
         Raises:
@@ -104,16 +111,20 @@ class UnitVerifier:
             raise ValueError(f"a budget of {budget_s:g} s; expected 0 or more")
         dv, held = np.asarray(change, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         sets = [self._start(one) for one in starts]
+        shown = self._heights(heights)
         if before:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
-        frame = Frame(dv, held, noise, self._doubts, rows)
-        search = Search(
-            self._model, self._flat, frame, self._prior, self._contrast, clock() + budget_s, clock, self._coarse
+        price = UnitPrice(self._model.shape, self._prior, self._contrast)
+        deadline = clock() + SEARCHED * budget_s
+        first = (
+            state_of(self._model, *sets[0])
+            if sets
+            else state_of(self._model, *self._start(np.zeros(self._model.n_units)))
         )
-        best = search.best_of(sets)
-        if self._doubts is not None:
-            frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))
-            search = search.on(frame)
+        frame = Frame(dv, held, noise, self._doubts, rows, self._signal(first))
+        judge = Judge(self._model, self._coarse, self._flat, frame, price, self._contrast, deadline, clock)
+        search = Search(judge)
+        best = search.best_of(first, sets[1:], shown)
         best = search.run(best)
         ratio = best.volts / self._flat
         if self._doubts is not None:
@@ -130,7 +141,7 @@ class UnitVerifier:
             degrees_of_freedom=degrees,
             p_value=p_value(chi, degrees),
             level=self._level,
-            evaluations=search.evaluations,
+            evaluations=judge.evaluations,
             seconds=time.perf_counter() - begin,
             nuisances=frame.nuisances(ratio),
         )
@@ -141,6 +152,14 @@ class UnitVerifier:
             raise ValueError(f"a start of shape {found.shape}; expected ({self._model.n_units},) truth values")
         units = np.flatnonzero(found)
         return units, np.full(len(units), self._contrast)
+
+    def _heights(self, heights: npt.ArrayLike | None) -> Array | None:
+        if heights is None:
+            return None
+        found = np.asarray(heights, dtype=np.float64)
+        if found.shape != (self._model.n_units,) or not np.isfinite(found).all():
+            raise ValueError(f"heights of shape {found.shape}; expected {self._model.n_units} finite ones, from 0 to 1")
+        return found
 
     def _signal(self, state: State) -> Array:
         """Return (rows,) dV that a set of touches makes."""

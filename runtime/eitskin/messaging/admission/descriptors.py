@@ -12,14 +12,10 @@ import socket
 import stat
 import struct
 import termios
-import threading
 from typing import Final
 
 RESERVE: Final = 12
 """Descriptors that stay free for whatever the process opens itself: a port that comes back, a file."""
-
-MEANWHILE: Final = 64
-"""Connections that a TCP address may take in between a promise and its being kept; a quarter of few descriptors."""
 
 MANY: Final = 65536
 """What counts as no limit."""
@@ -115,48 +111,3 @@ def somebody_waits(listener: int) -> bool:
     poll = select.poll()
     poll.register(listener, select.POLLIN)
     return any(event & select.POLLIN for _, event in poll.poll(0))
-
-
-class Promises:
-    """Descriptors that libzmq will take soon: nobody else is promised any before it has.
-
-    One object for the whole process, whose sockets all draw on the same files.
-    """
-
-    def __init__(self) -> None:
-        self._lock = threading.Lock()
-        self._listeners: set[Connection | None] = set()
-        """From which libzmq accepts."""
-        self._strangers = 0
-
-    def give(self, listener: int, connections: int) -> bool:
-        """Promise descriptors to a listener's connections; False if there is no room, or another is served now."""
-        with self._lock:
-            self._listeners = {
-                other
-                for other in self._listeners
-                if other is not None and connection_at(other[0]) == other and somebody_waits(other[0])
-            }
-            taken_meanwhile = min(MEANWHILE, limit() // 4) if self._strangers else 0
-            if self._listeners or room() < connections + taken_meanwhile:
-                return False
-            self._listeners.add(connection_at(listener))
-            return True
-
-    def stranger_came(self) -> None:
-        """Take note of a TCP address, where libzmq accepts without asking."""
-        with self._lock:
-            self._strangers += 1
-
-    def stranger_left(self) -> None:
-        """Take note that it is closed."""
-        with self._lock:
-            self._strangers -= 1
-
-    def withdraw(self, listener: int) -> None:
-        """Take note that a listener is closed."""
-        with self._lock:
-            self._listeners.discard(connection_at(listener))
-
-
-PROMISES: Final = Promises()

@@ -2,7 +2,8 @@
 
 An ipc address has a gate of our own before it (:mod:`eitskin.messaging.admission.gate`), so that nobody comes in for
 whom there is no descriptor. On TCP libzmq accepts whoever comes; who is too many is ended at the next look. In neither
-case does it cost those anything who are served already.
+case does it cost those anything who are served already. Where files are few, TCP is shut for the moment in which ipc
+lets somebody in (:mod:`eitskin.messaging.admission.shutter`).
 """
 
 import os
@@ -16,8 +17,10 @@ import zmq
 
 from eitskin.errors import EndpointError
 from eitskin.messaging.admission.connections import MANY_SPARE, Connections, Name
-from eitskin.messaging.admission.descriptors import PROMISES, RESERVE, Connection, limit, room
+from eitskin.messaging.admission.descriptors import RESERVE, Connection, limit, room
 from eitskin.messaging.admission.gate import Gate
+from eitskin.messaging.admission.promises import PROMISES
+from eitskin.messaging.admission.shutter import Shutter, queue
 from eitskin.messaging.admission.traffic import ALLOWANCE
 from eitskin.messaging.curve_keys import ServerKeys
 from eitskin.messaging.endpoints import bind_problem, check_allowed, clear_path
@@ -64,6 +67,7 @@ class Door:
         check_allowed(endpoint, keys, control=control)
         self._socket = socket_
         self._gate: Gate | None = None
+        self._shutter: Shutter | None = None
         self._next_s = 0.0
         """When those who wait are looked at again."""
         self._count_s = 0.0
@@ -76,6 +80,7 @@ class Door:
             else:
                 if keys is not None:
                     keys.apply(socket_)
+                socket_.setsockopt(zmq.BACKLOG, queue())
                 socket_.bind(endpoint)
                 self.endpoint = str(socket_.getsockopt_string(zmq.LAST_ENDPOINT)).rstrip("\0")
         except (zmq.ZMQError, OSError) as error:
@@ -83,7 +88,8 @@ class Door:
         self._port = -1 if self._gate is not None else int(self.endpoint.rpartition(":")[2])
         self._connections = Connections(most, self._ours, allowance_bytes)
         if self._gate is None:
-            PROMISES.stranger_came()
+            self._shutter = Shutter(self._port)
+            PROMISES.stranger_came(self._shutter)
         left = room()
         if left < FEWEST:
             self.close()
@@ -137,6 +143,7 @@ class Door:
             newcomers: False lets nobody in who waits at an ipc address: those before them are still to be seen to.
         """
         if self._gate is None:
+            PROMISES.settle()
             if self._crowded():
                 self.count(keep)
         elif newcomers and self._poll.poll(0) and time.monotonic() >= self._next_s:
@@ -168,6 +175,7 @@ class Door:
     def count(self, keep: Container[Connection] = ()) -> None:
         """End who is too many, a few times a second."""
         now_s = time.monotonic()
+        PROMISES.settle()
         if self._gate is None or now_s >= self._count_s:
             self._count_s = now_s + COUNT_S
             self._cull(keep, 0)
@@ -193,6 +201,7 @@ class Door:
         if self._gate is not None:
             self._gate.close()
             self._gate = None
-        elif self._port >= 0:
+        elif self._shutter is not None:
             self._port = -1
-            PROMISES.stranger_left()
+            PROMISES.stranger_left(self._shutter)
+            self._shutter = None

@@ -25,7 +25,8 @@ from typing import Any, Final
 import zmq
 
 from eitskin.messaging.admission.connections import Name
-from eitskin.messaging.admission.descriptors import PROMISES, room, somebody_waits
+from eitskin.messaging.admission.descriptors import room, somebody_waits
+from eitskin.messaging.admission.promises import PROMISES
 
 BATCH: Final = 8
 """Newcomers that are let in at once, at most; 128 that come together are in after 16 looks."""

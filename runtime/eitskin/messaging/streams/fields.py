@@ -68,7 +68,7 @@ class Fields:
     def count(self, key: str) -> int:
         """Return a whole number, 0 or more."""
         value = self._values.get(key)
-        if type(value) is not int or not 0 <= value < 1 << 64:
+        if type(value) is not int or not 0 <= value < 1 << 63:
             raise self.wrong(key, "a count")
         return value
 

@@ -12,11 +12,11 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
-from eitskin_sim.verification.free.fit import bounded
+from eitskin_sim.verification.free.fit import bounded, refine
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.model import Model
 from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
-from eitskin_sim.verification.free.starts import presses_of, shares_of, starts_of
+from eitskin_sim.verification.free.starts import followed, presses_of, shares_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.waves import waves_of
 from eitskin_sim.verification.residual import Noise
@@ -96,6 +96,27 @@ def test_starts_are_the_rectangles_of_a_map_and_an_l_is_two() -> None:
     ell = np.array([[0, 45, 50, 10, 40, 0, 50, 0], [0, 60, 35, 20, 10, 0, 50, 0]], dtype=float)
     assert len(starts_of(map_of(ell)[None])) == 2
     assert len(starts_of(np.zeros((0, *PAPER.grid.shape)))) == 0
+
+
+def test_touches_are_followed_to_where_the_map_shows_as_many_and_else_stay_where_they_were() -> None:
+    last = np.vstack([SQUARE, moved([0, 40.0, 20.0, 3.0, 0, 0, 5.0, 1.0])])
+    now = np.vstack([moved([0, 43.0, 22.0, 9.0, 9.0, 0, 0, 0]), moved([0, -2.0, 1.0, 9.0, 9.0, 0, 0, 0])])
+    found = followed(last, now)
+    assert np.array_equal(found[:, 1:3], now[[1, 0], 1:3])
+    assert np.array_equal(found[:, 3:], last[:, 3:])
+    far = now.copy()
+    far[0, 1] += 30.0
+    for other in (now[:1], far, np.vstack([now[1], now[1]]), np.zeros((0, 8))):
+        assert np.array_equal(followed(last, other), last)
+    none = np.zeros((0, 8))
+    assert followed(none, none).shape == (0, 8)
+
+
+def test_a_fit_ends_where_a_step_would_gain_nothing_and_its_derivatives_serve_its_errors() -> None:
+    frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
+    done = refine(frame, refine(frame, frame.at(SQUARE), 20), 20)
+    assert refine(frame, done, 20) is done
+    assert done._linear
 
 
 def test_waves_keep_the_border_and_their_rates_are_quotients() -> None:

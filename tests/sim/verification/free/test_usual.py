@@ -9,12 +9,13 @@ import pytest
 
 from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.scene.gap import gap_mm
+from eitskin_sim.verification.free import improve
+from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import _free, _heavy, _prior
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.search import FreeVerifier
-from eitskin_sim.verification.free.seen import DECISIVE, left_out, unseen
+from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, closed, left_out, too_small, unseen
 from eitskin_sim.verification.free.usual import usual_of
-from eitskin_sim.verification.residual import Noise
 
 SQUARE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
 OTHER = np.array([[0, 110.0, 70.0, 10.0, 10.0, 0.0, 50.0, 0.0]])
@@ -41,22 +42,46 @@ def test_a_touch_that_the_network_sees_plainly_is_not_left_out_without_a_word() 
     assert not left_out(np.zeros((0, 8)), shares_of(np.zeros((0, 8))), PAPER.grid)
 
 
-class Stub(FreeVerifier):
-    """A verifier whose fits are made up: without the second touch, so much more is left."""
+def test_a_crack_within_one_touch_of_the_map_is_closed_and_gaps_between_two_stay() -> None:
+    ell = np.array([[0, 45.0, 50.0, 10.0, 40.0, 0.0, 50.0, 0.0], [0, 60.5, 35.0, 19.0, 10.0, 0.0, 50.0, 0.0]])
+    whole = map_of(ell)[None]
+    found = closed(ell, whole, PAPER.grid)
+    assert float(gap_mm(found[:1], found[1:])[0]) == pytest.approx(0.0, abs=1e-9)
+    edges = found[:, 1] + np.outer([-0.5, 0.5], found[:, 3])
+    assert edges.min() == pytest.approx(40.0)
+    assert edges.max() == pytest.approx(70.0)
+    assert np.array_equal(closed(ell, shares_of(ell), PAPER.grid), ell)
+    wide = ell + np.array([[0.0] * 8, [0, 4.0, 0, 0, 0, 0, 0, 0]])
+    assert np.array_equal(closed(wide, whole, PAPER.grid), wide)
+    assert np.array_equal(closed(ell, whole[:0], PAPER.grid), ell)
 
-    def __init__(self, more: float) -> None:
-        super().__init__(np.ones(104), Noise())
-        self.more = more
 
-    def _without(self, frame: Any, fit: Any, number: int) -> Any:
-        return SimpleNamespace(pieces=np.delete(fit.pieces, number, axis=0), chi_squared=fit.chi_squared + self.more)
+def test_no_touch_is_much_smaller_than_the_skin_s() -> None:
+    tiny = OTHER.copy()
+    tiny[0, 3:5] = 4.0, 4.5
+    assert too_small(np.vstack([SQUARE, tiny]), 5.0)
+    assert not too_small(np.vstack([SQUARE, tiny]), 4.0)
+    assert not too_small(SQUARE, 5.0)
+    assert not too_small(np.zeros((0, 8)), 5.0)
 
 
-def test_a_touch_that_only_physics_sees_must_answer_much() -> None:
+def test_a_touch_that_only_physics_sees_must_answer_much(monkeypatch: pytest.MonkeyPatch) -> None:
     fit: Any = SimpleNamespace(pieces=np.vstack([SQUARE, OTHER]), chi_squared=100.0)
-    frame: Any = None
-    for more, left in ((DECISIVE - 1.0, 1), (DECISIVE + 1.0, 2)):
-        assert len(Stub(more)._confirmed(frame, fit, shares_of(SQUARE)).pieces) == left
+    frame: Any = SimpleNamespace(model=SimpleNamespace(skin=PAPER))
+    none = np.zeros((0, *PAPER.grid.shape))
+    for shares, more, left in (
+        (shares_of(SQUARE), BESIDE - 1.0, 1),
+        (shares_of(SQUARE), BESIDE + 1.0, 2),
+        (none, DECISIVE - 1.0, 0),
+        (none, DECISIVE + 1.0, 2),
+    ):
+
+        def without(frame: Any, fit: Any, number: int, effort: Effort, more: float = more) -> Any:
+            return SimpleNamespace(pieces=np.delete(fit.pieces, number, axis=0), chi_squared=fit.chi_squared + more)
+
+        monkeypatch.setattr(improve, "without", without)
+        found, sure = improve.confirmed(frame, fit, shares, Effort(100.0))
+        assert (len(found.pieces), sure) == (left, True)
 
 
 def test_contrast_and_size_are_what_the_skin_states() -> None:

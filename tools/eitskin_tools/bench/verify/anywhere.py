@@ -26,7 +26,7 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
     phantoms = condition.phantoms(deformations, each)
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
-    verified = VerifiedFree(network, Noise(condition.noise), kind, PAPER)
+    verified = VerifiedFree(network, Noise(condition.noise), kind, PAPER, follow=condition.follow)
     found, scores = [], []
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]

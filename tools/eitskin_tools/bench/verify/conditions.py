@@ -12,6 +12,7 @@ from eitskin_sim.evaluation.trials import Softness
 from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.parts import Phantom
+from eitskin_tools.bench.verify.moving import sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
 
 ANY: Final = (0.1, 200.0)
@@ -61,6 +62,8 @@ class Anywhere:
     """From a number of deformations and touch sets at each to as many phantoms, deformation after deformation."""
     mismatch: Mismatch = IDEAL
     noise: Kind = "N2"
+    follow: bool = False
+    """Whether frames of a deformation are one motion, each verified from the last one's touches."""
 
 
 def unit_conditions() -> list[Condition]:
@@ -97,6 +100,11 @@ def anywhere_conditions() -> list[Anywhere]:
         *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
         Anywhere("lab-like, singles", _singles(), LAB),
         Anywhere("contrast 2, singles", _singles(2.0)),
+        *(
+            Anywhere(f"{'tracked' if follow else 'not tracked'}, {touches} moving", _moving(touches), follow=follow)
+            for touches in (1, 3)
+            for follow in (True, False)
+        ),
     ]
 
 
@@ -104,6 +112,10 @@ def _singles(contrast: float = 50.0) -> Callable[[int, int], list[Phantom]]:
     return lambda deformations, each: trials.single(
         SINGLE_MM, deformations, each, "A", Softness(contrast) if contrast != 50.0 else trials.HARD
     )
+
+
+def _moving(touches: int) -> Callable[[int, int], list[Phantom]]:
+    return lambda deformations, each: sliding(touches, deformations, each)
 
 
 def _pairs(family: Family) -> Callable[[int, int], list[Phantom]]:

@@ -2,6 +2,7 @@
 
 import argparse
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -77,7 +78,7 @@ def _electrodes(arguments: argparse.Namespace) -> int:
         raise BundleError(f"{bundle.path}: telling failed electrodes is {MISSING}")
     reference = None if arguments.reference is None else load(arguments.reference, bundle.skin)
     if arguments.recorded is not None and arguments.recorded.suffix == ".mcap":
-        recording, own = _of_recording(arguments)
+        recording, own = _of_recording(arguments, bundle)
         reference = reference or own
     elif arguments.recorded is not None:
         recording = electrode_checkup.load_recording(files.find(arguments.recorded, files.RECORDING))
@@ -121,25 +122,36 @@ def _drift(arguments: argparse.Namespace) -> int:
     return 0
 
 
-def _of_recording(arguments: argparse.Namespace) -> tuple[Any, Any]:
-    """Return the last seconds of a recording, and its reference."""
+def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[Any, Any]:
+    """Return the last seconds of a recording, and the reference that held then.
+
+    Args:
+        arguments: Of the command.
+        bundle: Refuse a recording of another skin than this bundle's; None for any.
+    """
     from eitskin.diagnostics.electrode_checkup import Recording
     from eitskin_tools.command_line.needs import require
 
     require("a recording", ("mcap",))
     from eitskin.errors import BadReference
     from eitskin.health.electrodes import WINDOW
-    from eitskin_tools.recording.bundles import reference_of
+    from eitskin_tools.recording.bundles import for_skin, reference_of
     from eitskin_tools.recording.convert.table import table_of
     from eitskin_tools.recording.script import Script
 
     script = Script(files.find(arguments.recorded, files.RECORDING))
-    found = table_of(script, max(script.seconds - arguments.seconds, 0.0))
+    if script.ending:
+        print(f"eitskin doctor: {script.path}{script.ending}", file=sys.stderr)
+    if bundle is not None:
+        for_skin(bundle, script)
+    begin_s = max(script.seconds - arguments.seconds, 0.0)
+    found = table_of(script, begin_s)
     if len(found.voltages_V) < WINDOW:
         raise BadReference(
             f"{script.path}: {len(found.voltages_V)} frames to look at, expected {WINDOW}; see --seconds"
         )
-    reference = reference_of(script, script.reference())
+    held = [step.reference for step in script.steps(begin_s) if step.reference is not None]
+    reference = reference_of(script, held[-1] if held else script.reference())
     return Recording(found.voltages_V, None, script.hello.volts_per_count), reference
 
 

@@ -153,6 +153,8 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
     if arguments.shift_px or arguments.cloud != "scan":
         raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
     measured = load_measured(files.find(arguments.measured, files.MEASURED), skins.chosen(arguments))
+    if measured.ending:
+        print(f"eitskin evaluate: {arguments.measured}{measured.ending}", file=sys.stderr)
     found = evaluate_measured(measured, request, _progress())
     print(json.dumps(found) if arguments.json else table(found))
     return 0

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.errors import UsageError
+from eitskin_tools.verifier import options as verifier
 
 LOOK_S = 0.01
 """Between two looks whether somebody subscribed, with --wait."""
@@ -33,6 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
     parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
     parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    verifier.add_arguments(parser)
     parser.add_argument("--wait", action="store_true", help="begin half a second after somebody subscribed")
     parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
     parser.add_argument("--json", action="store_true", help="print a summary as one JSON object at the end")
@@ -76,7 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         log.ready(publisher.endpoint, control.endpoint)
         if arguments.wait:
             _wait(skin, publisher)
-        serve(skin, publisher)
+        with verifier.verifying(skin, publisher, arguments) as behind:
+            serve(skin, publisher, behind=behind)
         found = {**skin.summary(), "sent": player.line.sent, "rounds": player.line.rounds}
     if arguments.json:
         print(json.dumps(found))
@@ -98,6 +101,7 @@ def _wait(skin: Any, publisher: Any) -> None:
 
 
 def _check(arguments: argparse.Namespace) -> None:
+    verifier.check(arguments)
     if not 0.0 < arguments.speed < 1e6:
         raise UsageError(f"--speed is {arguments.speed:g}, expected more than 0")
     for name in ("from_s", "to_s"):

@@ -18,7 +18,6 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Run
 from eitskin_sim.evaluation.metrics import TOUCHED
-from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
@@ -34,11 +33,21 @@ class VerifiedFree:
         touches: Which way touches change conductance.
         skin: Whose models.
         budget_s: What a frame may take.
+        follow: Whether the touches of the last frame of a shape are the first start of the next.
     """
 
-    def __init__(self, network: Run, noise: Noise, touches: TouchKind, skin: Skin, budget_s: float = BUDGET_S) -> None:
+    def __init__(
+        self,
+        network: Run,
+        noise: Noise,
+        touches: TouchKind,
+        skin: Skin,
+        budget_s: float = BUDGET_S,
+        follow: bool = False,
+    ) -> None:
         self._network, self._noise, self._touches, self._skin = network, noise, touches, skin
-        self._budget_s = budget_s
+        self._budget_s, self._follow = budget_s, follow
+        self._last: npt.NDArray[np.float64] | None = None
         self._finder = Finder(skin.grid)
         self.checked: list[Checked[FreeVerdict]] = []
         """Verdicts in the order of the cases."""
@@ -62,14 +71,15 @@ class VerifiedFree:
             )
             before = 0.0
             verifier.deform(case.sheet.cloud_mm)
-            self._shape = key, verifier
+            self._shape, self._last = (key, verifier), None
         else:
             verifier = self._shape[1]
             before = verifier.setup_cpu_s
         made, start = verifier.setup_cpu_s, time.process_time()
-        verdict = verifier.verify(case.voltages, shares, None, self._budget_s)
+        verdict = verifier.verify(case.voltages, shares, self._last, self._budget_s)
+        self._last = verdict.pieces if self._follow and len(verdict.pieces) else None
         cpu_s = time.process_time() - start - (verifier.setup_cpu_s - made)
         setup_ms = 1e3 * (verifier.setup_cpu_s - before)
         touched = (image >= TOUCHED).ravel()
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
-        return image if verdict.flagged else map_of(verdict.pieces, grid)
+        return image if verdict.flagged else verdict.map(grid)

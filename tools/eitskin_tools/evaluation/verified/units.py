@@ -116,7 +116,8 @@ class Verified:
             self._filler.fill(filled, self._missing)
             case = replace(case, voltages=case.flat_reference * (1.0 + filled[0]))
         image = self._network.solver(case)
-        starts = unit_starts(image, grid)
+        heights = unit_heights(image, grid)
+        starts = unit_starts(heights)
         verifier, material, setup_ms = self._of(case)
         before: tuple[UnitTouch, ...] = ()
         for attempt in range(REBUILT + 1):
@@ -129,6 +130,7 @@ class Verified:
                 rows=rows,
                 budget_s=self._budget_s,
                 before=before,
+                heights=heights,
                 clock=time.process_time,
             )
             cpu_ms = 1e3 * (time.process_time() - start)
@@ -185,12 +187,16 @@ def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material 
     return tuple(float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True))
 
 
-def unit_starts(image: npt.NDArray[np.float64], grid: Any) -> list[npt.NDArray[np.bool_]]:
-    """Return the units of a map that are touched, at each threshold."""
+def unit_heights(image: npt.NDArray[np.float64], grid: Any) -> npt.NDArray[np.float64]:
+    """Return (units,) the mean of a map over each unit's pixels: how sure the network is of each."""
     unit = grid.unit_of_pixel.ravel()
     pixels = np.maximum(np.bincount(unit, minlength=grid.n_units), 1)
-    height = np.bincount(unit, weights=image.ravel(), minlength=grid.n_units) / pixels
-    return [height >= one for one in THRESHOLDS]
+    return np.asarray(np.bincount(unit, weights=image.ravel(), minlength=grid.n_units) / pixels)
+
+
+def unit_starts(heights: npt.NDArray[np.float64]) -> list[npt.NDArray[np.bool_]]:
+    """Return the units that are touched by their heights, at each threshold."""
+    return [heights >= one for one in THRESHOLDS]
 
 
 def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, list[Checked[Any]]]) -> None:

@@ -116,7 +116,7 @@ def digests(script: Script) -> dict[int, str]:
         try:
             note = unpack_json(entry.data)
             found[int(note["number"])] = str(note["digest"])
-        except (RecordingError, KeyError, TypeError, ValueError):
+        except (RecordingError, KeyError, TypeError, ValueError, OverflowError):
             continue
     return found
 

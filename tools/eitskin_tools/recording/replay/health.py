@@ -3,6 +3,7 @@
 import math
 from bisect import bisect_right
 from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,6 +21,27 @@ Distance = tuple[float, float, float]
 """Of a reference in percent: alike, its standard deviation, uneven; not a number while unknown."""
 
 UNKNOWN: Final = (math.nan, math.nan, math.nan)
+
+LARGEST: Final = 10**6
+"""Percent; beyond it, and where it is no number, a distance is unknown."""
+
+
+@dataclass(frozen=True, slots=True)
+class Then:
+    """What is noted of a frame."""
+
+    events: tuple[str, ...]
+    """At it: all of them where what was published was recorded, else what the states told."""
+    skipped: tuple[str, ...]
+    """What was left out for it; empty where what was published was not recorded."""
+    distance: Distance
+    """How far the sheet was from its reference."""
+
+    @property
+    def of_health(self) -> tuple[str, ...]:
+        """Events of electrodes and drift."""
+        return tuple(text for text in self.events if text.startswith(OURS))
+
 
 OURS: Final = ("electrode", "drift")
 """What events of electrodes and drift begin with."""
@@ -83,7 +105,7 @@ class HealthThen(Health):
 
 
 class Noted:
-    """What a recording says of drift, and of what happened, frame by frame in their order.
+    """What a recording says of drift, and of what happened and was left out, frame by frame in their order.
 
     By what was published of each frame, exactly; where that was not recorded, by the states, of which one came a
     second, rounded as they are.
@@ -102,23 +124,24 @@ class Noted:
         self._states = [(at + offset_ns, _drift_of(state)) for at, state in made if isinstance(at, int)]
         self._events: dict[int, tuple[str, ...]] = {}
         for state in script.states:
-            for event in state.get("events") or ():
+            events = state.get("events")
+            for event in events if isinstance(events, list) else ():
                 match event:
                     case [int(sequence), str(text)]:
                         self._events[sequence] = (*self._events.get(sequence, ()), text)
 
-    def of(self, step: Step) -> tuple[tuple[str, ...], Distance]:
-        """Return the events of electrodes and drift of a frame, and how far the sheet was from its reference."""
-        frame = step.frame
+    def of(self, step: Step) -> Then:
+        """Return what is noted of a frame."""
+        frame, skipped = step.frame, tuple[str, ...]()
         events = self._events.get(-1 if frame.seq is None else frame.seq, ())
         distance = self._distance_at(step.log_ns)
         if frame.frame is not None:
             while self._note is not None and self._note["number"] < frame.frame:
                 self._note = next(self._notes, None)
             if (note := self._note) is not None and note["number"] == frame.frame:
-                events = tuple(text for text in note.get("events") or () if isinstance(text, str))
+                events, skipped = _texts(note.get("events")), _texts(note.get("skipped"))
                 distance = _numbers(note.get(name) for name in ("drift", "drift_sd", "drift_uneven"))
-        return tuple(text for text in events if text.startswith(OURS)), distance
+        return Then(events, skipped, distance)
 
     def _distance_at(self, log_ns: int) -> Distance:
         index = bisect_right(self._states, log_ns, key=lambda one: one[0])
@@ -135,6 +158,10 @@ def _notes(script: Script, begin_ns: int) -> Iterator[dict[str, Any]]:
             yield note
 
 
+def _texts(values: Any) -> tuple[str, ...]:
+    return tuple(text for text in values if isinstance(text, str)) if isinstance(values, list | tuple) else ()
+
+
 def _drift_of(state: dict[str, Any]) -> Distance:
     status = state.get("status")
     drift = status.get("drift") if isinstance(status, dict) else None
@@ -144,5 +171,7 @@ def _drift_of(state: dict[str, Any]) -> Distance:
 
 
 def _numbers(values: Iterator[Any]) -> Distance:
-    one, two, three = (float(value) if isinstance(value, int | float) else math.nan for value in values)
+    one, two, three = (
+        float(value) if isinstance(value, int | float) and abs(value) <= LARGEST else math.nan for value in values
+    )
     return one, two, three

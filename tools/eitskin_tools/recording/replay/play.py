@@ -3,7 +3,8 @@
 The bundle, the reference and the solver are those of the recording unless others are named. Each cloud is taken before
 the frame that met it first, and a reference that was captured anew takes effect where it did. Electrodes that were
 excluded by hand are. What else is wrong with electrodes, drift and the gate's threshold are those of the recording too
-(:mod:`eitskin_tools.recording.replay.health`); with another bundle the runtime finds them out by itself.
+(:mod:`eitskin_tools.recording.replay.health`), and so is what hung on the frames before, touched or not, a map that was
+kept (:mod:`eitskin_tools.recording.replay.judged`); with another bundle the runtime finds all that out by itself.
 """
 
 from collections.abc import Callable, Iterator
@@ -14,11 +15,13 @@ from pathlib import Path
 from eitskin.health.imputation import Consistency
 from eitskin.messaging.streams.measured import Conditions
 from eitskin.model.engine import solvers
+from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.errors import SkinError
 from eitskin_tools.recording.bundles import bundle_of, reference_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.replay.health import HealthThen, Noted
+from eitskin_tools.recording.replay.judged import JudgedThen
 from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.script import Script, Step
 
@@ -62,7 +65,7 @@ class Player:
         solver: str | None = None,
         tell: Callable[[str], None] = lambda _: None,
     ) -> None:
-        self._script, self._tell = script, tell
+        self._script, self._warn = script, tell
         loaded = bundle_of(script, bundle)
         if solver is None:
             then = script.told("solvers").split()
@@ -76,10 +79,11 @@ class Player:
         self._noted: Noted | None = None
 
         def steps() -> Iterator[Step]:
-            self._noted = None if self._health is None else Noted(script, manner.from_s)
+            self._noted = Noted(script, manner.from_s) if same else None
             return islice(script.steps(manner.from_s, manner.to_s), left_out, None)
 
-        arrays = loaded.consistency_arrays() if loaded.id == script.told("bundle") else None
+        same = loaded.id == script.told("bundle")
+        arrays = loaded.consistency_arrays() if same else None
         exclude = tuple(one for one, state, _ in began.electrodes if state == "excluded")
         self._health = None if arrays is None else HealthThen(Consistency.of(arrays), exclude)
 
@@ -98,23 +102,23 @@ class Player:
         self._reference = began.reference
         if self._health is not None:
             self.skin.pipeline.health = self._health
-            self.skin.loop.use(reference)
+        self._judged = JudgedThen(self.skin.pipeline) if same else None
+        self._use(reference)
         self.line.before = self._before
         self.line.ended = self.skin.stop
 
     def _before(self, step: Step) -> None:
         """Let hold what holds from a frame on."""
-        if self._health is not None and self._noted is not None:
-            self._health.tell(*self._noted.of(step))
+        self._tell(step)
         if step.conditions is None:
             return
         self.skin.loop.source.afterwards.do()  # streams tell of the frame before, by what held for it
         if step.reference is not None and step.conditions.reference != self._reference:
             self._reference = step.conditions.reference
             try:
-                self.skin.loop.use(reference_of(self._script, step.reference, self.skin.bundle.skin))
+                self._use(reference_of(self._script, step.reference, self.skin.bundle.skin))
             except SkinError as error:
-                self._tell(f"a reference of the recording is left out: {error}")
+                self._warn(f"a reference of the recording is left out: {error}")
         self._use_conditions(step.conditions)
         if step.cloud is not None and not (step.cloud.why == "start" and self.skin.pipeline.record.cloud == 0):
             given = step.cloud.why == "given"
@@ -125,7 +129,27 @@ class Player:
                     step.cloud.predicted_flat if given else None,
                 )
             except (SkinError, ValueError) as error:
-                self._tell(f"cloud {step.cloud.revision} of the recording is left out: {error}")
+                self._warn(f"cloud {step.cloud.revision} of the recording is left out: {error}")
+
+    def _use(self, reference: Reference) -> None:
+        """Hold frames against a recorded reference."""
+        self.skin.loop.use(reference)
+        self._held_against = self.skin.loop.reference
+
+    def _tell(self, step: Step) -> None:
+        """Say of a frame what was found of it then."""
+        if self._noted is None:
+            return
+        noted = self._noted.of(step)
+        if self._health is not None:
+            self._health.tell(noted.of_health, noted.distance)
+        if self._judged is None:
+            return
+        by_hand = self._health is not None and self._health.by_hand is not None
+        if by_hand or self.skin.loop.reference is not self._held_against:
+            self._judged.judge()
+        else:
+            self._judged.go_on_with(step.frame, noted.events, noted.skipped)
 
     def _use_conditions(self, conditions: Conditions) -> None:
         pipeline = self.skin.pipeline
@@ -165,4 +189,4 @@ def _first_known(script: Script, manner: Manner) -> tuple[Step, int]:
 
 def _idles(script: Script) -> bool:
     """Whether the device idled at times."""
-    return any(state.get("status", {}).get("mode_changes") for state in script.states)
+    return any(status.get("mode_changes") for state in script.states if isinstance(status := state.get("status"), dict))

@@ -4,7 +4,6 @@ What is kept in memory does not grow with the file: the places of its chunks, an
 looked at last.
 """
 
-import math
 from collections import OrderedDict
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -81,10 +80,10 @@ class Moments(Told):
 
     def reference(self) -> bytes:
         """Return what the first frame is held against of which that is known, as in :class:`Told`."""
-        for second in range(math.floor(self.seconds) + 1):
-            for step in self.span(second, second + 1.0).steps:
-                if step.reference is not None:
-                    return step.reference
+        for number in self._places.having(WIRE.topic):
+            for entry in self._read(number):
+                if entry.topic == WIRE.topic and (found := self._reference_of(entry, number)) is not None:
+                    return found
         raise RecordingError(f"{self.path} lacks its reference{self.ending}; record a runtime that has one")
 
     def span(self, from_s: float, to_s: float) -> Span:
@@ -111,12 +110,21 @@ class Moments(Told):
                         notes[int(note["number"])] = note
                         continue
                     frame = WireFrame.of(entry.data, n=entry.sequence)
-                except (FrameError, RecordingError, KeyError, TypeError, ValueError):
+                except (FrameError, RecordingError, KeyError, TypeError, ValueError, OverflowError):
                     continue
                 now = self._held(self._conditions, CONDITIONS.topic, frame.conditions, number)
                 steps.append(self._step(frame, entry.log_ns, now, before, number))
                 before = now if steps[-1].known else before
         return Span(tuple(steps), notes)
+
+    def _reference_of(self, entry: Entry, number: int) -> bytes | None:
+        """Return what a frame is held against; None where the recording lacks some of what it met."""
+        try:
+            frame = WireFrame.of(entry.data, n=entry.sequence)
+        except FrameError:
+            return None
+        now = self._held(self._conditions, CONDITIONS.topic, frame.conditions, number)
+        return self._step(frame, entry.log_ns, now, None, number).reference
 
     def _step(
         self, frame: WireFrame, log_ns: int, now: Conditions | None, before: Conditions | None, number: int

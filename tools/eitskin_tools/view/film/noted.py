@@ -1,6 +1,5 @@
 """What was published of a recorded frame, as a subscriber would have got it; unknown where nobody noted it."""
 
-import math
 from collections.abc import Mapping
 from typing import Any, Final
 
@@ -11,6 +10,9 @@ from eitskin.messaging.frame import COUNTS, MAX_TEXT, MAX_TEXTS, STAGES, Frame
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.script import Step
 from eitskin_tools.recording.told import Told
+
+LONGEST: Final = 10**300
+"""Of a number: a whole one may be larger than any that a page understands."""
 
 LARGEST: Final = 1 << 53
 """Of a count that a page understands."""
@@ -72,7 +74,7 @@ def count(value: Any) -> int:
 
 def number(value: Any) -> float | None:
     """Return a finite number; None for what is none."""
-    return float(value) if isinstance(value, int | float) and math.isfinite(value) else None
+    return float(value) if isinstance(value, int | float) and abs(value) <= LONGEST else None
 
 
 def texts(value: Any) -> tuple[str, ...]:

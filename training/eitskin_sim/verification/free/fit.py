@@ -9,6 +9,7 @@ What is minimised is chi-squared, what is unseen of the sheet fitted along withi
 Every touch costs the logarithm of the places where it might be besides (:mod:`eitskin_sim.verification.prior`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -30,6 +31,7 @@ from eitskin_sim.shapes.parameters import (
     pieces_of,
 )
 from eitskin_sim.shapes.sheet import Solved
+from eitskin_sim.verification.free.effort import never
 from eitskin_sim.verification.free.model import Model
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
@@ -56,6 +58,9 @@ AGAINST: Final = 8.0
 
 ENOUGH: Final = 0.3
 """A step that gains less of what is minimised is the last."""
+
+NOTHING: Final = 0.1
+"""A step that should gain less is not tried."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,6 +173,12 @@ def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Arr
     return np.array(cost), np.array(by)
 
 
+def held_prior(fit: Fit) -> float:
+    """Return the prior's cost of a fit's touches, but for their mean contrast."""
+    cost, _ = _prior(fit.pieces, _free(fit.pieces, fit.turning), fit.frame.usual)
+    return float(cost[:-1] @ cost[:-1])
+
+
 def _heavy(value: float, sd: float) -> tuple[float, float]:
     """Return a residual whose square is the cost of Student's law with ``TAIL`` degrees of freedom, and its slope."""
     square = value * value / (TAIL * sd * sd)
@@ -177,24 +188,30 @@ def _heavy(value: float, sd: float) -> tuple[float, float]:
     return residual, value / (sd * sd * (1.0 + square) * residual)
 
 
-def refine(frame: Frame, fit: Fit, steps: int = 8) -> Fit:
+def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
     Args:
         frame: The frame.
         fit: Where to start.
         steps: The most derivatives.
+        over: Whether time is over: asked before each derivative and each solution, so that one of them is what a frame
+            takes longer at most.
     """
     damping = 1e-2
     for _ in range(steps):
-        if not len(fit.pieces):
+        if not len(fit.pieces) or over():
             return fit
         residual, by, own = fit.linear
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
         best = None
         for _ in range(4):
+            if over():
+                return fit
             step = np.asarray(-np.linalg.solve(square + damping * np.diag(scale), gradient), dtype=np.float64)
+            if -2.0 * (gradient @ step) - step @ square @ step < NOTHING:
+                return fit  # its derivatives are taken already: nothing is solved for so little
             moved = bounded(frame, fit.pieces, own, step)
             try:
                 best = frame.at(moved, fit.turning)

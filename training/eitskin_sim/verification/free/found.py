@@ -5,6 +5,7 @@ is known well is their product, the strength: log contrast times area. So a touc
 how far area and contrast may go along each other while the fit stays within two standard deviations.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -49,8 +50,13 @@ class FreeTouch:
     """Two standard errors of its logarithm either way, contrast changing along."""
 
 
-def touches_of(fit: Fit) -> tuple[FreeTouch, ...]:
-    """Return what a fit says of every touch."""
+def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
+    """Return what a fit says of every touch.
+
+    Args:
+        fit: The fit.
+        others: (n, 8) touches each, of other contrasts that explain the frame as well: ranges reach as far as they do.
+    """
     if not len(fit.pieces):
         return ()
     _, by, own = fit.linear
@@ -82,12 +88,12 @@ def touches_of(fit: Fit) -> tuple[FreeTouch, ...]:
                 area_mm2=float(areas[row]),
                 area_error_mm2=float(areas[row] * area_sd),
                 contrast=float(piece[6]),
-                contrast_range=_range(float(piece[6]), contrast_sd),
+                contrast_range=_reaching(_range(float(piece[6]), contrast_sd), [one[row, 6] for one in others]),
                 border_mm=float(piece[7]),
                 strength_mm2=float(strengths[row]),
                 strength_error_mm2=strength_sd,
                 size_contrast_correlation=both,
-                area_range_mm2=_range(float(areas[row]), area_sd),
+                area_range_mm2=_reaching(_range(float(areas[row]), area_sd), [areas_mm2(one)[row] for one in others]),
             )
         )
     return tuple(found)
@@ -96,6 +102,10 @@ def touches_of(fit: Fit) -> tuple[FreeTouch, ...]:
 def _range(value: float, sd: float) -> tuple[float, float]:
     factor = float(np.exp(min(WITHIN * sd, 30.0)))
     return value / factor, value * factor
+
+
+def _reaching(span: tuple[float, float], others: Sequence[float]) -> tuple[float, float]:
+    return float(min([span[0], *others])), float(max([span[1], *others]))
 
 
 def degrees_of_freedom(fit: Fit) -> int:

@@ -20,6 +20,9 @@ BETTER: Final = 0.45
 PIXELS: Final = 2.5
 """What one rectangle leaves, in squares of whole pixels, before two are thought of."""
 
+MOVED_MM: Final = 15.0
+"""What a touch moves from frame to frame at most, or it is another."""
+
 LEAST_MM: Final = 3.0
 """The shortest side of a start."""
 
@@ -57,6 +60,19 @@ def presses_of(rectangles: Array, border_mm: float) -> Array:
     found[:, 0] = ELLIPSE
     found[:, 3:5] *= 2.0 / np.sqrt(np.pi)
     found[:, 7] = np.minimum(border_mm, found[:, 3:5].min(axis=1, initial=np.inf) - 0.01)
+    return found
+
+
+def followed(last: Array, rectangles: Array) -> Array:
+    """Return the last frame's (n, 8) touches where the network shows them now, if it shows as many near them."""
+    if len(last) != len(rectangles) or not len(last):
+        return last
+    apart = np.hypot(*(last[:, None, 1:3] - rectangles[None, :, 1:3]).transpose(2, 0, 1))
+    nearest = apart.argmin(axis=1)
+    if len(np.unique(nearest)) < len(last) or (apart.min(axis=1) > MOVED_MM).any():
+        return last
+    found = last.copy()
+    found[:, 1:3] = rectangles[nearest, 1:3]
     return found
 
 

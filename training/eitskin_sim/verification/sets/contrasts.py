@@ -82,12 +82,13 @@ def estimated(frame: Frame, flat_V: Array, state: State) -> Array:
         state: The set; its contrasts are not 1.
     """
     nothing = state_of(state.model, state.units[:0], state.contrasts[:0])
-    forms = [
-        frame.whiten((nothing.with_each(state.units[[number]], float(contrast))[0] - nothing.volts) / flat_V)
-        for number, contrast in enumerate(state.contrasts)
-    ]
+    volts = np.empty((len(state.units), len(frame.ratio)))
+    for contrast in np.unique(state.contrasts):
+        at = state.contrasts == contrast
+        volts[at] = nothing.with_each(state.units[at], float(contrast))
+    forms = frame.whiten((volts - nothing.volts) / flat_V).T
     left = frame.whiten(frame.ratio - nothing.volts / flat_V)
-    shares, *_ = np.linalg.lstsq(np.stack(forms, axis=1), left, rcond=None)
+    shares, *_ = np.linalg.lstsq(forms, left, rcond=None)
     dipoles = np.clip(shares * (state.contrasts - 1.0) / (state.contrasts + 1.0), -MOST_DIPOLE, MOST_DIPOLE)
     logs = np.log((1.0 + dipoles) / (1.0 - dipoles))
     return np.asarray(np.exp(within(logs, np.where(logs < 0.0, -1.0, 1.0))))

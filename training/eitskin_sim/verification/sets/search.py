@@ -1,279 +1,285 @@
-"""Steps from one set of touched units to a better one, on a reduced model, until the frame is explained or time is up.
+"""From a start to the best set of touched units that time allows, on a reduced model.
 
 What :mod:`eitskin_sim.verification.units` says in words.
 """
 
-import time
-from collections.abc import Callable, Sequence
-from typing import Final
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Final, Literal
 
 import numpy as np
 
 from eitskin_sim.fem.mesh import Array, Index
-from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import State, state_of
-from eitskin_sim.verification.chi_squared import least_chi_squared
-from eitskin_sim.verification.frame import Frame
-from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.sets.contrasts import STEPS, estimated, fitted
 from eitskin_sim.verification.sets.exchange import Exchange
-from eitskin_sim.verification.sets.price import OTHERS, UnitPrice
+from eitskin_sim.verification.sets.judge import Judge
+from eitskin_sim.verification.sets.known import Bits, Candidates
+from eitskin_sim.verification.sets.price import OTHERS
+from eitskin_sim.verification.sets.steps import Steps
 
-CONTENT: Final = 0.05
-"""The search ends where p is above."""
+Free = Literal["none", "common", "each"]
+"""Which contrasts are fitted: none, one for all units, or one for each."""
 
-MOST_TOUCHED: Final = 20
-"""Sets grow no further."""
+WORTH: Final[dict[Free, float]] = {"none": 1.0, "common": 1.5, "each": 2.5}
+"""By so many times must fitted contrasts explain more than the usual one, to be looked at first."""
 
-REACH: Final = 2
-"""A unit is moved by at most so many, along and across, before it is moved anywhere."""
+UNUSUAL: Final = 2.0
+"""Where other contrasts leave so many times less on the start's units, they are looked at before the usual one."""
 
-FAR: Final = 0.7
-"""A unit of another contrast must leave such a part of what one of the usual contrast leaves, to be looked at first."""
+SURELY: Final = 8.0
+"""And where so many times less by one contrast for all, the usual one is not looked at before."""
+
+RATHER: Final = 3.0
+"""And where so many times less by a contrast for each, of either sign, those are fitted before all else."""
+
+LOWERED: Final = 0.7
+"""A unit is thought of as lowering conductance where its contrast is estimated below."""
+
+FIRST: Final = 5
+"""Sets that the usual contrast is given before others are thought of."""
+
+FREE_ALMOST: Final = 40.0
+"""A set with up to so many times the chi-squared of one that explains the frame may do so with its contrasts fitted."""
+
+NEARLY: Final = 4.0
+"""The same of the coarse model, with contrasts fitted."""
+
+NEAR: Final = 6.0
+"""Where the start leaves so many times what explains the frame, another contrast of it may be all that is amiss."""
+
+NONE: Final = 0.25
+"""A touch whose contrast's logarithm is nearer to 0 is none, where the others explain the frame without it."""
+
+ROUNDS: Final = 3
+"""Contrasts are fitted anew so many times, and units exchanged with them."""
+
+SAME: Final = 0.05
+"""Contrasts that moved by less, as logarithms, are as before."""
 
 _NONE: Final[Index] = np.zeros(0, dtype=np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class Level:
+    """Contrasts to search with."""
+
+    start: State
+    """On the coarse model."""
+    free: Free
 
 
 class Search:
     """One frame's search.
 
     Args:
-        model: The sheet.
-        flat_V: (rows,) V of the flat, untouched one.
-        frame: What is to be explained.
-        prior: What touches are like.
-        contrast: The usual one.
-        deadline: What the clock shows when it ends.
-        clock: In seconds.
-        coarse: The same sheet of a lower rank, for exchanges; None is the model itself.
+        judge: Of sets on the frame.
     """
 
-    def __init__(
-        self,
-        model: ReducedModel,
-        flat_V: Array,
-        frame: Frame,
-        prior: Prior,
-        contrast: float,
-        deadline: float,
-        clock: Callable[[], float] = time.perf_counter,
-        coarse: ReducedModel | None = None,
-    ) -> None:
-        self._model, self._flat, self._frame, self._prior = model, flat_V, frame, prior
-        self._usual, self._deadline, self._clock = contrast, deadline, clock
-        self._columns = model.shape[1]
-        self._coarse = coarse or model
-        self._content = least_chi_squared(CONTENT, len(frame.white))
-        self._price = UnitPrice(model.shape, prior, contrast)
-        self.evaluations = 0
+    def __init__(self, judge: Judge) -> None:
+        self._judge, self._steps = judge, Steps(judge)
+        self._found: State | None = None
+        self._usual: tuple[Exchange, Candidates, Bits] | None = None
 
-    def on(self, frame: Frame) -> "Search":
-        """Return the same search on the frame with another covariance."""
-        found = Search(
-            self._model, self._flat, frame, self._prior, self._usual, self._deadline, self._clock, self._coarse
-        )
-        found.evaluations, found._price = self.evaluations, self._price
-        return found
+    def best_of(self, first: State, sets: Sequence[tuple[Index, Array]], heights: Array | None = None) -> State:
+        """Return the best of some sets: the first one, if it explains the frame.
 
-    def best_of(self, sets: Sequence[tuple[Index, Array]]) -> State:
-        """Return the best of some sets; none is the untouched sheet."""
-        different = {tuple(units.tolist()): (units, contrasts) for units, contrasts in sets}
-        self._price.begin([units for units, _ in different.values()])
-        states = [self._state(*one) for one in different.values()] or [self._state(_NONE, np.zeros(0))]
-        costs = [self._cost(state, self._chi(state)) for state in states]
-        return states[int(np.argmin(costs))]
+        Args:
+            first: A set on the whole model.
+            sets: Units and contrasts of further ones.
+            heights: (units,) of a map, see :meth:`UnitPrice.begin`.
+        """
+        judge = self._judge
+        every = {_key(first.units, first.contrasts): (first.units, first.contrasts)}
+        every |= {_key(*one): one for one in sets}
+        judge.evaluations += 1
+        judge.price.begin([units for units, _ in every.values()], heights)
+        if len(every) == 1 or judge.explained(first):
+            return first
+        states = [judge.state(*one, coarse=True) for one in every.values()]
+        best = int(np.argmin([judge.cost(state, judge.chi(state)) for state in states]))
+        return judge.as_whole(states[best]) if best else first
 
     def fitted(self, state: State) -> int:
         """Return how many contrasts of a set were fitted: one if all have the same that is not the usual one."""
-        other = state.contrasts[state.contrasts != self._usual]
+        other = state.contrasts[state.contrasts != self._judge.usual]
         return len(np.unique(other))
 
     def run(self, start: State) -> State:
         """Return the best set that time allows."""
-        if self._satisfied(start) or self._late():
+        judge = self._judge
+        if self._satisfied(start) or judge.late():
             return start
-        best = self._fitted(start, common=True) if len(start.units) else start
-        best = best if self._explained(best) else self._of_either_sign(start)
-        for contrast in self._levels():
-            if self._explained(best) or self._late():
+        best = start
+        for level, most in self._levels(start):
+            if judge.explained(best) or judge.late():
                 return best
-            best = self._better(best, self._exchanged(best, contrast))
-            if not self._explained(best):
-                best = self._better(best, self._contrasts_fitted(best))
+            best = judge.better(best, self._exchanged(level, most))
         for other in (self._from_nothing, self._refitted):
-            if self._explained(best) or self._late():
+            if judge.explained(best) or judge.late():
                 break
-            best = self._better(best, other(best))
+            best = judge.better(best, other(best))
         return best
-
-    def _of_either_sign(self, start: State) -> State:
-        """Return the units of a set with the contrasts that the frame gives them, if that explains it."""
-        if not len(start.units):
-            return start
-        contrasts = estimated(self._frame, self._flat, state_of(self._coarse, start.units, start.contrasts))
-        if np.all(contrasts > 1.0):
-            return start
-        # Of one sign, one contrast for all: with one for each, a wrong set may explain the frame.
-        found = self._fitted(self._state(start.units, contrasts), common=bool(np.all(contrasts < 1.0)))
-        return self._descended(found) if self._explained(found) else start  # without units that it does not need
-
-    def _levels(self) -> list[float]:
-        """Return contrasts to search with: another than the usual one first where one unit of it explains far more."""
-        nothing, every = state_of(self._coarse, _NONE, np.zeros(0)), np.arange(self._coarse.n_units)
-        levels = (self._usual, *OTHERS)
-        chi = [float(self._chis(nothing.with_each(every, one)).min()) for one in levels]
-        at = int(np.argmin(chi))
-        return [levels[at], self._usual] if chi[at] < FAR * chi[0] else [self._usual]
 
     def _satisfied(self, state: State) -> bool:
         """Return whether a set explains the frame, and none of its units is one too many."""
-        return self._explained(state) and self._removed(state, self._chi(state)) is None
+        return self._judge.explained(state) and self._steps.removed(state, self._judge.chi(state)) is None
 
-    def _exchanged(self, state: State, contrast: float) -> State:
-        """Return a set of units of one contrast, exchanged for others on the coarse model until they explain it."""
-        nothing = [] if contrast == self._usual else [_NONE]
+    def _levels(self, start: State) -> Iterator[tuple[Level, int | None]]:
+        """Yield contrasts to search with, and how long at most: those first that explain most on the start's units."""
+        judge = self._judge
+        coarse = judge.as_coarse(start)
+        if not len(coarse.units):
+            yield from ((level, None) for level in self._levels_of_nothing(coarse))
+            return
+        usual = Level(judge.state(coarse.units, np.full(len(coarse.units), judge.usual), coarse=True), "none")
+        own = estimated(judge.frame, judge.flat, coarse)
+        mean = np.full(len(own), np.exp(np.log(own).mean()))
+        common, each = (judge.state(coarse.units, one, coarse=True) for one in (mean, own))
+        mixed = bool(own.min() < LOWERED < 1.0 / LOWERED < own.max())
+        if judge.chi(usual.start) < NEAR * judge.content:
+            yield Level(common, "common"), 0
+        if mixed and judge.chi(usual.start) > RATHER * judge.chi(each):
+            yield Level(each, "each"), 0
+        if judge.chi(usual.start) < SURELY * judge.chi(common):
+            yield usual, FIRST
+        others = [Level(self._refit(common, "common", 1), "common"), Level(each, "each")]
+        if mixed:
+            others.sort(key=lambda level: judge.chi(level.start) * WORTH[level.free])
+        first = judge.chi(usual.start) < UNUSUAL * judge.chi(others[0].start) * WORTH[others[0].free]
+        for level in [usual, *others] if first else [*others, usual]:
+            yield level, None
 
-        def explains(units: Index, contrast: float) -> bool:
-            return self._explained(self._state(units, np.full(len(units), contrast)))
+    def _levels_of_nothing(self, nothing: State) -> list[Level]:
+        """Return the usual contrast, and another one where one unit of it explains more."""
+        judge, every = self._judge, np.arange(self._judge.coarse.n_units)
+        found = []
+        for contrast in (judge.usual, *OTHERS):
+            chi = judge.chis(nothing.with_each(every, contrast))
+            unit = np.array([int(np.argmin(chi))])
+            found.append((float(chi.min()), judge.state(unit, np.array([contrast]), coarse=True)))
+        least = min(found, key=lambda one: one[0])[1]
+        levels = [Level(nothing, "none")]
+        return levels if least.contrasts[0] == judge.usual else [Level(self._refit(least, "common"), "common"), *levels]
 
-        exchange = Exchange(self._coarse, self._flat, self._frame, self._price, self._content, explains, self._late)
-        units = exchange.improved([state.units, *self._price.starts, *nothing], contrast)
-        self.evaluations += exchange.evaluations
-        found = self._state(units, np.full(len(units), contrast))
-        return self._descended(self._better(state, found), (contrast,))
-
-    def _late(self) -> bool:
-        return self._clock() >= self._deadline
-
-    def _state(self, units: Index, contrasts: Array) -> State:
-        self.evaluations += 1
-        return state_of(self._model, units, contrasts)
-
-    def _chi(self, state: State) -> float:
-        return float(self._frame.chi_squared(state.volts / self._flat))
-
-    def _chis(self, volts: Array) -> Array:
-        self.evaluations += len(volts)
-        return self._frame.chi_squared(volts / self._flat)
-
-    def _explained(self, state: State) -> bool:
-        return self._chi(state) <= self._content
-
-    def _cost(self, state: State, chi: float, inflation: float = 1.0) -> float:
-        return chi / inflation + self._price.of(state.units, state.contrasts)
-
-    def _inflation(self, chi: float) -> float:
-        return max(chi / len(self._frame.white), 1.0)
-
-    def _better(self, first: State, second: State) -> State:
-        """Return the cheaper of two sets, at the inflation of the better explained one."""
-        one, two = self._chi(first), self._chi(second)
-        inflation = self._inflation(min(one, two))
-        return second if self._cost(second, two, inflation) < self._cost(first, one, inflation) else first
-
-    def _descended(self, state: State, contrasts: tuple[float, ...] = ()) -> State:
-        """Return a set that no step improves: units removed, added, and moved, the best step first."""
-        contrasts = contrasts or (self._usual,)
-        while not self._late():
-            chi = self._chi(state)
-            step = self._removed(state, chi)
-            if step is None and chi <= self._content:
-                return state
-            step = step or self._added(state, chi, contrasts) or self._moved(state, chi, contrasts, REACH)
-            step = step or (self._moved(state, chi, contrasts, None) if chi > self._content else None)
-            if step is None:
-                return state
-            state = step
-        return state
-
-    def _removed(self, state: State, chi: float) -> State | None:
-        if not len(state.units):
-            return None
-        chis, inflation = self._chis(state.without_each()), self._inflation(chi)
-        saved = np.array(
-            [self._price.more(state.units[i : i + 1], np.delete(state.units, i))[0] for i in range(len(chis))]
-        )
-        gain = (chi - chis) / inflation + saved
-        best = int(np.argmax(gain))
-        return state.without(best) if gain[best] > 0.0 else None
-
-    def _added(self, state: State, chi: float, contrasts: tuple[float, ...]) -> State | None:
-        if len(state.units) >= MOST_TOUCHED:
-            return None
-        unit, contrast, best = self._best_addition(state, contrasts, None)
-        if (chi - best) / self._inflation(chi) <= self._price.more(np.array([unit]), state.units)[0]:
-            return None
-        return self._state(np.append(state.units, unit), np.append(state.contrasts, contrast))
-
-    def _best_addition(
-        self, state: State, contrasts: tuple[float, ...], among: Index | None
-    ) -> tuple[int, float, float]:
-        """Return the unit, its contrast and the chi-squared of the best set with one unit more."""
-        free = np.setdiff1d(np.arange(self._model.n_units) if among is None else among, state.units)
-        best = (-1, contrasts[0], np.inf)
-        if free.size:
-            for contrast in contrasts:
-                chis = self._chis(state.with_each(free, contrast))
-                at = int(np.argmin(chis))
-                if chis[at] < best[2]:
-                    best = (int(free[at]), contrast, float(chis[at]))
-        return best
-
-    def _moved(self, state: State, chi: float, contrasts: tuple[float, ...], reach: int | None) -> State | None:
-        """Return the set with one unit elsewhere, within reach or anywhere: the first that explains it, or the best."""
-        best: tuple[float, State, int, float] | None = None
-        order: list[int] = np.argsort(self._chis(state.without_each())).tolist() if len(state.units) else []
-        for number in order:
-            if self._late():
-                break
-            rest = state.without(number)
-            among = None if reach is None else self._around(int(state.units[number]), reach)
-            unit, contrast, found = self._best_addition(rest, contrasts, among)
-            if best is None or found < best[0]:
-                best = (found, rest, unit, contrast)
-            if found <= self._content:
-                break
-        if best is None or best[2] < 0:
-            return None
-        found_state = self._state(np.append(best[1].units, best[2]), np.append(best[1].contrasts, best[3]))
-        inflation = self._inflation(best[0])
-        gain = self._cost(state, chi, inflation) - self._cost(found_state, best[0], inflation)
-        return found_state if gain > 1e-6 else None
-
-    def _around(self, unit: int, reach: int) -> Index:
-        row, column = np.divmod(np.arange(self._model.n_units), self._columns)
-        own_row, own_column = divmod(unit, self._columns)
-        near = np.maximum(np.abs(row - own_row), np.abs(column - own_column)) <= reach
-        return np.flatnonzero(near)
-
-    def _contrasts_fitted(self, state: State) -> State:
-        """Return a set with one contrast for all fitted, units changed with it, and then one for each."""
-        if not len(state.units):
-            return state
-        common = self._fitted(state, common=True)
-        again = common
-        if common is not state and not self._explained(common):
-            again = self._exchanged(common, float(common.contrasts[0]))
-        if len(again.units) and not self._late() and not self._explained(again):
-            again = self._better(again, self._fitted(again, common=False))
-        return self._better(state, again)
-
-    def _fitted(self, state: State, common: bool) -> State:
+    def _refit(self, state: State, free: Free, steps: int = STEPS) -> State:
         """Return a set with its contrasts fitted."""
-        self.evaluations += STEPS
-        return fitted(self._frame, self._flat, state, common=common, late=self._late)
+        if free == "none" or not len(state.units):
+            return state
+        judge = self._judge
+        judge.evaluations += steps
+        return fitted(judge.frame, judge.flat, state, common=free == "common", steps=steps, late=judge.late)
+
+    def _exchanged(self, level: Level, most: int | None = None) -> State:
+        """Return a set of a level, units exchanged for others on the coarse model until they explain it."""
+        judge, at, free = self._judge, level.start, level.free
+        if free == "none":
+            return self._of_usual(level.start, most)
+        at = self._refit(at, free)
+        exchange = Exchange(judge, lambda units, own: self._explains(units, own, free), FREE_ALMOST)
+        for number in range(ROUNDS):
+            candidates, start = self._candidates(at, free)
+            starts = [start]
+            if not number and free != "each":
+                starts += [candidates.bits(units) for units in judge.price.starts]
+            self._found = None
+            if self._explains(at.units, at.contrasts, free):
+                return self._pruned(self._found or at, free)
+            if most == 0:
+                return judge.as_whole(at)
+            bits = exchange.improved(starts, candidates)
+            if self._found is not None:
+                return self._pruned(self._found, free)
+            before = at
+            at = judge.state(candidates.units[bits], candidates.contrasts[bits], coarse=True)
+            at = self._refit(at, free)
+            if judge.late() or _same(before, at):
+                break
+        return judge.as_whole(at)
+
+    def _of_usual(self, start: State, most: int | None) -> State:
+        """Return a set of units of the usual contrast; asked again, the search goes on."""
+        judge = self._judge
+        if self._usual is None:
+            exchange = Exchange(judge, lambda units, own: self._explains(units, own, "none"))
+            self._usual = exchange, *self._candidates(start, "none")
+        exchange, candidates, bits = self._usual
+        self._found = None
+        starts = [*judge.price.starts, *judge.price.sure]
+        bits = exchange.improved([bits, *map(candidates.bits, starts)], candidates, most)
+        if self._found is not None:
+            return self._pruned(self._found, "none")
+        return judge.state(candidates.units[bits], candidates.contrasts[bits])
+
+    def _candidates(self, at: State, free: Free) -> tuple[Candidates, Bits]:
+        """Return what may be in a set of a level, and which of it the level's start is."""
+        n = self._judge.coarse.n_units
+        if free == "none":
+            candidates = Candidates.of(np.full(n, self._judge.usual))
+            return candidates, candidates.bits(at.units)
+        if free == "common":
+            candidates = Candidates.of(np.full(n, at.contrasts[0] if len(at.units) else self._judge.usual))
+            return candidates, candidates.bits(at.units)
+        levels = []
+        for sign, otherwise in zip((1.0, -1.0), (10.0, OTHERS[0]), strict=True):
+            own = at.contrasts[np.sign(np.log(at.contrasts)) == sign]
+            levels.append(np.full(n, np.exp(np.log(own).mean()) if len(own) else otherwise))
+            mine = np.sign(np.log(at.contrasts)) == sign
+            levels[-1][at.units[mine]] = at.contrasts[mine]
+        candidates = Candidates.of(*levels)
+        return candidates, candidates.bits(np.where(at.contrasts > 1.0, at.units, at.units + n))
+
+    def _explains(self, units: Index, contrasts: Array, free: Free) -> bool:
+        """Return whether a set that the coarse model found explains the frame; it is then kept."""
+        judge = self._judge
+        if free == "none":
+            state = judge.state(units, contrasts)
+        else:
+            state = self._refit(judge.state(units, contrasts, coarse=True), free)
+            if judge.chi(state) > NEARLY * judge.content:
+                return False
+            state = self._refit(judge.as_whole(state), free)
+        if not judge.explained(state):
+            return False
+        self._found = state
+        return True
+
+    def _pruned(self, state: State, free: Free) -> State:
+        """Return a set that explains the frame without units that it does not need."""
+        real = np.abs(np.log(state.contrasts)) > NONE
+        if not real.all():
+            rest = self._judge.state(state.units[real], state.contrasts[real])
+            rest = self._refit(rest, free)
+            state = rest if self._judge.explained(rest) else state
+        while not self._judge.late():
+            fewer = self._steps.removed(state, self._judge.chi(state))
+            if fewer is None:
+                return state
+            state = self._refit(fewer, free)
+        return state
 
     def _from_nothing(self, best: State) -> State:
         """Return a set that is built up from nothing with contrasts of either sign."""
-        found = self._descended(self._state(_NONE, np.zeros(0)), (self._usual, *OTHERS))
-        if len(found.units) and not self._late() and not self._explained(found):
-            found = self._better(found, self._fitted(found, common=False))
-        return found
+        return self._either_sign(state_of(self._judge.model, _NONE, np.zeros(0)))
 
     def _refitted(self, best: State) -> State:
         """Return the best set with steps of either sign, and its contrasts fitted anew."""
-        found = self._descended(best, (self._usual, *OTHERS))
-        if len(found.units) and not self._late() and not self._explained(found):
-            found = self._better(found, self._fitted(found, common=False))
-            found = self._better(found, self._descended(found, (self._usual, *OTHERS)))
+        return self._either_sign(best)
+
+    def _either_sign(self, state: State) -> State:
+        judge, contrasts = self._judge, (self._judge.usual, *OTHERS)
+        found = self._steps.descended(state, contrasts)
+        if len(found.units) and not judge.late() and not judge.explained(found):
+            found = judge.better(found, self._refit(found, "each"))
+            found = judge.better(found, self._steps.descended(found, contrasts))
         return found
+
+
+def _key(units: Index, contrasts: Array) -> tuple[tuple[int, ...], tuple[float, ...]]:
+    return tuple(units.tolist()), tuple(contrasts.tolist())
+
+
+def _same(first: State, second: State) -> bool:
+    """Return whether two sets are the same, of nearly the same contrasts."""
+    one, two = (dict(zip(state.units.tolist(), state.contrasts.tolist(), strict=True)) for state in (first, second))
+    return one.keys() == two.keys() and all(abs(np.log(one[unit] / two[unit])) < SAME for unit in one)

@@ -1,0 +1,85 @@
+"""Where data tell only the product of size and contrast, maps and ranges say so; elsewhere nothing changes."""
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.model import ELEMENT_MM, Model, flat_model_V, model_of_cloud
+from eitskin_sim.verification.free.search import ANEW, FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.free.valley import drawn, likely, scaled
+from eitskin_sim.verification.residual import Noise
+
+Array = npt.NDArray[np.float64]
+
+HARD = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
+GENTLE = np.array([[0, 60.0, 45.0, 10.0, 10.0, 0.0, 2.0, 0.0]])
+
+
+@pytest.fixture(scope="module")
+def model() -> Model:
+    return model_of_cloud(flat_cloud())
+
+
+def verified(model: Model, pieces: Array, kind: TouchKind = "raising") -> FreeVerdict:
+    flat_V = flat_model_V(PAPER, ELEMENT_MM)
+    volts = flat_V * (1.0 + model.solve(pieces)[1]) * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
+    own = FreeVerifier(flat_V, Noise("N2", 50.0), kind)
+    own._model, own._anew = model, ANEW
+    return own.verify(volts, map_of(pieces)[None], budget_s=100.0)
+
+
+def cc(one: Array, other: Array) -> float:
+    return float(np.corrcoef(one.ravel(), other.ravel())[0, 1])
+
+
+def test_a_gentle_touch_is_drawn_in_part_and_its_ranges_reach_as_far_as_the_data_allow(model: Model) -> None:
+    found = verified(model, GENTLE)
+    (touch,) = found.touches
+    assert len(found.likely) > 1
+    assert sum(share for share, _ in found.likely) == pytest.approx(1.0)
+    assert np.array_equal(found.likely[0][1], found.pieces)
+    truth = map_of(GENTLE)
+    assert cc(found.map(), truth) > cc(map_of(found.pieces), truth) + 0.02
+    assert touch.area_range_mm2[0] < 85.0 < touch.area_range_mm2[1]
+    assert touch.contrast_range[0] <= 2.2
+
+
+def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) -> None:
+    found = verified(model, HARD)
+    assert len(found.likely) == 1
+    assert np.array_equal(found.map(), map_of(found.pieces))
+    press = np.array([[2, 60.0, 45.0, 16.0, 16.0, 0.0, 0.6, 4.0]])
+    softer = verified(model, press, "lowering")
+    assert len(softer.likely) == 2
+    assert cc(softer.map(), map_of(press)) > cc(map_of(softer.pieces), map_of(press))
+
+
+def test_what_goes_both_ways_and_what_is_not_there_has_no_other_contrast(model: Model) -> None:
+    flat_V = flat_model_V(PAPER, ELEMENT_MM)
+    own = FreeVerifier(flat_V, Noise("N2", 50.0))
+    own._model = model
+    frame = own._frame(np.zeros(104))
+    assert len(likely(frame, frame.at(np.zeros((0, 8))), Effort(1.0))) == 1
+    both = replace(frame, usual=usual_of("both"))
+    assert len(likely(both, both.at(GENTLE), Effort(1.0))) == 1
+    assert drawn(((1.0, np.zeros((0, 8))),), PAPER.grid).shape == PAPER.grid.shape
+
+
+def test_touches_of_another_contrast_read_alike(model: Model) -> None:
+    small = GENTLE.copy()
+    small[0, 3:5] = 5.0
+    small[0, 6] = 50.0
+    wide = scaled(small, 2.0)
+    assert wide[0, 6] == pytest.approx(2.0)
+    assert areas_mm2(wide) * (1.0 / 3.0) == pytest.approx(areas_mm2(small) * (49.0 / 51.0))
+    one, other = model.solve(small)[1], model.solve(wide)[1]
+    assert np.abs(one - other).max() < 0.2 * np.abs(one).max()

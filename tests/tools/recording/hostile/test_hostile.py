@@ -1,0 +1,103 @@
+"""Recordings that say what no recorder writes: each is read, or refused in a line, and soon."""
+
+import json
+import struct
+import zlib
+
+import pytest
+import zstandard
+from mcap.records import Chunk
+
+from eitskin_tools.cli import main
+from eitskin_tools.recording.channels import CHANNELS
+from eitskin_tools.recording.layout import FRAME, STATE, WIRE, RecordingError
+from eitskin_tools.recording.reader import Recording, unpacked
+from eitskin_tools.recording.replay.play import Manner, Player
+from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.seek.moments import Moments
+from eitskin_tools.recording.sink import Reserve
+from eitskin_tools.recording.writer import RecordingWriter
+from eitskin_tools.view.film.noted import number
+
+from ..conftest import TINY, Taker
+
+HUGE = 10**400
+
+
+def rewritten(file, changed, attached=True):
+    """Write a recording anew; ``changed(topic, data, log_ns)`` gives data and time, or None to leave one out."""
+    found = Recording(file)
+    entries = list(found.entries())
+    path = file.with_name("b.mcap")
+    writer = RecordingWriter(path, found.head, reserve=(reserve := Reserve(path.parent, 4096)))
+    for name, data in found.attached.items() if attached else ():
+        writer.attach(name, "application/json", data, 0)
+    channels = {channel.topic: channel for channel in CHANNELS}
+    for one in entries:
+        if (made := changed(one.topic, one.data, one.log_ns)) is not None:
+            writer.add(channels[one.topic], *made, one.sequence)
+    writer.close()
+    reserve.give_up()
+    return path
+
+
+def with_fields(file, topic, **fields):
+    """Write it anew with other fields in every JSON message of a channel."""
+    return rewritten(
+        file, lambda at, data, ns: (json.dumps(json.loads(data) | fields).encode() if at == topic else data, ns)
+    )
+
+
+@pytest.mark.parametrize("words", [("convert", "--out", "c.npz"), ("reinfer", "--quiet", "--out", "m.npz")])
+def test_times_after_every_era_are_left_out(file, words, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    path = rewritten(file, lambda topic, data, ns: (data, (1 << 63) + ns if topic == WIRE.topic else ns))
+    more = ["--bundle", str(TINY)] if words[0] == "reinfer" else []
+    assert main([words[0], str(path), *words[1:], *more]) == 1
+    assert "holds no frame of the wire" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "fields", [{"events": 7}, {"status": None}, {"status": [1]}, {"status": {"drift": {"percent": HUGE}}}]
+)
+def test_states_that_make_no_sense_say_nothing(file, fields):
+    path = with_fields(file, STATE.topic, **fields)
+    with Player(Script(path), Manner(paced=False), bundle=TINY) as player:
+        assert sum(1 for _ in player.skin.publish(Taker())) > 100
+
+
+@pytest.mark.parametrize("fields", [{"drift": HUGE, "drift_sd": float("inf")}, {"number": float("inf")}])
+def test_notes_that_make_no_sense_say_nothing(file, fields):
+    path = with_fields(file, FRAME.topic, **fields)
+    with Player(Script(path), Manner(paced=False), bundle=TINY) as player:
+        assert sum(1 for _ in player.skin.publish(Taker())) > 100
+    assert main(["reinfer", str(path), "--bundle", str(TINY), "--quiet"]) in (0, 1)
+    assert Moments(path).span(0.0, 1.0).steps
+
+
+def test_numbers_that_a_page_cannot_hold_are_none():
+    assert [number(value) for value in (HUGE, -HUGE, float("nan"), float("inf"), "1", None)] == [None] * 6
+    assert (number(3), number(-0.5)) == (3.0, -0.5)
+
+
+def test_a_reference_that_is_lacking_is_not_looked_for_in_every_second_of_a_thousand_years(file):
+    last = [one.log_ns for one in Recording(file).entries({WIRE.topic})][-1]
+    path = rewritten(file, lambda _, data, ns: (data, (1 << 62) if ns == last else ns), attached=False)
+    moments = Moments(path)
+    assert moments.seconds > 1e9
+    with pytest.raises(RecordingError, match="lacks its reference"):
+        moments.reference()
+
+
+@pytest.mark.parametrize("unit", [bytes(9), b"\x0c" + struct.pack("<Q", 1) + b"x"])
+def test_a_chunk_of_millions_of_nothings_is_damaged_at_once(unit):
+    inner = unit * 100_000
+    chunk = Chunk("zstd", zstandard.compress(inner), 1, 0, zlib.crc32(inner), len(inner))
+    with pytest.raises(ValueError, match="a record of kind"):
+        unpacked(chunk)
+
+
+def test_a_chunk_that_says_that_it_is_larger_than_any_is_not_unpacked():
+    chunk = Chunk("zstd", zstandard.compress(bytes(9 << 20)), 1, 0, 0, 9 << 20)
+    with pytest.raises(ValueError, match="a chunk of"):
+        unpacked(chunk)

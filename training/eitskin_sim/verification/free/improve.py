@@ -1,0 +1,109 @@
+"""How one fit becomes a better one: moves, fewer touches, usual contrasts, and what the network does not confirm.
+
+Each returns what it was given where nothing pays or time is over.
+"""
+
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import Fit, Frame, refine
+from eitskin_sim.verification.free.moves import Move, moves
+from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, unseen
+
+ALMOST: Final = 3
+"""Derivatives taken of a move before it is judged."""
+
+STEPS: Final = 10
+"""Derivatives taken of a fit at most."""
+
+IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
+"""What touches raise that cannot be."""
+
+
+def fitted(
+    frame: Frame, pieces: Array, turning: bool, effort: Effort, over: Callable[[], bool], steps: int = STEPS
+) -> Fit:
+    """Return touches fitted to a frame.
+
+    Raises:
+        ValueError: They cannot be.
+    """
+    effort.fits += 2
+    return refine(frame, frame.at(pieces, turning), steps, over)
+
+
+def moved(frame: Frame, fit: Fit, effort: Effort) -> tuple[str, Fit | None]:
+    """Return the move that pays, or none."""
+    tried: list[tuple[Fit, Move]] = []
+    for move in moves(frame, fit):
+        if effort.searched():
+            break
+        try:
+            found = fitted(frame, move[1], move[2], effort, effort.searched, ALMOST)
+        except IMPOSSIBLE:
+            continue
+        tried.append((found, move))
+        if found.cost < fit.cost - 0.3 * (fit.chi_squared - len(fit.residual)) - 10.0:
+            break  # a good part of what is unexplained: no need to look at the others
+    tried.sort(key=lambda one: one[0].cost)
+    for found, move in tried[:2]:
+        effort.fits += 1
+        whole = refine(frame, found, STEPS, effort.searched)
+        if whole.cost < fit.cost - 1.0:
+            return move[0], whole
+    return "", None
+
+
+def fewer(frame: Frame, fit: Fit, effort: Effort) -> Fit:
+    """Return the fit, or one without the smallest of the touches, if that is likelier."""
+    for number in np.argsort(areas_mm2(fit.pieces))[:2].tolist() if len(fit.pieces) > 1 else ():
+        if effort.searched():
+            break
+        other = without(frame, fit, number, effort)
+        if other.cost < fit.cost:
+            return other
+    return fit
+
+
+def confirmed(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> tuple[Fit, bool]:
+    """Return the fit without touches that physics alone sees and that explain little; and whether time sufficed."""
+    least = BESIDE if len(shares) else DECISIVE
+    for number in reversed(unseen(fit.pieces, shares, frame.model.skin.grid)):
+        if effort.over():
+            return fit, False
+        other = without(frame, fit, number, effort)
+        if other.chi_squared - fit.chi_squared < least:
+            fit = other
+        elif effort.over():
+            return fit, False  # more time for what is left might have explained the frame as well
+    return fit, True
+
+
+def without(frame: Frame, fit: Fit, number: int, effort: Effort) -> Fit:
+    """Return the fit without one of its touches, the others fitted anew."""
+    return fitted(frame, np.delete(fit.pieces, number, axis=0), fit.turning, effort, effort.over)
+
+
+def usually(frame: Frame, fit: Fit, effort: Effort) -> Fit:
+    """Return the fit, or one from touches of usual contrast that are as strong, if that is likelier.
+
+    Size and contrast lie in a long valley, in which steps are short.
+    """
+    usual = frame.usual.log_contrast
+    log = np.log(fit.pieces[:, 6])
+    if effort.searched() or not len(log) or usual * log.mean() <= 0.0 or abs(usual - log.mean()) < 0.5:
+        return fit
+    pieces = fit.pieces.copy()
+    pieces[:, 3:5] *= np.sqrt(np.clip(np.tanh(log / 2.0) / np.tanh(usual / 2.0), 0.3, 3.0))[:, None]
+    pieces[:, 6] = np.exp(usual)
+    pieces[:, 7] = np.minimum(pieces[:, 7], pieces[:, 3:5].min(axis=1) - 0.01)
+    try:
+        other = fitted(frame, pieces, fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return other if other.cost < fit.cost else fit

@@ -1,0 +1,90 @@
+"""Other contrasts that explain a frame as well: where data tell only the product of a touch's size and contrast.
+
+A disc of contrast c answers as (c - 1) / (c + 1) times its area, as long as it is small: 28 mm2 of contrast 50 read as
+100 mm2 of contrast 2 do, to a tenth of chi-squared. A skin's file says which contrasts its touches have; but a touch
+that begins has a lower one, however the skin is made. So a share of belief goes to gentler touches, and how much of it
+stays is decided by the sizes that they would have, and by what they leave unexplained. The map is drawn from all of
+them, each by its share: what is sure is drawn full, and what depends on the contrast is drawn in part.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+
+from eitskin_proto.skin.grid import Grid
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import Fit, Frame, held_prior
+from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.improve import IMPOSSIBLE, fitted
+
+GENTLE: Final = ((2.0, 0.2), (5.0, 0.2))
+"""Contrasts below those that a skin states of touches that raise conductance, and the shares of belief of each."""
+
+LOWERING: Final = ((0.7, 0.4),)
+"""The same of touches that lower conductance: gentler ones are nearer to 1."""
+
+HELD_SD: Final = 0.05
+"""Of the log contrast about one that is looked at."""
+
+APART: Final = 0.2
+"""Log contrasts that differ by less are one."""
+
+PLAIN_MM: Final = 8.5
+"""Root of the area from which a touch of contrast 50 reads otherwise than any of contrast 5."""
+
+STEPS: Final = 1
+"""Derivatives taken of each: more do not draw better maps."""
+
+LEAST: Final = 0.02
+"""A smaller share of belief is none."""
+
+Likely = tuple[tuple[float, Array], ...]
+"""Shares of belief, 1 in all, and (n, 8) touches; the fit's own first."""
+
+
+def likely(frame: Frame, fit: Fit, effort: Effort) -> Likely:
+    """Return a fit's touches, and those of other contrasts that explain a frame as well."""
+    usual = frame.usual
+    own = ((1.0, fit.pieces),)
+    if not len(fit.pieces) or not usual.sign or (usual.sign > 0 and np.sqrt(areas_mm2(fit.pieces).min()) > PLAIN_MM):
+        return own
+    mean = float(np.log(fit.pieces[:, 6]).mean())
+    others = [one for one in (GENTLE if usual.sign > 0 else LOWERING) if abs(np.log(one[0]) - mean) > APART]
+    tried = [(1.0 - sum(share for _, share in others), _unlikely(fit), fit.pieces)]
+    for contrast, share in others:
+        if effort.searched():
+            break
+        at = replace(frame, usual=replace(usual, log_contrast=float(np.log(contrast)), common_sd=HELD_SD))
+        try:
+            found = fitted(at, scaled(fit.pieces, contrast), fit.turning, effort, effort.searched, STEPS)
+        except IMPOSSIBLE:
+            continue
+        tried.append((share, _unlikely(found), found.pieces))
+    least = min(cost for _, cost, _ in tried)
+    belief = np.array([share * np.exp(-0.5 * (cost - least)) for share, cost, _ in tried])
+    belief[1:][belief[1:] < LEAST * belief.sum()] = 0.0
+    belief /= belief.sum()
+    return tuple((float(one), pieces) for one, (_, _, pieces) in zip(belief, tried, strict=True) if one > 0.0) or own
+
+
+def scaled(pieces: Array, contrast: float) -> Array:
+    """Return touches of a mean contrast that read alike, as long as they are small."""
+    found = pieces.copy()
+    log = np.log(pieces[:, 6])
+    found[:, 6] = np.exp(log - log.mean() + np.log(contrast))
+    found[:, 3:5] *= np.sqrt(np.clip(np.tanh(log / 2.0) / np.tanh(np.log(found[:, 6]) / 2.0), 0.2, 5.0))[:, None]
+    found[:, 7] = np.minimum(found[:, 7], found[:, 3:5].min(axis=1) - 0.01)
+    return found
+
+
+def drawn(likely: Likely, grid: Grid) -> Array:
+    """Return the (rows, columns) map of touches by their shares of belief."""
+    return np.asarray(sum(share * map_of(pieces, grid) for share, pieces in likely))
+
+
+def _unlikely(fit: Fit) -> float:
+    """Return what a fit leaves, and how unlikely its sizes are: all but the mean contrast."""
+    return fit.chi_squared + held_prior(fit)
