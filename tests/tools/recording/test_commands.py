@@ -22,6 +22,8 @@ from .conftest import TINY, recorded
 
 Capture = pytest.CaptureFixture[str]
 
+RATE_HZ = 200.0
+
 
 def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
     """Run a command, and return its status and the one line that it said."""
@@ -79,11 +81,17 @@ def test_doctor_and_evaluate_read_a_recording(file: Path, capsys: Capture) -> No
 
 @contextmanager
 def played(file: Path, folder: Path) -> Iterator[str]:
-    """Play a recording again and again, in a process of its own."""
-    endpoint = f"ipc://{folder}/f"
+    """Play a recording again and again at a skin's pace, in a process of its own.
+
+    Its frames were computed as fast as can be, 5000 a second: at that pace a recorder that waits a tenth of a second
+    for a core loses some.
+    """
+    endpoint, script = f"ipc://{folder}/f", Script(file)
+    speed = RATE_HZ * script.seconds / script.frames
     process = subprocess.Popen(
         [sys.executable, "-m", "eitskin_tools.cli", "replay", str(file), "--bundle", str(TINY), "--loop",
-         "--publish", endpoint, "--control", f"ipc://{folder}/c"], stderr=subprocess.PIPE, text=True,
+         "--speed", str(speed), "--publish", endpoint, "--control", f"ipc://{folder}/c"],
+        stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     assert process.stderr is not None
     try:
