@@ -52,6 +52,8 @@ def serve(
             if now_ns >= next_join_ns:  # behind a frame, not before it
                 next_join_ns = now_ns + JOIN_NS
                 publisher.look()
+                if publisher.streams.joined:
+                    skin.pipeline.maps.renew()
                 if publisher.regions is not regions:
                     regions = publisher.regions
                     skin.set_regions(regions)

@@ -148,6 +148,11 @@ class MapSource:
         """Hold no map: what it depends on has changed."""
         self._held = ""
 
+    def renew(self) -> None:
+        """Compute the next map whatever its frame is: somebody came who does not have the frame of the map so far."""
+        if self.stillness is not None:
+            self.stillness.forget()
+
     def compare_by(
         self, voltages_V: npt.NDArray[np.float64], spread_V: npt.NDArray[np.float64], frames: int, step_V: float
     ) -> None:
