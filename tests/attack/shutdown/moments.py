@@ -6,6 +6,7 @@ regions cut, a control request waits, the device is silent, or its port is gone.
 (:mod:`tests.attack.shutdown.exit_time`); both times are among the figures.
 """
 
+import os
 import random
 import shutil
 import signal
@@ -40,6 +41,9 @@ LIVES: Final = {
 }  # fmt: skip
 """Where in its life a runtime is ended, and how often, one against the other."""
 
+IN_MEMORY: Final = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
+"""Where sockets, keys and output lie, if the machine has it: a wait for a disk would count as the process's own."""
+
 TCP: Final = "tcp://127.0.0.1:*"
 
 LAST: Final = 700
@@ -52,7 +56,7 @@ class Lane:
     """Runs runtimes one after the other on a skin of its own; release it with ``close``."""
 
     def __init__(self) -> None:
-        self._folder, self._keys = (Path(tempfile.mkdtemp(prefix=letter)) for letter in "ak")
+        self._folder, self._keys = (Path(tempfile.mkdtemp(prefix=letter, dir=IN_MEMORY)) for letter in "ak")
         make_keys(self._keys)
         self._context: Any = zmq.Context()
         self._watch = Watch()
