@@ -150,7 +150,7 @@ class Publisher:
             except zmq.Again:
                 break
             left -= 1
-        for connection in topics.talkative:
+        for connection in filter(self._door.sent_much, topics.talkative):
             end(connection)
             self._talkative += 1
         if topics.changed:

@@ -21,7 +21,7 @@ from eitskin.messaging.admission.descriptors import RESERVE, Connection, limit, 
 from eitskin.messaging.admission.gate import Gate
 from eitskin.messaging.admission.promises import PROMISES
 from eitskin.messaging.admission.shutter import Shutter, queue
-from eitskin.messaging.admission.traffic import ALLOWANCE
+from eitskin.messaging.admission.traffic import ALLOWANCE, MODEST, received_from
 from eitskin.messaging.curve_keys import ServerKeys
 from eitskin.messaging.endpoints import bind_problem, check_allowed, clear_path
 
@@ -166,6 +166,10 @@ class Door:
         """End who sends messages without end by TCP, and nobody whose messages wait for long."""
         if self._gate is None:
             self._connections.end_endless()
+
+    def sent_much(self, connection: Connection) -> bool:
+        """Return whether a connection sent more than who is honest; of ipc it is not known, and so always thought."""
+        return self._gate is not None or received_from(connection) > MODEST
 
     def took(self, connection: Connection, size: int, parts: int) -> None:
         """Take note of a whole message that was taken out of the socket: so many bytes in so many parts."""

@@ -2,6 +2,10 @@
 
 libzmq hands up every unsubscription, also one of a topic that its sender never had; believed, it would take the topic
 from somebody else. So topics belong to connections, as they do within libzmq, and go with them.
+
+A message names the descriptor over which it came. Who sent it may have left before it is taken, and a newcomer may lie
+there by then: the newcomer is not to pay for it. Its own messages are always the later ones, so the newest topics are
+kept; and who asked for too much is ended only if it sent as much (:meth:`~.door.Door.sent_much`).
 """
 
 from collections.abc import Callable
@@ -12,7 +16,7 @@ import zmq
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 
 MOST_TOPICS: Final = 16
-"""Of one subscriber, which has one or three."""
+"""Of one subscriber, which has one or three; of more the newest count."""
 
 MOST_MESSAGES: Final = 64
 """Of one subscriber between two looks."""
@@ -32,12 +36,12 @@ class Topics:
 
     def __init__(self, at: Callable[[int], Connection | None]) -> None:
         self._at = at
-        self.of: dict[Connection, set[bytes]] = {}
-        """Of each connection that has any."""
+        self.of: dict[Connection, dict[bytes, None]] = {}
+        """Of each connection that has any, the newest last."""
         self.changed = True
         """Somebody came, went, or asked for something else since this was last set to False."""
         self.talkative: set[Connection] = set()
-        """Who asked for more than any honest subscriber would, since the last ``begin``; to be ended."""
+        """Who asked for more than any honest subscriber would, or who lies where that one lay, since ``begin``."""
         self._messages: dict[Connection, int] = {}
         self._sweeps = 0
 
@@ -63,17 +67,23 @@ class Topics:
         self._messages[sender] = count = self._messages.get(sender, 0) + 1
         said = message.bytes
         kind, topic = said[:1], said[1:]
-        topics = self.of.get(sender, set())
-        if count > MOST_MESSAGES or (kind == b"\x01" and len(topics) >= MOST_TOPICS and topic not in topics):
+        if count > MOST_MESSAGES:
             self.talkative.add(sender)
-        elif kind == b"\x01":
-            self.of.setdefault(sender, topics).add(topic)
-            self.changed = True
-        elif kind == b"\x00" and topic in topics:
-            topics.discard(topic)
+        if kind == b"\x01":
+            self._add(sender, topic)
+        elif kind == b"\x00" and topic in (topics := self.of.get(sender, {})):
+            del topics[topic]
             if not topics:
                 del self.of[sender]
             self.changed = True
+
+    def _add(self, sender: Connection, topic: bytes) -> None:
+        topics = self.of.setdefault(sender, {})
+        if len(topics) >= MOST_TOPICS and topic not in topics:
+            self.talkative.add(sender)
+            del topics[next(iter(topics))]
+        topics[topic] = None
+        self.changed = True
 
     def sweep(self) -> None:
         """Forget the topics of who has left."""

@@ -20,6 +20,9 @@ ALLOWANCE: Final = 65536
 OVERHEAD: Final = 64
 """Bytes of a part on the wire beside its own: ZMTP has up to 9, CURVE 34 more."""
 
+MODEST: Final = 2048
+"""Bytes that who is honest has sent when it has come and asked for all that it wants, also with CURVE."""
+
 PER_S: Final = 8192.0
 """Bytes a second that may come for ever: a region declared anew a hundred times a second."""
 
@@ -68,7 +71,7 @@ class Traffic:
         self._levels[one] = (received, level - size - OVERHEAD * parts, then_s)
 
     def _rise(self, one: Connection, now_s: float) -> float:
-        received = _received(one) - unread(one[0])
+        received = received_from(one) - unread(one[0])
         before, level, then_s = self._levels.get(one, (0, 0.0, now_s))
         leaked = min(max(0.0, level), PER_S * (now_s - then_s))
         level = max(level - leaked + received - before, -self._allowance)
@@ -76,7 +79,7 @@ class Traffic:
         return level
 
 
-def _received(connection: Connection) -> int:
+def received_from(connection: Connection) -> int:
     """Return how many bytes have come in all; 0 if the connection is gone."""
     try:
         if os.fstat(connection[0]).st_ino != connection[1]:
