@@ -110,7 +110,7 @@ ROOMS: dict[str, Arrows] = {
         "errors": set(), "stages": set(), "flash": set(), "guided": {"console"},
         "mismatches": set(), "phantoms": set(), "pictures": set(),
         "processes": set(),
-        "recording": {"command_line"},
+        "recording": {"command_line", "processes"},
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},

@@ -29,8 +29,6 @@ from eitskin_proto.skin.skin import Skin as SkinDescription
 
 MODES: Final = ("latest", "all")
 
-_POLLIN: Final = int(zmq.POLLIN)
-
 QUEUE_FRAMES: Final = 2000
 """Frames that wait in mode ``all``: 10 s at 200 frames/s, 12 MB."""
 
@@ -148,7 +146,7 @@ class Subscription(Subscriber):
         frame = None
         while True:
             message = self._recv()
-            if self._newest_only and not self._wishes.each and self._waits():
+            if self._newest_only and not self._wishes.each and self.waits:
                 continue
             try:
                 frame = self._wishes.frame(message, self._heard_ns, self._known)
@@ -162,14 +160,10 @@ class Subscription(Subscriber):
                 self._known = frame
                 if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
                     raise other_skin(self.endpoint, frame.map.shape, grid)
-            if not self._newest_only or not self._waits():
+            if not self._newest_only or not self.waits:
                 if frame is not None:
                     self._count(frame)
                 return frame
-
-    def _waits(self) -> bool:
-        """Return whether another message is there."""
-        return bool(self._socket.getsockopt(zmq.EVENTS) & _POLLIN)
 
     def _count(self, frame: Frame) -> None:
         if frame.run == self._run and frame.number > self._number:

@@ -2,7 +2,8 @@
 
 Each has a thread of its own that does nothing but take messages from its socket; whoever writes them may be held up by
 the disk for a while. All of them rest between whiles and then take what has come: a recording is in no hurry, and each
-waking of a thread takes time from the frame loop where cores are few.
+waking of a thread takes time from the frame loop where cores are few. They wake when a frame is through, and have done
+before the next one comes.
 """
 
 import threading
@@ -13,14 +14,25 @@ from queue import Empty, SimpleQueue
 from typing import Any, Final
 
 from eitskin.errors import NoFrame
+from eitskin.messaging.frame import Frame
+from eitskin.messaging.streams.measured import WireFrame
 from eitskin_proto.errors import SkinError
+from eitskin_tools.processes.rhythm import Rhythm
 
 MOST_WAITING: Final = 20_000
 """Messages that wait for the disk: half a minute at 200 frames/s; more would be memory without end."""
 
-
 REST_S: Final = 0.02
-"""How long threads rest where they have taken what there was: 4 messages come meanwhile at 200 frames/s."""
+"""How long threads rest, at least, where they have taken what there was: 4 frames come meanwhile at 200 frames/s."""
+
+
+def heard(rhythm: Rhythm, found: object) -> None:
+    """Have a rhythm take note of a frame, whatever stream it is of."""
+    match found:
+        case Frame():
+            rhythm.heard(found.number, found.host_ns["read"])
+        case WireFrame():
+            rhythm.heard(found.n, found.read_ns)
 
 
 class Intake:
@@ -32,6 +44,7 @@ class Intake:
 
     def __init__(self, sources: Iterable[Callable[[], Any]]) -> None:
         self._queue: SimpleQueue[object] = SimpleQueue()
+        self._rhythm = Rhythm()
         self._closing = threading.Event()
         self.dropped = 0
         """Messages that were not taken because the disk was too slow."""
@@ -50,7 +63,7 @@ class Intake:
         except Exception as error:
             self._queue.put(error)
             return
-        rest_s = time.monotonic()
+        rhythm = Rhythm()
         try:
             while not self._closing.is_set():
                 try:
@@ -60,9 +73,10 @@ class Intake:
                             self._queue.put(found)
                         else:
                             self.dropped += 1
-                        if (now_s := time.monotonic()) >= rest_s:
-                            rest_s = now_s + 2.0 * REST_S
-                            self._closing.wait(REST_S)
+                        heard(rhythm, found)
+                        if not subscription.waits:
+                            self._rhythm = rhythm
+                            self._closing.wait(rhythm.rest_s(REST_S))
                         if self._closing.is_set():
                             return
                 except NoFrame as error:
@@ -79,7 +93,7 @@ class Intake:
             SkinError: A subscription failed.
         """
         if self._queue.empty():
-            time.sleep(min(REST_S, timeout_s))
+            time.sleep(min(self._rhythm.rest_s(REST_S), timeout_s))
         with suppress(Empty):
             found = self._queue.get(timeout=timeout_s)
             if isinstance(found, Exception):

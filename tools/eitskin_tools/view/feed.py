@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import eitskin
 from eitskin.errors import NoFrame
+from eitskin_tools.processes.rhythm import Rhythm
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.messages import frame_message, status_message
 from eitskin_tools.view.own_touches import OwnTouches
@@ -92,14 +93,16 @@ class Feed:
             eitskin.subscribe(self.endpoint, timeout_s=SILENCE_S, patient=True, keys=self._source.keys) as frames,
             Streams(self.endpoint, self._source, self._board, self._of, touches),
         ):
-            status_s, seen_s = 0.0, time.monotonic()
+            status_s, rhythm = 0.0, Rhythm()
+            due_s = seen_s = time.monotonic()
             while not self._left.is_set():
-                due_s = time.monotonic() + self._every_s
+                due_s = max(due_s + self._every_s, time.monotonic())
                 try:
                     frame = touches.listed(frames.next_frame())
                 except NoFrame as error:
                     self._say("silent", str(error))
                 else:
+                    rhythm.heard(frame.number, frame.host_ns["read"])
                     self._board.post("frame", frame_message(frame, self._of, self._source.pose), self._of)
                     self.taken += 1
                     if due_s - status_s >= STATUS_S:
@@ -110,7 +113,7 @@ class Feed:
                     seen_s = now_s
                 elif now_s - seen_s > LINGER_S:
                     return
-                self._left.wait(max(0.0, due_s - now_s))
+                self._left.wait(rhythm.rest_s(max(0.0, due_s - now_s)))
 
     def _mismatch(self, shape: tuple[int, ...]) -> str:
         """Return what is wrong with the sheet that is drawn; nothing if nothing is."""

@@ -18,6 +18,8 @@ from eitskin.errors import EndpointError
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
 
+_POLLIN: Final = int(zmq.POLLIN)
+
 LARGEST_TAKEN: Final = 73728
 """Bytes of a message that is still looked at; whoever sends a larger one is left: memory is bounded."""
 
@@ -74,6 +76,11 @@ class Subscriber:
             raise EndpointError(
                 f"{endpoint!r} cannot be connected to: {error.strerror}; expected ipc:///path or tcp://address:port"
             ) from error
+
+    @property
+    def waits(self) -> bool:
+        """Whether a message is there already."""
+        return bool(self._socket.getsockopt(zmq.EVENTS) & _POLLIN)
 
     def _comes(self, end_s: float) -> bool:
         """Wait for a message until ``time.perf_counter()`` shows ``end_s``; return whether one waits."""
