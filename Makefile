@@ -33,7 +33,7 @@ $(VENV)/bin/python:
 	@$(PYTHON) -m venv $(VENV) || { tools/system-packages.sh python3-venv && $(PYTHON) -m venv --clear $(VENV); }
 
 $(VENV)/.demo: pyproject.toml constraints.txt | $(VENV)/bin/python
-	$(PIP) install --constraint constraints.txt --editable '.[sim]'
+	$(PIP) install --constraint constraints.txt --editable '.[sim,record]'
 	@touch $@
 
 # torch by its pin alone and first: any other way of asking for it may bring gigabytes of CUDA.
@@ -49,7 +49,7 @@ $(VENV)/.slow: pyproject.toml constraints.txt | $(VENV)/.dev
 
 # Beside the demonstration's packages, so that docstrings can be read; no torch.
 $(VENV)/.docs: pyproject.toml constraints.txt | $(VENV)/.demo
-	$(PIP) install --constraint constraints.txt --editable '.[sim,docs]'
+	$(PIP) install --constraint constraints.txt --editable '.[sim,record,docs]'
 	@touch $@
 
 demo: $(VENV)/.demo

@@ -43,6 +43,7 @@ def test_limits_and_queues_are_those_of_the_code():
     topics = "messaging/admission/topics.py"
     assert f"More than {constant('MOST_TOPICS', topics)} topics of one subscriber" in FLAT
     assert f"or {constant('MOST_MESSAGES', topics)} messages of one between two looks" in FLAT
+    assert f"more than {constant('MODEST', 'messaging/admission/traffic.py')} bytes in all" in FLAT
     assert f"{constant('MOST_SUBSCRIBERS', publishing)} subscribers are served" in FLAT
     assert f"at most {constant('LARGEST_MESSAGE', 'messaging/frame*.py')} bytes" in FLAT
     assert f"at most {constant('LARGEST_REQUEST', control)} bytes" in FLAT

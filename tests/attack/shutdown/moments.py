@@ -30,6 +30,11 @@ from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, SKIN, TINY
 from .exit_time import MOST_S, SURELY_S, ExitTime, Watch
 
+MOMENTS: Final = 1250
+"""Of the long form: one in ``CTRL_C`` is by SIGINT, so 1,000 are by SIGTERM."""
+
+CTRL_C: Final = 5
+
 OLDEST_S: Final = 150.0
 """After which a lane's skin is replaced: it ends by itself after 300."""
 
@@ -112,7 +117,7 @@ class Lane:
             return None, f"it did not end within {SURELY_S:g} s of its own: {_last(out)}"
         if left:
             return took, f"it left {left}"
-        return took, _judge(life, number, process.returncode, took, out.read_text(errors="replace"))
+        return took, judge(life, number, process.returncode, took, out.read_text(errors="replace"))
 
     def _options(self, life: str) -> list[str]:
         """Return the options of ``eitskin run`` of a life."""
@@ -220,9 +225,11 @@ def _finish(process: "subprocess.Popen[bytes]") -> None:
     process.wait()
 
 
-def _judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
+def judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
     """Return what was wrong with an end; nothing if all was well."""
     last = text.strip()[-LAST:]
+    if took.own_s > MOST_S:
+        return f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
     if _interrupted_early(number, status, text) or (status == -number and "firmware" not in text and not _wrong(text)):
         return ""  # it had opened nothing yet
     if _wrong(text):
@@ -231,7 +238,7 @@ def _judge(life: str, number: int, status: int, took: ExitTime, text: str) -> st
         return f"its exit status was {status}: {last}"
     if life != "start" and '"frames"' not in text:
         return f"it printed no summary: {last}"
-    return "" if took.own_s <= MOST_S else f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
+    return ""
 
 
 def _wrong(text: str) -> bool:
@@ -252,7 +259,8 @@ def _last(out: Path) -> str:
 def random_moments(effort: Effort) -> Outcome:
     """End runtimes at random moments."""
     draw = random.Random(effort.seed)
-    return at_moments(effort, draw.choices(list(LIVES), list(LIVES.values()), k=1000) if effort.long else list(LIVES))
+    lives = list(LIVES)
+    return at_moments(effort, draw.choices(lives, list(LIVES.values()), k=MOMENTS) if effort.long else lives)
 
 
 def at_moments(effort: Effort, lives: list[str]) -> Outcome:
@@ -270,7 +278,7 @@ def at_moments(effort: Effort, lives: list[str]) -> Outcome:
                     if not moments:
                         return
                     index, life = moments.pop()
-                number = signal.SIGINT if index % 5 == 4 and ctrl_c else signal.SIGTERM
+                number = signal.SIGINT if index % CTRL_C == CTRL_C - 1 and ctrl_c else signal.SIGTERM
                 took, wrong = lane.one(life, number, random.Random(f"{effort.seed}/{index}"))
                 with lock:
                     seen[life] += 1

@@ -1,10 +1,12 @@
 """The short form, in three parts; ``make attack`` runs the long one."""
 
+import signal
+
 import pytest
 
 from ..outcome import Effort
-from .exit_time import Waits, union_s
-from .moments import LIVES, at_moments
+from .exit_time import ExitTime, Waits, union_s
+from .moments import CTRL_C, LIVES, MOMENTS, at_moments, judge
 
 PARTS = (
     ["start", "capture", "stream", "control", "start"],
@@ -44,6 +46,23 @@ def test_a_wait_is_seen_though_the_thread_is_gone_before_it_is_counted(tmp_path)
     waits.look(10.5)
     waits.look(10.6)
     assert union_s(waits.spans) == pytest.approx(0.35)
+
+
+def test_a_thousand_moments_are_by_sigterm():
+    assert MOMENTS * (CTRL_C - 1) // CTRL_C == 1000
+
+
+@pytest.mark.parametrize(
+    ("number", "status", "text"),
+    [
+        (signal.SIGTERM, -signal.SIGTERM, ""),  # nothing was open yet
+        (signal.SIGINT, 128 + signal.SIGINT, ""),
+        (signal.SIGTERM, 0, '{"frames": 7}'),
+    ],
+)
+def test_who_takes_longer_than_a_second_is_found_wherever_its_life_ended(number, status, text):
+    assert judge("start", number, status, ExitTime(5.0, 4.5), text) == ""
+    assert "1.50 s of its own" in judge("start", number, status, ExitTime(1.5, 0.0), text)
 
 
 @pytest.mark.process

@@ -22,28 +22,35 @@ def unknown_unsubscriptions(effort: Effort) -> Outcome:
     """Take back what others subscribed to: everything, the first byte of a frame, a region."""
     outcome = Outcome("subscribers.unsubscriptions")
     rng = random.Random(effort.seed)
-    with defended(outcome, "everything was unsubscribed by somebody else") as stream:
-        for _ in range(effort.count(5, 200)):
-            with closing(Peer(stream.frames)) as peer:
-                peer.unsubscribe(b"", *rng.sample(MODEST, 3))
-                peer.subscribe(rng.choice(MODEST))
-                peer.unsubscribe(b"")
-        _wait_for_frames(stream, effort.count(100, 1000))
-    with attacked(**TOUCHED) as stream:
-        part = (100.0, 60.0, 150.0, 100.0)
-        with eitskin.subscribe(stream.frames, mode="all", region_mm=part, timeout_s=60) as frames:
-            wanted = (frames.region,)
-            next(frame for frame in frames if frame.regions == wanted)
-            peer = Peer(stream.frames)
-            peer.subscribe(b"\xde", b"eitskin/region/0/1/0/1")
-            next(frame for frame in frames if len(frame.regions) == 2)
-            peer.unsubscribe(frames.region.topic, b"eitskin/always", b"\xde", b"\xde")
-            kept = [next(frames).regions for _ in range(effort.count(100, 1000))]
-            outcome.note(all(frames.region in regions for regions in kept), f"a region was taken away: {set(kept)}")
-            peer.close()
-            outcome.note(next(frame.regions == wanted for frame in frames if len(frame.regions) == 1), "one pixel left")
-            outcome.frames_lost += frames.lost
+    for what, arguments in (("ipc", ()), ("TCP", ("--publish", "tcp://127.0.0.1:*"))):
+        with defended(outcome, f"{what}: everything was unsubscribed by somebody else", arguments=arguments) as stream:
+            for _ in range(effort.count(5, 200)):
+                with closing(Peer(stream.frames)) as peer:
+                    peer.unsubscribe(b"", *rng.sample(MODEST, 3))
+                    peer.subscribe(rng.choice(MODEST))
+                    peer.unsubscribe(b"")
+            _wait_for_frames(stream, effort.count(100, 1000))
+        with attacked(*arguments, **TOUCHED) as stream:
+            _take_a_region(stream, effort, outcome, what)
     return outcome
+
+
+def _take_a_region(stream: Stream, effort: Effort, outcome: Outcome, what: str) -> None:
+    part = (100.0, 60.0, 150.0, 100.0)
+    with eitskin.subscribe(stream.frames, mode="all", region_mm=part, timeout_s=60) as frames:
+        wanted = (frames.region,)
+        next(frame for frame in frames if frame.regions == wanted)
+        peer = Peer(stream.frames)
+        peer.subscribe(b"\xde", b"eitskin/region/0/1/0/1")
+        next(frame for frame in frames if len(frame.regions) == 2)
+        peer.unsubscribe(frames.region.topic, b"eitskin/always", b"\xde", b"\xde")
+        kept = [next(frames).regions for _ in range(effort.count(100, 1000))]
+        whole = all(frames.region in regions for regions in kept)
+        outcome.note(whole, f"{what}: a region was taken away: {set(kept)}")
+        peer.close()
+        left = next(frame.regions == wanted for frame in frames if len(frame.regions) == 1)
+        outcome.note(left, f"{what}: one pixel left")
+        outcome.frames_lost += frames.lost
 
 
 def topic_floods(effort: Effort) -> Outcome:
