@@ -93,7 +93,7 @@ def test_the_same_solver_by_name_agrees_with_itself_and_another_does_less(file: 
     assert other["cc_median"] < 0.999
 
 
-def test_another_bundle_is_compared_by_its_own_gate_and_its_own_maps(short: Path) -> None:
+def test_another_bundle_is_compared_by_its_own_maps(short: Path) -> None:
     script, ran, named = Script(short), load_bundle(TINY), default_path()
     found = reinfer(script, ran, others(script, ran, named, None), keep=1000)
     against = found.fields()["against_recorded"]
@@ -116,6 +116,21 @@ def test_another_bundle_is_compared_by_its_own_gate_and_its_own_maps(short: Path
     assert [values.tobytes() for values in found.maps.maps] == maps
     assert [digest_of(values) for values in found.others.maps] == list(digests(script).values())
     assert len(set(maps)) > 10
+
+
+def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) -> None:
+    items, ran = measured(45), load_bundle(TINY)
+    touched = [item.touched for item in items if isinstance(item, WireFrame)]
+    quiet = [replace(item, touched=False) if isinstance(item, WireFrame) else item for item in items]
+    recorded(tmp_path / "a.mcap", quiet)
+    script = Script(tmp_path / "a.mcap")
+    found = reinfer(script, ran, others(script, ran, default_path(), None), keep=1000)
+    assert found.maps is not None
+    assert found.others is not None
+    assert found.maps.touched == touched
+    assert found.others.touched == [False] * 45
+    assert found.fields()["against_recorded"]["touched_agreement"] == pytest.approx(1.0 - sum(touched) / 45)
+    assert sum(touched) > 10
 
 
 def test_one_frame_in_some_is_enough_for_a_slow_solver(file: Path) -> None:
