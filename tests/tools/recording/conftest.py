@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 import eitskin
-from eitskin.messaging.frame import unpack_frame
+from eitskin.messaging.frame import Frame, unpack_frame
 from eitskin.messaging.streams import envelope
 from eitskin.messaging.streams.desk import StreamDesk
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
@@ -129,3 +129,35 @@ def file(tmp_path: Path, items: list[Any]) -> Path:
     path = tmp_path / "a.mcap"
     recorded(path, items)
     return path
+
+
+@pytest.fixture
+def short(tmp_path: Path) -> Path:
+    path = tmp_path / "short.mcap"
+    recorded(path, measured(45))
+    return path
+
+
+class _Off:
+    """A frame whose map differs from what was computed in one pixel's last bit."""
+
+    def __init__(self, frame: Frame) -> None:
+        self._frame = frame
+        self.map = frame.map.copy()
+        self.map[0, 0] = np.nextafter(self.map[0, 0], np.float32(2))
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._frame, name)
+
+
+def recorded_off(path: Path, items: list[Any]) -> int:
+    """Write items into a file, the first touched map as if it had been published otherwise; return that frame's seq."""
+    touched: Frame = next(item for item in items if isinstance(item, Frame) and item.map.any())
+    recorder = Recorder(lambda head: Series(path, head), Kept())
+    for item in items:
+        if item is touched:
+            recorder._when_known(item.run, recorder._frame, _Off(item))
+        else:
+            recorder.take(item)
+    recorder.close()
+    return touched.sequence

@@ -15,8 +15,11 @@ import pytest
 
 from eitskin import WireFrame
 from eitskin_tools import cli
+from eitskin_tools.recording.layout import WIRE
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
+from eitskin_tools.recording.series import others
+from eitskin_tools.recording.writer import CHUNK_BYTES
 
 from .conftest import TINY, recorded
 
@@ -161,6 +164,39 @@ def test_killed_while_one_file_is_ended_and_the_next_begun_all_are_readable_and_
     assert all(one.files > 1 and one.frames > 0 for one in left)
 
 
+@pytest.mark.process
+@pytest.mark.slow
+@pytest.mark.parametrize("rotation", [(), ("--rotate-mb", "0.02")], ids=["one file", "several"])
+def test_what_comes_is_seen_in_the_files_while_it_goes_on_and_is_there_after_the_kill(
+    file: Path, tmp_path: Path, rotation: tuple[str, ...]
+) -> None:
+    out = tmp_path / "b.mcap"
+    words = ["record", "--wire-only", "--out", str(out), "--quiet", *rotation]
+    fewest = CHUNK_BYTES // 1000  # frames that end a chunk by their size alone
+    with (
+        played(file, tmp_path) as endpoint,
+        subprocess.Popen([sys.executable, "-m", "eitskin_tools.cli", *words, endpoint]) as recorder,
+    ):
+        before, seen, end_s = 0, list[int](), time.monotonic() + 120
+        try:
+            while not 100 < before < len(seen) < before + fewest:
+                assert recorder.poll() is None
+                assert time.monotonic() < end_s, "chunks came when they were large, not when they were due"
+                before, seen = len(seen), numbers_in(out)
+                time.sleep(0.01)
+        finally:
+            recorder.kill()
+            recorder.wait(60)
+    assert numbers_in(out)[: len(seen)] == seen
+    assert (len(others(out)) > 0) == bool(rotation)
+
+
+def numbers_in(first: Path) -> list[int]:
+    """Return the numbers of the frames of the wire in all files of a recorder that may be running."""
+    paths = [path for path in (first, *others(first)) if path.exists() and path.stat().st_size]
+    return [entry.sequence for path in paths for entry in Recording(path).entries({WIRE.topic})]
+
+
 def test_what_a_killed_recorder_left_is_told(tmp_path: Path, items: list[Any]) -> None:
     """Files that cannot be read, and frames that are missing in the middle of a series, are found."""
     from eitskin_tools.fault_injection.recorder_kill import left_in
@@ -228,7 +264,8 @@ def test_seconds_are_over_by_the_clock_too_where_the_stream_falls_silent(
     from eitskin_tools.commands.recorded import record
 
     now_s = [0.0]
-    stream: Any = SimpleNamespace(frames=0, recorded_s=0.0, full=False, series=SimpleNamespace(sync=lambda: None))
+    series = SimpleNamespace(sync=lambda: None, due_s=0.0)
+    stream: Any = SimpleNamespace(frames=0, recorded_s=0.0, full=False, series=series)
 
     def next_one(timeout_s: float) -> object | None:
         now_s[0] += 0.1

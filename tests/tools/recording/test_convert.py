@@ -1,5 +1,7 @@
 """A recording in other programs' files: the same voltages, clouds and maps."""
 
+import json
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -7,8 +9,11 @@ import numpy as np
 import pytest
 
 from eitskin import Frame
+from eitskin_tools import cli
 from eitskin_tools.recording.convert.files import write_npz, write_parquet
 from eitskin_tools.recording.convert.table import table_of
+from eitskin_tools.recording.layout import CLOUD as CLOUDS
+from eitskin_tools.recording.layout import MAP, STATE
 from eitskin_tools.recording.recorder import Kept
 from eitskin_tools.recording.script import Script
 
@@ -90,3 +95,63 @@ def test_rosbag2_has_standard_messages_that_are_the_same(with_maps: Path, items:
     known = {frame.map.tobytes() for frame in items if isinstance(frame, Frame)}
     assert {data for _, _, data in maps} <= known
     assert {(rows, columns) for rows, columns, _ in maps} == {(30, 45)}
+
+
+PACKAGES = {"parquet": ("pyarrow", "extra: parquet"), "rosbag2": ("rosbags", "extra: ros")}
+
+
+@pytest.mark.slow  # the same
+@pytest.mark.parametrize(("kind", "name"), [("parquet", "part.parquet"), ("rosbag2", "part")])
+def test_a_part_is_converted_by_the_command_line_and_a_folder_that_is_there_stays(
+    with_maps: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], kind: str, name: str
+) -> None:
+    module, extra = PACKAGES[kind]
+    pytest.importorskip(module, reason=extra)
+    out, there = tmp_path / name, tmp_path / "there" / name
+    script = Script(with_maps)
+    steps = list(script.steps())
+    begin_ns, end_ns = ((steps[at].log_ns + steps[at + 1].log_ns) // 2 for at in (39, 99))
+    span = [f"{1e-9 * (at_ns - script.first_ns):.9f}" for at_ns in (begin_ns, end_ns)]
+    words = ["convert", str(with_maps), "--from", span[0], "--to", span[1], "--json", "--out"]
+    assert cli.main([*words, str(out)]) == 0
+    said, err = capsys.readouterr()
+    assert err == ""
+    found = json.loads(said)
+    assert (found["out"], found["format"]) == (str(out), kind)
+    if kind == "parquet":
+        assert (found["frames"], found["left_out"], found["maps"]) == (60, 0, True)
+        assert in_parquet(out) == [step.frame.seq for step in steps[40:100]]
+    else:
+        entries = [one for one in script.recording.entries() if one.log_ns <= end_ns]
+        topics = Counter(one.topic for one in entries)
+        maps = sum(one.topic == MAP.topic and one.log_ns >= begin_ns for one in entries)
+        assert in_bag(out) == {
+            "voltages": 60, "map": maps, "surface": topics[CLOUDS.topic], "state": topics[STATE.topic],
+        }  # fmt: skip
+        assert found["messages"] == sum(in_bag(out).values())
+        assert 0 < maps < 60
+    there.mkdir(parents=True)
+    (there / "mine").write_bytes(b"precious")
+    assert cli.main([*words, str(there)]) == 1
+    said, err = capsys.readouterr()
+    assert (said, err.count("\n")) == ("", 1)
+    assert str(there) in err
+    assert [(path.name, path.read_bytes()) for path in there.parent.rglob("*") if path != there] == [
+        ("mine", b"precious")
+    ]
+
+
+def in_parquet(path: Path) -> list[int]:
+    """Return ``seq`` of each row."""
+    import pyarrow.parquet as pq
+
+    found: list[int] = pq.read_table(path)["seq"].to_pylist()
+    return found
+
+
+def in_bag(folder: Path) -> Counter[str]:
+    """Return how many messages each topic has."""
+    from rosbags.rosbag2 import Reader
+
+    with Reader(folder) as bag:
+        return Counter(connection.topic.removeprefix("/eitskin/") for connection, _, _ in bag.messages())

@@ -8,12 +8,15 @@ from typing import Any
 
 import pytest
 
+from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.errors import SkinError
 from eitskin_tools import cli
 from eitskin_tools.recording.replay.play import Manner
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY
+from .conftest import TINY, recorded_off
+
+Capture = pytest.CaptureFixture[str]
 
 
 @pytest.mark.parametrize(
@@ -40,7 +43,7 @@ def test_replay_plays_in_the_manner_that_was_asked_for(
     assert found == [expected]
 
 
-def test_replay_takes_one_pace_only(file: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_replay_takes_one_pace_only(file: Path, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["replay", str(file), "--speed", "2", "--as-fast-as-possible"])
     assert ended.value.code == 2
@@ -64,8 +67,62 @@ def test_a_part_is_played_to_its_end_and_the_program_ends(file: Path, tmp_path: 
     assert found["lost"] == 0
 
 
+def test_reinfer_says_how_many_maps_are_bit_equal(file: Path, capsys: Capture) -> None:
+    assert cli.main(["reinfer", str(file), "--bundle", str(TINY), "--quiet"]) == 0
+    out, err = capsys.readouterr()
+    assert out.splitlines()[1:] == ["150 of 150 published maps are bit-equal"]
+    assert out.startswith("150 frames, 0 of them withheld, in ")
+    assert err == ""
+
+
+def test_reinfer_ends_with_1_where_a_map_is_off_and_says_by_what_and_where(
+    tmp_path: Path, items: list[Any], capsys: Capture
+) -> None:
+    seq = recorded_off(tmp_path / "a.mcap", items)
+    words = ["reinfer", str(tmp_path / "a.mcap"), "--bundle", str(TINY), "--quiet"]
+    assert cli.main(words) == 1
+    said = f"149 of 150 published maps are bit-equal; differing: 1 by map, first at frame {seq}"
+    assert capsys.readouterr().out.splitlines()[1:] == [said]
+    assert cli.main([*words, "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    assert (found["equal"], found["published"]) == (149, 150)
+    assert (found["differing"], found["first_differing"]) == ({"map": 1}, seq)
+
+
+def test_reinfer_compares_another_bundle_with_the_one_that_is_named_as_running(short: Path, capsys: Capture) -> None:
+    other = default_path()
+    words = ["reinfer", str(short), "--recorded-bundle", str(TINY), "--bundle", str(other), "--quiet"]
+    assert cli.main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["bundle"], found["other_bundle"]) == (load_bundle(TINY).id, load_bundle(other, lazily=True).id)
+    assert found["as_recorded"] is True
+    assert found["against_recorded"]["frames"] == 45
+    assert cli.main(words) == 0
+    (said,) = capsys.readouterr().out.splitlines()[1:]
+    assert said.startswith("against what was running, 45 frames: ")
+
+
+def test_reinfer_of_the_named_bundle_that_ran_is_held_against_what_was_published(short: Path, capsys: Capture) -> None:
+    assert cli.main(["reinfer", str(short), "--recorded-bundle", str(TINY), "--json", "--quiet"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["equal"] == found["published"] == 45
+    assert found["as_recorded"] is True
+    assert "other_bundle" not in found
+
+
+def test_reinfer_without_the_bundle_that_ran_says_that_it_compares_with_nothing(short: Path, capsys: Capture) -> None:
+    words = ["reinfer", str(short), "--bundle", str(default_path()), "--quiet"]
+    assert cli.main([*words, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["as_recorded"] is False
+    assert not {"equal", "against_recorded", "other_bundle"} & set(found)
+    assert cli.main(words) == 0
+    (said,) = capsys.readouterr().out.splitlines()[1:]
+    assert said == "compared with nothing: name the bundle that was running with --recorded-bundle"
+
+
 @pytest.mark.process  # matplotlib asks for the system's fonts
-def test_reinfer_draws_what_it_computed(file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_reinfer_draws_what_it_computed(file: Path, tmp_path: Path, capsys: Capture) -> None:
     pytest.importorskip("matplotlib")
     picture = tmp_path / "maps.png"
     words = ["reinfer", str(file), "--bundle", str(TINY), "--plot", str(picture), "--quiet", "--json"]
@@ -76,7 +133,7 @@ def test_reinfer_draws_what_it_computed(file: Path, tmp_path: Path, capsys: pyte
 
 
 def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(
-    file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    file: Path, tmp_path: Path, capsys: Capture, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def never(*_: Any, **__: Any) -> None:
         raise AssertionError("it was computed")

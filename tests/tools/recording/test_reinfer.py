@@ -8,19 +8,21 @@ import numpy as np
 import pytest
 
 from eitskin import Frame, WireFrame
-from eitskin.model.bundle import load_bundle
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.engine import default_solver
+from eitskin.pipeline.maps_again import NOTHING, MapsAgain
 from eitskin_proto.errors import MismatchError
-from eitskin_tools.recording.bundles import bundle_of
+from eitskin_tools.recording.bundles import bundle_of, reference_of
 from eitskin_tools.recording.codec import digest_of
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer.choice import others
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.reinfer.results import draw, write
-from eitskin_tools.recording.reinfer.session import Span, reinfer
+from eitskin_tools.recording.reinfer.session import Span, digests, reinfer
 from eitskin_tools.recording.reinfer.tally import Agreement, Equality, centre_mm, told_of_unknown
 from eitskin_tools.recording.script import Script
 
-from .conftest import TINY, hello, measured, recorded, reference, scans
+from .conftest import TINY, hello, measured, recorded, recorded_off, reference, scans
 
 SECOND = TINY.with_name("second.eitskin")
 
@@ -73,31 +75,10 @@ def test_why_a_map_cannot_be_told_is_said_by_its_cause(file: Path) -> None:
 
 
 def test_a_map_that_was_published_otherwise_is_found(tmp_path: Path, items: list[Any]) -> None:
-    class Off:
-        """A frame whose map differs in one pixel's last bit."""
-
-        def __init__(self, frame: Frame) -> None:
-            self._frame = frame
-            self.map = frame.map.copy()
-            self.map[0, 0] = np.nextafter(self.map[0, 0], np.float32(2))
-
-        def __getattr__(self, name: str) -> Any:
-            return getattr(self._frame, name)
-
-    touched = next(item for item in items if isinstance(item, Frame) and item.map.any())
-    from eitskin_tools.recording.recorder import Kept, Recorder
-    from eitskin_tools.recording.series import Series
-
-    recorder = Recorder(lambda head: Series(tmp_path / "a.mcap", head), Kept())
-    for item in items:
-        if item is touched:
-            recorder._when_known(item.run, recorder._frame, Off(item))
-        else:
-            recorder.take(item)
-    recorder.close()
+    seq = recorded_off(tmp_path / "a.mcap", items)
     found = reinfer(Script(tmp_path / "a.mcap"), load_bundle(TINY)).fields()
     assert found["differing"] == {"map": 1}
-    assert found["first_differing"] == touched.sequence
+    assert found["first_differing"] == seq
     assert found["equal"] == 149
 
 
@@ -110,6 +91,46 @@ def test_the_same_solver_by_name_agrees_with_itself_and_another_does_less(file: 
     other = reinfer(script, bundle, others(script, bundle, None, "tikhonov")).fields()["against_recorded"]
     assert other["both_touched"] == same["both_touched"] > 10
     assert other["cc_median"] < 0.999
+
+
+def test_another_bundle_is_compared_by_its_own_maps(short: Path) -> None:
+    script, ran, named = Script(short), load_bundle(TINY), default_path()
+    found = reinfer(script, ran, others(script, ran, named, None), keep=1000)
+    against = found.fields()["against_recorded"]
+    assert against["frames"] == script.frames == 45
+    assert against["both_touched"] > 10
+    assert against["cc_p5"] <= against["cc_median"] < 0.999, "nothing else was computed"
+    bundle, maps = load_bundle(named), list[bytes]()
+    again = MapsAgain(bundle, script.hello.volts_per_count)
+    for step in script.steps():
+        if step.reference is not None:
+            again.use_reference(reference_of(script, step.reference, bundle.skin))
+        if step.cloud is not None:
+            again.use_cloud(step.cloud)
+        if step.conditions is not None:
+            again.use_conditions(step.conditions)
+        again.logit_of(step.frame.payload)
+        maps.append(again.map_of(step.frame.payload, default_solver(bundle) if again.touched else NOTHING).tobytes())
+    assert found.maps is not None
+    assert found.others is not None
+    assert [values.tobytes() for values in found.maps.maps] == maps
+    assert [digest_of(values) for values in found.others.maps] == list(digests(script).values())
+    assert len(set(maps)) > 10
+
+
+def test_another_bundle_asks_its_own_gate_and_not_the_recording(tmp_path: Path) -> None:
+    items, ran = measured(45), load_bundle(TINY)
+    touched = [item.touched for item in items if isinstance(item, WireFrame)]
+    quiet = [replace(item, touched=False) if isinstance(item, WireFrame) else item for item in items]
+    recorded(tmp_path / "a.mcap", quiet)
+    script = Script(tmp_path / "a.mcap")
+    found = reinfer(script, ran, others(script, ran, default_path(), None), keep=1000)
+    assert found.maps is not None
+    assert found.others is not None
+    assert found.maps.touched == touched
+    assert found.others.touched == [False] * 45
+    assert found.fields()["against_recorded"]["touched_agreement"] == pytest.approx(1.0 - sum(touched) / 45)
+    assert sum(touched) > 10
 
 
 def test_one_frame_in_some_is_enough_for_a_slow_solver(file: Path) -> None:

@@ -1,4 +1,4 @@
-"""Units, rule and recipe as they are shipped: their own grammar, and systemd's, udev's and a container tool's word."""
+"""Units, rule and recipe as they are shipped: their own grammar, and systemd's and udev's word."""
 
 import fnmatch
 import re
@@ -193,47 +193,6 @@ def test_all_that_the_recipe_builds_from_is_in_the_source_and_copied():
         assert not any(fnmatch.fnmatch(path, each) or top == each for each in ignored), path
     base = re.search(r"python:(\d+\.\d+)-", text)[1]
     assert f"Programming Language :: Python :: {base}" in head["classifiers"]
-
-
-def container_tool():
-    """Return a container tool that works, or skip with what is missing."""
-    missing = []
-    for name in ("podman", "docker", "buildah"):
-        if (program := shutil.which(name)) is None:
-            missing.append(f"{name} is not installed")
-            continue
-        asked = subprocess.run([program, "info"], capture_output=True, text=True, check=False, timeout=120)
-        if asked.returncode == 0 and name != "buildah":
-            return program
-        missing.append(f"{name}: {(asked.stderr.strip().splitlines() or ['cannot run what it builds'])[-1]}")
-    pytest.skip("; ".join(missing))
-
-
-@pytest.mark.process
-@pytest.mark.slow
-def test_the_container_is_built_and_runs(tmp_path):
-    program = container_tool()
-    source = Path(__file__).parents[3]
-    recipe = tmp_path / "Containerfile"
-    recipe.write_text(text_of("Containerfile", "robot", "/usr/bin/eitskin"))
-    form = ["--format", "docker"] if "podman" in program else []
-    built = subprocess.run(
-        [program, "build", *form, "-t", "eitskin-test", "-f", recipe, source],
-        capture_output=True, text=True, check=False, timeout=1800,
-    )  # fmt: skip
-    if built.returncode and re.search(r"pull|registry|resolve|dial|toomanyrequests", built.stderr):
-        pytest.skip(f"the base image cannot be had: {built.stderr.strip().splitlines()[-1]}")
-    assert built.returncode == 0, built.stderr
-    for words, wanted in ((["--version"], "eitskin "), (["run", "--config", "/none.toml"], "no file '/none.toml'")):
-        ran = subprocess.run(
-            [program, "run", "--rm", "eitskin-test", *words], capture_output=True, text=True, check=False, timeout=300
-        )
-        assert wanted in ran.stdout + ran.stderr
-    who = subprocess.run(
-        [program, "run", "--rm", "--entrypoint", "id", "eitskin-test", "-u"],
-        capture_output=True, text=True, check=False, timeout=300,
-    )  # fmt: skip
-    assert who.stdout.strip() == "10001"
 
 
 MDWE = """

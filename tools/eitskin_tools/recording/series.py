@@ -83,6 +83,11 @@ class Series:
         return self._writer.full
 
     @property
+    def due_s(self) -> float:
+        """How long what is in memory may stay there yet; 0 where it is late."""
+        return self._writer.due_s
+
+    @property
     def path(self) -> Path:
         """Of the file in hand."""
         return self._writer.path

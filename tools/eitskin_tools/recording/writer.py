@@ -82,6 +82,11 @@ class RecordingWriter:
         """Whether the disk is full: the file must be ended now."""
         return self._sink.full
 
+    @property
+    def due_s(self) -> float:
+        """How long what is in memory may stay there yet; 0 where it is late."""
+        return max(self._flushed_s + FLUSH_S - self._now_s(), 0.0)
+
     def metadata(self, name: str, fields: Mapping[str, str]) -> None:
         """Write texts by name, at once."""
         self._writer.add_metadata(name, dict(fields))
