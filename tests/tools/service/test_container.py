@@ -96,7 +96,7 @@ Resolved "python" as an alias; Trying to pull docker.io/library/python; dial tcp
 
 AGAIN = """\
 #6 2.1 WARNING: Retrying (Retry(total=4, connect=None, read=None, redirect=None, status=None)) after connection broken \
-by 'ReadTimeoutError("HTTPSConnectionPool(host='pypi.org', port=443): Read timed out.")': /simple/numpy/
+by 'ReadTimeoutError("HTTPSConnectionPool(host='index.example', port=443): Read timed out.")': /simple/numpy/
 """
 
 NO_SUCH = "#6 9.9 ERROR: No matching distribution found for numpy==0.0.1\n"
@@ -106,7 +106,7 @@ echo "$1 $2" >> "{folder}/asked"
 case "$1" in
     info) exit 0 ;;
     image) exit {here} ;;
-    pull) echo "Trying to pull $2..." >&2; echo "Error: dial tcp: lookup docker.io: no such host" >&2; exit {pull} ;;
+    pull) echo "Trying to pull $2..." >&2; echo "Error: dial tcp: lookup the registry: no such host" >&2; exit {pull} ;;
     build) cat "{folder}/said" >&2; exit {build} ;;
 esac
 exit 64
@@ -142,7 +142,7 @@ def tool(tmp_path, monkeypatch):
 @pytest.mark.process
 def test_a_base_image_that_cannot_be_had_skips_with_the_reason_and_nothing_is_built(tool):
     built, asked = tool
-    reason = f"{IMAGE} cannot be had: Error: dial tcp: lookup docker.io: no such host"
+    reason = f"{IMAGE} cannot be had: Error: dial tcp: lookup the registry: no such host"
     assert built(pull=125) == ("skipped", reason)
     assert asked() == ["info", "image", "pull"]
 
