@@ -4,6 +4,8 @@ import signal
 
 import pytest
 
+from eitskin.messaging.curve_keys import make_keys
+
 from .command_line import command, finished, wait_until_ready
 
 pytestmark = pytest.mark.process
@@ -101,3 +103,16 @@ def test_what_cannot_be_bound_is_refused_before_the_port_is_opened(words, said):
     code, out, err = finished("run", "--port", "/dev/ttyNONE9", *words)
     assert (code, out, err.count("\n")) == (1, "", 1)
     assert said in err
+
+
+@pytest.mark.parametrize("words", [[], ["--quiet"]])
+def test_a_damaged_client_key_is_named_also_where_quiet(words, tmp_path):
+    make_keys(tmp_path / "keys")
+    damaged = tmp_path / "keys" / "clients" / "x.key"
+    damaged.write_text("no key")
+    damaged.chmod(0o600)
+    code, out, err = finished("run", "--port", "/dev/ttyNONE9", "--curve-keys", tmp_path / "keys", *words)
+    assert (code, out) == (1, "")
+    named, ended = err.splitlines()
+    assert named.startswith(f"eitskin run: {damaged} is left out: it holds no public key; copy the client's .key")
+    assert ended.startswith("eitskin run: no port /dev/ttyNONE9")

@@ -81,9 +81,10 @@ def make_keys(folder: str | Path) -> list[Path]:
         EndpointError: There are keys already; they are not overwritten.
     """
     where = Path(folder)
-    if (where / "server.key_secret").exists():
-        raise EndpointError(f"{where} holds keys already; name another folder, or remove them")
     clients = where / "clients"
+    made = [where / f"{name}.{kind}" for name in ("server", "client") for kind in ("key", "key_secret")]
+    if there := [path for path in (*made, clients / "client.key") if os.path.lexists(path)]:
+        raise EndpointError(f"{where} holds keys already, {there[0]}; name another folder, or remove them")
     before = os.umask(0o077)
     try:
         clients.mkdir(parents=True, exist_ok=True)

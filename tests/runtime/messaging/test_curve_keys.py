@@ -84,3 +84,16 @@ def test_more_keys_than_anybody_has_clients_are_refused_without_reading_them(key
     monkeypatch.setattr(curve_keys, "_public_key", lambda path: pytest.fail("it was read"))
     with pytest.raises(EndpointError, match="holds more than 20 files; remove"):
         load_server_keys(keys)
+
+
+@pytest.mark.parametrize(
+    "name", ["server.key", "server.key_secret", "client.key", "client.key_secret", "clients/client.key"]
+)
+def test_keys_are_made_over_nothing_that_is_there(name, tmp_path):
+    path = tmp_path / "keys" / name
+    path.parent.mkdir(parents=True)
+    path.symlink_to(tmp_path / "elsewhere")
+    with pytest.raises(EndpointError, match=f"holds keys already, {path}; name another folder"):
+        make_keys(tmp_path / "keys")
+    assert path.is_symlink()
+    assert not (tmp_path / "elsewhere").exists()

@@ -132,7 +132,7 @@ def test_a_foreign_data_set_is_refused_by_name(copy: Path, name: str, value: obj
 
 
 def test_garbage_instead_of_an_index_is_refused(copy: Path) -> None:
-    for garbage in (b"{", b"\xff\xfe", b"[]"):
+    for garbage in (b"{", b"\xff\xfe", b"[]", b"[" * 100_000):
         (copy / "index.json").write_bytes(garbage)
         with pytest.raises(ProtocolError):
             load(copy)

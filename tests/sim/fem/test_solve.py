@@ -1,4 +1,5 @@
 import json
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -7,6 +8,7 @@ import pytest
 
 from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
 from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_sim.fem import forward
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.scene import parse_scene
 from eitskin_tools.cli import main
@@ -17,6 +19,16 @@ pytestmark = pytest.mark.heavy
 def write(path: Path, scene: object) -> str:
     path.write_text(json.dumps(scene))
     return str(path)
+
+
+def refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: object, *words: str) -> str:
+    """Return the one line that a scene is refused with; nothing is written."""
+    out = tmp_path / "V.npz"
+    assert main(["simulate", write(tmp_path / "scene.json", scene), "--out", str(out), *words]) == 1
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
+    return error
 
 
 def test_simulate_writes_voltages_with_their_scene_and_ids(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -76,12 +88,7 @@ def test_element_size_of_the_command_line_overrides_the_scene(tmp_path: Path) ->
 def test_bad_scene_is_one_line_exit_one_and_no_file(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], scene: object, says: str
 ) -> None:
-    out = tmp_path / "V.npz"
-    assert main(["simulate", write(tmp_path / "scene.json", scene), "--out", str(out)]) == 1
-    error = capsys.readouterr().err
-    assert says in error
-    assert error.count("\n") == 1
-    assert [path.name for path in tmp_path.iterdir()] == ["scene.json"]
+    assert says in refused(tmp_path, capsys, scene)
 
 
 def test_missing_scene_or_folder_is_one_line_and_exit_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -89,3 +96,40 @@ def test_missing_scene_or_folder_is_one_line_and_exit_one(tmp_path: Path, capsys
     scene = write(tmp_path / "scene.json", {"element_size_mm": 6})
     assert main(["simulate", scene, "--out", str(tmp_path / "no" / "V.npz")]) == 1
     assert capsys.readouterr().err.count("\n") == 2
+
+
+class Useless:
+    """A factorisation that came to an end, and to nothing."""
+
+    def solve(self, currents: np.ndarray) -> np.ndarray:
+        return np.full_like(currents, np.nan)
+
+
+def singular(error: Exception) -> Callable[..., Useless]:
+    def factorise(*_: object, **__: object) -> Useless:
+        raise error
+
+    return factorise
+
+
+@pytest.mark.parametrize("law", ["constant", "modes"])
+@pytest.mark.parametrize(
+    ("found", "says"),
+    [
+        (singular(RuntimeError("Factor is exactly singular")), "Factor is exactly singular; conductivities"),
+        (singular(np.linalg.LinAlgError("Singular matrix")), "Singular matrix; conductivities"),
+        (lambda *_, **__: Useless(), "its voltages are not finite; conductivities"),
+    ],
+    ids=["no factor", "no inverse", "no number"],
+)
+def test_a_scene_that_cannot_be_solved_is_one_line_exit_one_and_no_file(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    found: Callable[..., Useless],
+    says: str,
+    law: str,
+) -> None:
+    monkeypatch.setattr(forward, "splu", found)  # what a matrix does to it depends on the library's release
+    said = refused(tmp_path, capsys, {"element_size_mm": 10}, "--contact-law", law)
+    assert f"eitskin simulate: the scene cannot be solved: {says}" in said

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin.diagnostics.electrode_checkup import ADVICE, Recording, check_up, load_recording
+from eitskin.diagnostics.electrode_checkup import ADVICE, UNKNOWN, Recording, check_up, load_recording
 from eitskin.errors import BadReference
 from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency
@@ -88,6 +88,39 @@ def test_doctor_prints_one_object(tmp_path: Path, capsys: pytest.CaptureFixture[
     assert found["electrodes"][5]["state"] == "detached"
     assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", bundle]) == 0
     assert "electrode  5  detached" in capsys.readouterr().out
+
+
+COUNT_V = 1e-9
+
+HANGING = {
+    "all rows at full scale": (lambda: np.full((40, 104), (2**23 - 1) * COUNT_V), "104 of 104 rows share counts"),
+    "all rows at one count, another in each frame": (
+        lambda: np.outer(np.arange(1000, 1040), np.full(104, COUNT_V)),
+        "104 of 104 rows share counts",
+    ),
+    "one frame over and over": (lambda: frames(None)[:1].repeat(40, axis=0), "all 40 frames are the same bit by bit"),
+}
+"""Front ends that do not live: what they send, and what is said of it."""
+
+
+@pytest.mark.parametrize("hanging", HANGING)
+def test_a_front_end_that_hangs_says_nothing_of_electrodes_and_is_what_is_named(
+    hanging: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    sends, said = HANGING[hanging]
+    volts = sends()
+    found = check_up(Recording(volts, None, COUNT_V), consistency())
+    assert [one["state"] for one in found["electrodes"]] == [UNKNOWN] * 16
+    assert {one["to_do"] for one in found["electrodes"]} == {ADVICE[UNKNOWN]}
+    assert any(said in fault for fault in found["front_end"])
+    path = tmp_path / "recorded.npy"
+    np.save(path, volts)
+    assert main(["doctor", "--electrodes", "--recorded", str(path), "--bundle", str(default_path("area"))]) == 0
+    shown = capsys.readouterr().out
+    assert ADVICE["well"] == "nothing to do"
+    assert "nothing to do" not in shown
+    assert shown.count(f"  {UNKNOWN}") == 16
+    assert said in shown
 
 
 def test_doctor_asks_for_frames(capsys: pytest.CaptureFixture[str]) -> None:

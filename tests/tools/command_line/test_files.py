@@ -10,6 +10,7 @@ import pytest
 
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
+from eitskin_tools.commands.offline.bench import available
 
 ABSENT = "nothere"
 """Name of a file that is not there."""
@@ -137,11 +138,43 @@ WRITING = {
     "demo --record": ["demo", "--no-draw", "--record"],
     "demo --picture": ["demo", "--no-draw", "--picture"],
     "evaluate --picture": ["evaluate", "--phantoms", "paper_units", "--picture"],
+    "record": ["record", "--out"],
+    "reinfer --out": ["reinfer", ABSENT, "--out"],
+    "reinfer --plot": ["reinfer", ABSENT, "--plot"],
+    "convert": ["convert", ABSENT, "--format", "npz", "--out"],
+    "calibrate": ["calibrate", ABSENT, "--out"],
+    "calibrate --guided": ["calibrate", "--guided", "--port", "/dev/null", "--out", ABSENT],
     "bench stability --plot": ["bench", "stability", "--plot"],
+    "bench tradeoff --plot": ["bench", "tradeoff", "--phantoms", "paper_units", "--plot"],
+    "bench verify --plot": ["bench", "verify", "--plot"],
     "virtual-skin --wire-times": ["virtual-skin", "--seconds=1", "--wire-times"],
     "virtual-skin --log": ["virtual-skin", "--seconds=1", "--log"],
 }
 """Every way to name a file that is written, without torch; the name comes last."""
+
+WRITING_WITH_TORCH = {
+    "build": ["build", "paper", "--out"],
+    "adapt-skin": ["adapt-skin", "press", "--skin", "lab", "--out"],
+    "export": ["export", ABSENT, "--out"],
+    "curves --plot": ["curves", ABSENT, "--plot"],
+}
+
+FILLING = {
+    "dataset": ["dataset", "--set", "paper", "--out"],
+    "service": ["service", "--out"],
+}
+"""Every way to name a folder that is filled, likewise."""
+
+FILLING_WITH_TORCH = {
+    "train": ["train", "--recipe", "tiny", "--data", ABSENT, "--out"],
+    "adapt": ["adapt", ABSENT, "--out"],
+}
+
+NEEDING_TORCH = WRITING_WITH_TORCH | FILLING_WITH_TORCH
+EVERY_WRITING = WRITING | FILLING | NEEDING_TORCH
+
+WRITTEN = ("--out", "--plot", "--picture", "--record", "--log", "--wire-times")
+"""Options that name what is written."""
 
 
 def identity(path: Path) -> tuple[int, int, int]:
@@ -150,28 +183,68 @@ def identity(path: Path) -> tuple[int, int, int]:
     return found.st_ino, found.st_mode, found.st_mtime_ns
 
 
-@pytest.mark.parametrize("command", WRITING)
-@pytest.mark.parametrize("node", ["a FIFO", "a folder", "a device"])
-def test_a_target_that_is_no_regular_file_is_named_before_any_work(
-    command: str, node: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    path = tmp_path / "out.png"
+def made(node: str, folder: Path) -> Path:
+    path = folder / "out.png"
     if node == "a FIFO":
         os.mkfifo(path)
     elif node == "a folder":
         path.mkdir()
+    elif node == "a file":
+        path.touch()
     else:
         path.symlink_to("/dev/null")
+    return path
+
+
+def taken(command: str) -> list[str]:
+    """Return the words of a command, whose last is to come; skip what cannot run here."""
+    if command in NEEDING_TORCH:
+        pytest.importorskip("torch", reason="training needs the extra 'train'")
+    return EVERY_WRITING[command]
+
+
+@pytest.mark.parametrize("command", WRITING | WRITING_WITH_TORCH)
+@pytest.mark.parametrize("node", ["a FIFO", "a folder", "a device"])
+def test_a_target_that_is_no_regular_file_is_named_before_any_work(
+    command: str, node: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made(node, tmp_path)
     before = identity(path)
-    assert f"{path} is {node}, expected a regular file" in said(capsys, [*WRITING[command], str(path)])
+    assert f"{path} is {node}, expected a regular file" in said(capsys, [*taken(command), str(path)])
     assert identity(path) == before
 
 
-@pytest.mark.parametrize("command", WRITING)
+@pytest.mark.parametrize("command", WRITING | WRITING_WITH_TORCH)
 def test_a_stream_is_no_target(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = identity(Path("/dev/stdout"))
-    assert "names a device or a stream" in said(capsys, [*WRITING[command], "/dev/stdout"])
+    assert "names a device or a stream" in said(capsys, [*taken(command), "/dev/stdout"])
     assert identity(Path("/dev/stdout")) == before
+
+
+@pytest.mark.parametrize("command", FILLING | FILLING_WITH_TORCH)
+@pytest.mark.parametrize("node", ["a FIFO", "a file", "a device"])
+def test_a_target_that_is_no_folder_is_named_before_any_work(
+    command: str, node: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = made(node, tmp_path)
+    before = identity(path)
+    assert f"{path} is {node}, expected a folder" in said(capsys, [*taken(command), str(path)])
+    assert identity(path) == before
+
+
+def test_every_command_that_writes_is_among_them() -> None:
+    tools = Path(cli.__file__).parent
+    places = {name: tools / "commands" / f"{module.replace('.', '/')}.py" for name, (module, _) in cli.COMMANDS.items()}
+    places |= {f"bench {name}": tools / "bench" / name / "bench.py" for name in available()}
+    declared = {
+        f"{name} {option}"
+        for name, path in places.items()
+        for option in WRITTEN
+        if f'"{option}"' in path.read_text(encoding="utf-8")
+    }
+    assert len(declared) > 15
+    tried = {" ".join([*words[: 1 + (words[0] == "bench")], words[-1]]) for words in EVERY_WRITING.values()}
+    assert declared - tried == set()
 
 
 def test_a_scene_comes_from_a_stream_that_is_handed_over(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ from typing import Any
 import pytest
 
 from eitskin import WireFrame
+from eitskin.messaging.curve_keys import make_keys
 from eitskin_tools import cli
 from eitskin_tools.recording.layout import WIRE
 from eitskin_tools.recording.reader import Recording
@@ -61,6 +62,18 @@ def test_record_does_not_overwrite(tmp_path: Path, capsys: Capture) -> None:
     assert status == 2
     assert "exists already" in said
     assert (tmp_path / "a.mcap").read_bytes() == b"precious"
+
+
+def test_replay_names_a_damaged_client_key_before_all_else(tmp_path: Path, capsys: Capture) -> None:
+    make_keys(tmp_path / "keys")
+    damaged = tmp_path / "keys" / "clients" / "x.key"
+    damaged.write_text("no key")
+    damaged.chmod(0o600)
+    words = ["replay", str(tmp_path / "none.mcap"), "--curve-keys", str(tmp_path / "keys"), "--quiet"]
+    assert cli.main(words) == 1
+    named, ended = capsys.readouterr().err.splitlines()
+    assert named.startswith(f"eitskin replay: {damaged} is left out: it holds no public key; copy the client's .key")
+    assert "none.mcap" in ended
 
 
 def test_a_cut_recording_is_computed_to_where_it_ends_and_says_so(file: Path, capsys: Capture) -> None:

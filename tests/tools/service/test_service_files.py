@@ -13,6 +13,7 @@ import pytest
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
 from eitskin_tools.service.files import FILES, text_of
+from eitskin_tools.service.watchdog import STOOD_STILL
 
 UNITS = ("eitskin.service", "eitskin@.service")
 SECTIONS = {
@@ -67,6 +68,15 @@ def test_a_unit_has_known_directives_once_each_and_nothing_left_to_fill_in(name)
     assert service["ExecStart"].startswith("/opt/eitskin/bin/eitskin run --config /etc/eitskin/")
     words = service["ExecStart"].replace("%i", "arm").split()[1:]
     assert cli._parser("run").parse_args(words).config
+
+
+@pytest.mark.parametrize("name", UNITS)
+def test_who_stood_still_is_started_again_and_who_was_asked_for_nonsense_is_not(name):
+    service = dict(parsed(text_of(name, "robot", "/usr/bin/eitskin"))["Service"])
+    assert service["Restart"] == "on-failure"
+    kept_down = service["RestartPreventExitStatus"].split()
+    assert str(STOOD_STILL) not in kept_down
+    assert kept_down == ["2"], "bad usage alone: a second start would say the same"
 
 
 def test_what_is_no_directive_is_found():

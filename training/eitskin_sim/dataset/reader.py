@@ -185,7 +185,7 @@ def _assembled(index: dict[str, Any], touches: Arrays, shards: list[Arrays]) -> 
         touch_split=held_out,
         units=units,
         free=TouchTable(_of(pieces, "f", (None, PIECE_COLUMNS[soft and name == "free"])), first),
-        unit_contrasts=_unit_contrasts(touches, units) if soft else None,
+        unit_contrasts=_unit_contrasts(touches, units) if soft and name != "free" else None,
         skin=skin,
         touch_kind=touch_kind_of(index),
         drift=_drift(index, shards),
@@ -198,10 +198,8 @@ def _drift(index: dict[str, Any], shards: list[Arrays]) -> npt.NDArray[np.float3
     return np.concatenate([_of(one["drift"], "f", one["touch_set"].shape) for one in shards])
 
 
-def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts | None:
+def _unit_contrasts(touches: Arrays, units: npt.NDArray[np.bool_]) -> UnitContrasts:
     """The contrasts of units, where the touches are not hard ones."""
-    if "contrast" not in touches:
-        return None
     number = _of(touches["contrast_class"], "u", units.shape)
     contrast = _of(touches["contrast"], "f", (None,))
     if len(contrast) > 255 or np.any(contrast <= 0) or np.any(number[units] >= len(contrast)):

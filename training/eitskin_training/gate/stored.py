@@ -7,7 +7,6 @@ that was adapted, keeps it.
 
 import io
 import json
-import shutil
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.files.arrays import read_npz
-from eitskin_proto.files.reading import FileError, parse_json
+from eitskin_proto.files.reading import FileError, parse_json, read_bytes
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER
@@ -112,7 +111,7 @@ def hand_on(source: Path, folder: Path) -> None:
     """Give a run that was made from another one that one's gate, if it has any; it is checked when it is read."""
     if (source / NAME).exists():
         folder.mkdir(parents=True, exist_ok=True)
-        shutil.copyfile(source / NAME, folder / NAME)
+        write_bytes(folder / NAME, read_bytes(source / NAME, LARGEST_FILE))
 
 
 def _write(path: Path, found: RunGate, origin: dict[str, Any]) -> None:

@@ -6,6 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from eitskin_tools.command_line.files import folder
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 from eitskin_tools.service import files
@@ -48,6 +49,8 @@ def run(arguments: argparse.Namespace) -> int:
                 say(f"{one.name:<24}{one.home or '-':<22}{one.what}")
             say("'eitskin service --print NAME' shows one, 'sudo eitskin service --install --user NAME' writes them")
         return 0
+    if arguments.out is not None:
+        folder(arguments.out)
     written = files.write(
         arguments.root if arguments.install else arguments.out, arguments.user, program, homes=arguments.install
     )

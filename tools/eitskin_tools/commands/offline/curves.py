@@ -18,6 +18,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.errors import UsageError
     from eitskin_training import curves
 
+    if arguments.plot:
+        files.writable(arguments.plot)
     folders = [Path(name) for name in arguments.runs]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise UsageError("a run is named twice")
@@ -25,7 +27,6 @@ def run(arguments: argparse.Namespace) -> int:
     keys = names if len(set(names)) == len(names) else [str(folder) for folder in folders]
     histories = {key: curves.history_of(folder) for key, folder in zip(keys, folders, strict=True)}
     if arguments.plot:
-        files.writable(arguments.plot)
         curves.compare(histories, Path(arguments.plot))
     found = []
     for name, history in histories.items():
