@@ -28,7 +28,8 @@ from eitskin.messaging.curve_keys import ClientKeys, load_client_keys, make_keys
 
 from ..outcome import Effort, Outcome
 from ..stream import PATIENCE_S, ROOT, SKIN, TINY
-from .exit_time import MOST_S, SURELY_S, ExitTime, Watch
+from .exit_time import SURELY_S, ExitTime, Watch
+from .judged import LAST, judge
 
 MOMENTS: Final = 1250
 """Of the long form: one in ``CTRL_C`` is by SIGINT, so 1,000 are by SIGTERM."""
@@ -50,11 +51,6 @@ IN_MEMORY: Final = "/dev/shm" if os.access("/dev/shm", os.W_OK) else None
 """Where sockets, keys and output lie, if the machine has it: a wait for a disk would count as the process's own."""
 
 TCP: Final = "tcp://127.0.0.1:*"
-
-LAST: Final = 700
-"""Characters of what it said last that are shown."""
-
-WRONG: Final = ("Traceback", "terminate called", "Fatal Python", "Assertion", "Exception ignored")
 
 
 class Lane:
@@ -223,33 +219,6 @@ def _finish(process: "subprocess.Popen[bytes]") -> None:
     if process.poll() is None:
         process.kill()
     process.wait()
-
-
-def judge(life: str, number: int, status: int, took: ExitTime, text: str) -> str:
-    """Return what was wrong with an end; nothing if all was well."""
-    last = text.strip()[-LAST:]
-    if took.own_s > MOST_S:
-        return f"it took {took.own_s:.2f} s of its own, {took.raw_s:.2f} by the clock"
-    if _interrupted_early(number, status, text) or (status == -number and "firmware" not in text and not _wrong(text)):
-        return ""  # it had opened nothing yet
-    if _wrong(text):
-        return f"it said: {last}"
-    if status != 0:
-        return f"its exit status was {status}: {last}"
-    if life != "start" and '"frames"' not in text:
-        return f"it printed no summary: {last}"
-    return ""
-
-
-def _wrong(text: str) -> bool:
-    return any(word in text for word in WRONG)
-
-
-def _interrupted_early(number: int, status: int, text: str) -> bool:
-    """Return whether Ctrl-C met Python while it started, whose own ways hold until ``eitskin run`` has begun."""
-    if number != signal.SIGINT:
-        return False
-    return (status == 128 + number and not text) or ("KeyboardInterrupt" in text and "live/run.py" not in text)
 
 
 def _last(out: Path) -> str:

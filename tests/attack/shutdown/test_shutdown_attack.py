@@ -6,7 +6,8 @@ import pytest
 
 from ..outcome import Effort
 from .exit_time import ExitTime, Waits, union_s
-from .moments import CTRL_C, LIVES, MOMENTS, at_moments, judge
+from .judged import judge
+from .moments import CTRL_C, LIVES, MOMENTS, at_moments
 
 PARTS = (
     ["start", "capture", "stream", "control", "start"],
