@@ -115,7 +115,7 @@ ROOMS: dict[str, Arrows] = {
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
         "verifier": {"command_line", "errors", "evaluation", "processes"},
-        "view": {"pictures", "processes", "recording"},
+        "view": {"console", "pictures", "processes", "recording"},
         "scripted_scene": set(),
         "virtual_skin": {"scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},

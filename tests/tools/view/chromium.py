@@ -131,6 +131,17 @@ class Browser:
         for kind in ("mousePressed", "mouseReleased"):
             self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
 
+    def move(self, x, y):
+        """Point at a place, in CSS pixels."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+
+    def wheel(self, x, y, down, ctrl=False):
+        """Turn the wheel over a place."""
+        modifiers = 2 if ctrl else 0
+        self.call(
+            "Input.dispatchMouseEvent", type="mouseWheel", x=x, y=y, deltaX=0, deltaY=down, modifiers=modifiers
+        )  # fmt: skip
+
     def drag(self, x, y, dx, dy):
         """Press, move and let go."""
         steps = (("mousePressed", x, y), ("mouseMoved", x + dx, y + dy), ("mouseReleased", x + dx, y + dy))

@@ -2,6 +2,9 @@
 
 import contextlib
 import io
+import signal
+import subprocess
+import sys
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -50,6 +53,12 @@ def pixel(shot, place, half=2):
     return shot[y - half : y + half + 1, x - half : x + half + 1].mean(axis=(0, 1))
 
 
+def ink(found, name):
+    """Return a colour of the style sheet, (3,)."""
+    text = found.evaluate(f"getComputedStyle(document.documentElement).getPropertyValue('--{name}').trim()")
+    return np.array([int(text[k : k + 2], 16) for k in (1, 3, 5)], dtype=float)
+
+
 def draws_newer(found):
     """Wait until a frame that comes from now on has been drawn."""
     found.evaluate("window.mark = eitskin.page.drawings, window.then = eitskin.history.newest.t")
@@ -86,3 +95,23 @@ def settled_place(found, x_mm, y_mm, skin=0):
         draws_again(found)
         before, place = place, space_place(found, x_mm, y_mm, skin)
     return place
+
+
+@contextlib.contextmanager
+def started(*words, until):
+    """Run a command; give the line that says it is there."""
+    process = subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", *map(str, words)],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1,
+    )  # fmt: skip
+    try:
+        said = []
+        for line in process.stdout:
+            said.append(line)
+            if until in line:
+                break
+        assert until in said[-1], said
+        yield said[-1]
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.communicate(timeout=60)

@@ -1,10 +1,8 @@
 """The commands as a user types them: what cannot be shown is one line; what can is seen in a browser, and recorded."""
 
-import signal
 import subprocess
 import sys
 import time
-from contextlib import contextmanager
 from dataclasses import replace
 from itertools import count
 
@@ -20,7 +18,7 @@ from eitskin_tools.view.viewer import Viewer
 
 from ..recording.conftest import TINY, measured, recorded
 from .chromium import PROGRAM
-from .conftest import browser, draws_again, picture, pixel
+from .conftest import browser, draws_again, picture, pixel, started
 
 CHROMIUM = pytest.mark.skipif(PROGRAM is None, reason="no Chromium: tools/system-packages.sh chromium")
 
@@ -46,15 +44,6 @@ def path(tmp_path, items):
     ticks = count()
     recorded(tmp_path / "day.mcap", items, now_s=lambda: 0.02 * next(ticks))
     return tmp_path / "day.mcap"
-
-
-@pytest.fixture
-def handlers():
-    """Signals are handled afterwards as before."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
-    yield
-    for number, handler in before.items():
-        signal.signal(number, handler)
 
 
 def one_line(capsys, *words):
@@ -108,26 +97,6 @@ def test_a_live_page_needs_no_package_that_recordings_need():
     code = "import sys, eitskin_tools.view.viewer, eitskin_tools.commands.live.view; print('mcap' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "False\n"
-
-
-@contextmanager
-def started(*words, until):
-    """Run a command; give the line that says it is there."""
-    process = subprocess.Popen(
-        [sys.executable, "-m", "eitskin_tools.cli", *map(str, words)],
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, bufsize=1,
-    )  # fmt: skip
-    try:
-        said = []
-        for line in process.stdout:
-            said.append(line)
-            if until in line:
-                break
-        assert until in said[-1], said
-        yield said[-1]
-    finally:
-        process.send_signal(signal.SIGINT)
-        process.communicate(timeout=60)
 
 
 SEEN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history?.shown"

@@ -1,4 +1,4 @@
-"""Pixels of what is written over the surface and of the time strips, of scenes whose every place and number is known.
+"""Pixels of what is drawn and written over both maps, of scenes whose every place and number is known.
 
 Places are computed here, from the bend and the map's disc; the page is asked only where it shows a place in space.
 """
@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 
 from eitskin.robot.pose import Pose
-from eitskin_tools.view.messages import surface_message
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.view.messages import electrode_places_mm, surface_message
 
 from .chromium import PROGRAM
-from .conftest import browser, draws_again, draws_newer, flat_place, picture, settled_place
+from .conftest import browser, draws_newer, flat_place, ink, picture, pixel, settled_place
 from .scripted import Runtime, Scene, cylinder, disc, flat
 
 pytestmark = [
@@ -22,10 +23,6 @@ pytestmark = [
 X_MM, Y_MM, RADIUS_MM, ARROW_MM, ANGLE_DEG = 110.0, 30.0, 8.0, 20.0, 120.0
 TOUCHED = disc(X_MM, Y_MM, RADIUS_MM)
 SHOWN = "window.eitskin && eitskin.page.drawings > 0 && eitskin.history.newest"
-PAD = {"left": 34, "right": 2, "top": 7, "bottom": 15}
-"""Of a strip, in CSS pixels: static/strips.js."""
-PHASE_MS = 3000
-"""How long each half of the strips' scene lasts: 15 of their pixels."""
 
 
 def on_screen(found, place):
@@ -107,77 +104,85 @@ def test_a_touch_has_its_ring_on_the_flat_map(viewer, endpoint):
         assert all(whitest(shot, one) < 150 for one in rim)
 
 
-def nice(value):
-    """Return the next of 1, 2, 5 times a power of ten, as an axis ends."""
-    power = 10.0 ** np.floor(np.log10(value))
-    return power * next(step for step in (1, 2, 5, 10) if step * power >= value * 0.999)
+NOTES_WHAT_IS_WRITTEN = """(() => {
+  window.written = [];
+  const { prototype } = CanvasRenderingContext2D, write = prototype.fillText;
+  prototype.fillText = function (text, x, y, ...more) {
+    const { left, top } = this.canvas.getBoundingClientRect();
+    const at = this.getTransform().transformPoint(new DOMPoint(x, y)); // a pixel of the canvas is one of the screen
+    window.written.push([this.canvas.id, text, left + at.x, top + at.y]);
+    return write.call(this, text, x, y, ...more);
+  };
+})()"""
 
 
-def ink(found, name):
-    """Return a colour of the style sheet, (3,)."""
-    text = found.evaluate(f"getComputedStyle(document.documentElement).getPropertyValue('--{name}').trim()")
-    return np.array([int(text[k : k + 2], 16) for k in (1, 3, 5)], dtype=float)
+def far(text_at, place):
+    """Return how far something that was written lies from a place, in pixels."""
+    return np.hypot(*np.subtract(text_at, place))
 
 
-def columns(found, shot, strip, begin_ms, end_ms):
-    """Return (rows, columns, 3): a strip from one time to another."""
-    left, top, width, height, begin, end = found.evaluate(
-        f"(() => {{ const b = document.getElementById('{strip}').getBoundingClientRect(), w = "
-        "eitskin.history.window(b.width); return [b.left, b.top, b.width, b.height, w.begin, w.end]; })()"
+def sheet_edges(found, shot):
+    """Return left, right, top and bottom of the sheet as it is drawn: untouched pixels are dark, the card is light."""
+    (x, _), (_, y) = flat_place(found, 60.0, 70.0), flat_place(found, 40.0, 35.0)  # no electrode in their way
+    box = found.evaluate(
+        "(() => { const b = document.getElementById('flat').getBoundingClientRect(); "
+        "return [b.left, b.right, b.top, b.bottom].map(Math.round); })()"
     )
-    room = width - PAD["left"] - PAD["right"]
-    ends = [round(left + PAD["left"] + (t - begin) / (end - begin) * room) for t in (begin_ms, end_ms)]
-    return shot[round(top) : round(top + height), ends[0] : ends[1] + 1]
+    across = np.flatnonzero(shot[round(y), box[0] : box[1]].max(axis=1) < 128) + box[0]
+    along = np.flatnonzero(shot[box[2] : box[3], round(x)].max(axis=1) < 128) + box[2]
+    return across[0], across[-1] + 1, along[0], along[-1] + 1
 
 
-def line_rows(strip, colour):
-    """Return of each column the mean row of its pixels of a colour, NaN without one."""
-    like = np.abs(strip - colour).max(axis=2) < 60
-    rows = np.arange(len(strip))[:, None]
-    return np.where(like.any(axis=0), (like * rows).sum(axis=0) / np.maximum(like.sum(axis=0), 1), np.nan)
+def test_axes_are_in_mm_electrodes_have_numbers_and_health_and_touches_their_numbers(viewer, endpoint):
+    electrodes = electrode_places_mm(PAPER)
+    with (
+        Runtime(endpoint, Scene(TOUCHED, electrodes=("5:detached:imputed",))),
+        browser(viewer.address) as found,
+    ):
+        found.wait(f"{SHOWN} && eitskin.history.shown.head.touches.length")
+        settled_place(found, X_MM, Y_MM)
+        found.evaluate(NOTES_WHAT_IS_WRITTEN)
+        draws_newer(found)
+        shot, written = picture(found), found.evaluate("written")
+        touch = str(found.evaluate("eitskin.history.shown.head.touches[0].id"))
 
+        def places(canvas, text):
+            return [(x, y) for name, said, x, y in written if (name, said) == (canvas, text)]
 
-def row_of(height, value, low, high):
-    """Return the row in which a strip shows a value."""
-    return height - PAD["bottom"] - (value - low) / (high - low) * (height - PAD["top"] - PAD["bottom"])
+        left, right, top, bottom = sheet_edges(found, shot)
+        corners = [*flat_place(found, 0.0, 0.0), *flat_place(found, 150.0, 100.0)]
+        assert corners == pytest.approx([left, bottom, right, top], abs=2.0), "the mapping is that of the picture"
+        ticks_x = {mm: flat_place(found, mm, 0.0)[0] for mm in range(0, 151, 25)}
+        ticks_y = {mm: flat_place(found, 0.0, mm)[1] for mm in range(0, 101, 25)}
+        for mm, at in ticks_x.items():
+            assert any(abs(x - at) <= 1 and bottom + 20 < y < bottom + 40 for x, y in places("flat", str(mm))), mm
+        for mm, at in ticks_y.items():
+            assert any(abs(y - at) <= 1 and left - 45 < x < left - 20 for x, y in places("flat", str(mm))), mm
+        ((x, y),) = set(places("flat", "x, mm"))
+        assert x == pytest.approx((left + right) / 2, abs=2)
+        assert y > bottom + 40
+        ((x, y),) = set(places("flat", "y, mm"))
+        assert y == pytest.approx((top + bottom) / 2, abs=2)
+        assert x < left - 45
 
+        good, warn = ink(found, "good"), ink(found, "warn")
+        assert np.abs(good - warn).max() > 60
+        for number, (x_mm, y_mm) in enumerate(electrodes):
+            flat_at, space_at = flat_place(found, x_mm, y_mm), on_screen(found, on_the_flat(x_mm, y_mm)[0])
+            assert any(far(one, flat_at) == pytest.approx(14.0, abs=1.0) for one in places("flat", str(number)))
+            assert any(5.0 < far(one, space_at) < 25.0 for one in places("overlay", str(number)))
+            for x, y in (flat_at, space_at):
+                middle, corner = pixel(shot, (x, y), 1), pixel(shot, (x, y - 4), 0)
+                np.testing.assert_allclose(middle, warn if number == 5 else good, atol=12, err_msg=str(number))
+                assert (np.abs(corner - (warn if number == 5 else good)).max() < 12) == (number == 5), "a diamond, dots"
 
-def test_the_strips_show_when_it_was_touched_what_was_lost_how_long_it_took_and_the_drift(viewer, endpoint):
-    spans = Scene().spans_us
-    with browser(viewer.address) as found:
-        with Runtime(endpoint, Scene(drift=(0.4, 0.1, 0.2))) as runtime:
-            found.wait(f"{SHOWN} && eitskin.history.end - eitskin.history.begin > {PHASE_MS}")
-            changed_ms = found.evaluate("eitskin.history.end")
-            runtime.scene = Scene(TOUCHED, drift=(2.0, 0.1, 0.2), counts=(7, 0, 0, 0))
-            found.wait(f"eitskin.history.newest.head.touches.length && eitskin.history.end > {changed_ms + PHASE_MS}")
-        found.wait("document.getElementById('state').dataset.state === 'silent'")  # now nothing moves
-        found.evaluate("eitskin.page.slowAt = 0")
-        draws_again(found)
-        shot, end_ms = picture(found), found.evaluate("eitskin.history.end")
-        area = found.evaluate("eitskin.history.newest.head.touches[0].area")
-        before, after = (changed_ms - 2000, changed_ms - 700), (end_ms - 1800, end_ms - 500)
-
-        strips = {"touches": ("s1", 0.0, area, 0.0, nice(area)), "drift": ("s3", 0.4, 2.0, -1.0, nice(2.1))}
-        for name, (colour, low_value, high_value, low, high) in strips.items():
-            for span, value in ((before, low_value), (after, high_value)):
-                strip = columns(found, shot, f"strip-{name}", *span)
-                rows = line_rows(strip, ink(found, colour))
-                assert np.isfinite(rows).all(), (name, span)
-                np.testing.assert_allclose(rows, row_of(len(strip), value, low, high), atol=2.0, err_msg=name)
-
-        strip = columns(found, shot, "strip-latency", *after)
-        total_ms = sum(spans) / 1000
-        top = row_of(len(strip), total_ms, 0.0, nice(1.1 * total_ms))
-        filled = np.abs(strip - ink(found, "card")).max(axis=2) > 70
-        assert filled[round(top) + 2 : len(strip) - PAD["bottom"] - 2].mean() > 0.9
-        assert filled[PAD["top"] + 3 : round(top) - 2].mean() < 0.1
-
-        strip = columns(found, shot, "strip-losses", changed_ms - 1100, end_ms)  # a bar is of a whole second
-        lost = np.abs(strip - ink(found, "s4")).max(axis=2) < 60
-        tall = row_of(len(strip), 0.0, 0.0, nice(7)) - row_of(len(strip), 7.0, 0.0, nice(7))
-        assert lost.sum(axis=0).max() == pytest.approx(tall, abs=2.0)
-        strip = columns(found, shot, "strip-losses", changed_ms - 2500, changed_ms - 1100)
-        assert not (np.abs(strip - ink(found, "s4")).max(axis=2) < 60).any()
+        radius_px = RADIUS_MM * (right - left) / 150.0
+        x, y = flat_place(found, X_MM, Y_MM)
+        assert any(far(one, (x, y - radius_px - 13)) < 3 for one in places("flat", touch))
+        place, normal = on_the_flat(X_MM, Y_MM)
+        foot, tip = on_screen(found, place), on_screen(found, place + ARROW_MM * normal)
+        beyond = np.add(tip, 16 * np.subtract(tip, foot) / far(tip, foot))
+        assert any(far(one, beyond) < 3 for one in places("overlay", touch))
 
 
 def test_the_surface_of_a_scene_without_a_cloud_is_the_flat_sheet(viewer, endpoint):

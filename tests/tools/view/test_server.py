@@ -2,16 +2,13 @@ import http.client
 import socket
 import threading
 
-import numpy as np
 import pytest
 
-from eitskin.robot.pose import Pose
-from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.view import board as board_module
 from eitskin_tools.view import server as server_module
 from eitskin_tools.view.address import host_allowed, is_loopback, page_address
 from eitskin_tools.view.board import Board
-from eitskin_tools.view.messages import electrode_places_mm, packed, skin_message, status_message, unpacked
+from eitskin_tools.view.messages import packed, status_message, unpacked
 from eitskin_tools.view.pages import pages
 from eitskin_tools.view.server import PortTaken, ViewServer
 
@@ -241,7 +238,10 @@ def test_only_so_many_pages_look_on_at_once(serve, monkeypatch):
     connection.close()
 
 
-def test_a_page_that_reads_nothing_keeps_nobody_waiting_and_is_left(serve, monkeypatch):
+LEFT = "eitskin view: a page did not read what it was sent within 0.2 s and was left; it connects again by itself\n"
+
+
+def test_a_page_that_reads_nothing_keeps_nobody_waiting_is_left_and_told_of_in_one_line(serve, monkeypatch, capsys):
     monkeypatch.setattr(server_module, "STALL_S", 0.2)
     server = serve()
     server.board.post("frame", packed({"kind": "frame", "n": 0}, bytes(1 << 20)))
@@ -252,33 +252,30 @@ def test_a_page_that_reads_nothing_keeps_nobody_waiting_and_is_left(serve, monke
         number += 1
         server.board.post("frame", packed({"kind": "frame", "n": number}, bytes(1 << 20)))
         threading.Event().wait(0.01)
+    assert capsys.readouterr() == ("", LEFT)
+    monkeypatch.setattr(server_module, "STALL_S", 60.0)
+    again, _ = ask(server, "/stream")  # it connects again, and nothing of before stands in its way
+    assert next(chunks(again))[0] == {"kind": "frame", "n": number}
+    again.close()
     connection.close()
+    while server.board.pages:  # one that goes is no stall
+        server.board.post("frame", packed({"kind": "frame", "n": number}, bytes(1 << 20)))
+        threading.Event().wait(0.01)
+    assert capsys.readouterr() == ("", "")
 
 
-def test_a_message_cut_anywhere_is_no_message_yet():
-    message = packed({"kind": "frame", "text": "ä"}, b"\0\xff")
-    assert unpacked(message) == [({"kind": "frame", "text": "ä"}, b"\0\xff")]
-    assert [unpacked(message[:end]) for end in range(len(message))] == [[]] * len(message)
-    assert len(unpacked(message * 3 + message[:-1])) == 3
+def test_a_page_that_leaves_a_part_of_a_recording_unread_is_told_of_too(serve, monkeypatch, capsys):
+    class Long:
+        parts = 1
 
+        def part(self, number):
+            return bytes(1 << 25)
 
-def test_electrodes_lie_on_the_border_at_their_arc_length():
-    places = electrode_places_mm(PAPER)
-    assert places[0].tolist() == [12.5, 0.0]
-    assert places[5].tolist() == [150.0, 18.75]
-    assert places[8].tolist() == [137.5, 100.0]
-    assert places[15].tolist() == [0.0, 18.75]
-    x, y = places.T
-    on_border = np.minimum(np.minimum(x, 150 - x), np.minimum(y, 100 - y))
-    assert np.abs(on_border).max() == 0.0
-
-
-def test_the_colours_can_be_told_apart_without_hue():
-    from eitskin_tools.pictures.draw import palette
-
-    linear = (palette() / 255.0) ** 2.2
-    lightness = 116 * np.cbrt(linear @ [0.2126, 0.7152, 0.0722]) - 16
-    assert np.diff(lightness).min() > 0.5  # each level is lighter than the one before, in any kind of colour blindness
-    assert lightness[-1] - lightness[0] > 80
-    (head, _) = unpacked(skin_message(PAPER, 0, Pose(), {"name": ""}))[0]
-    assert head["palette"][0] == palette()[0].tolist()
+    monkeypatch.setattr(server_module, "STALL_S", 0.2)
+    server, said = serve(film=Long()), ""
+    answer, connection = ask(server, "/part/0")
+    assert answer.status == 200
+    while not (said := said + capsys.readouterr().err).endswith("\n"):
+        threading.Event().wait(0.01)
+    assert said == LEFT
+    connection.close()

@@ -2,18 +2,21 @@
 
 A request is a head of at most 16 kB that is there within 10 s, of a listed path, and has no body. At most ``MOST``
 connections are open at a time. ``/stream`` is one answer without end, in chunks, of which each has the newest message
-of each kind; who does not read for ``STALL_S`` is left. ``/part/N`` is a second of a recording.
+of each kind; who does not read for ``STALL_S`` is left, and told of in a line. ``/part/N`` is a second of a recording.
 """
 
+import contextlib
 import io
 import socket
 import threading
 import time
+from collections.abc import Iterator
 from http import HTTPStatus
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
 from eitskin.errors import SkinError
+from eitskin_tools.console.say import say
 from eitskin_tools.view.address import (
     came_from_here,
     host_allowed,
@@ -22,6 +25,7 @@ from eitskin_tools.view.address import (
     token_given,
     why_not_bound,
 )
+from eitskin_tools.view.asked import ACTIONS, PART, Actions, Parts
 from eitskin_tools.view.board import Board
 from eitskin_tools.view.pages import HEADERS, pages
 
@@ -40,40 +44,9 @@ STALL_S: Final = 5.0
 SEND_BYTES: Final = 65536
 """What waits for a page within the kernel: some pictures, so that one that stalled shows none of long ago."""
 
-PART: Final = "/part/"
-"""How the paths of parts of a recording begin; a number follows."""
-
-ACTIONS: Final = ("/record/start", "/record/stop")
-"""What a page may ask for, by POST without a body."""
-
 
 class PortTaken(SkinError):  # noqa: N818 -- named as the runtime's own are
     """The server cannot be bound; the text says why, and what to do."""
-
-
-class Actions(Protocol):
-    """What starts and stops recordings."""
-
-    def start(self) -> str:
-        """Begin; return "" or why not."""
-        ...
-
-    def stop(self) -> str:
-        """End; return "" or why not."""
-        ...
-
-
-class Parts(Protocol):
-    """A recording in parts."""
-
-    @property
-    def parts(self) -> int:
-        """How many there are."""
-        ...
-
-    def part(self, number: int) -> bytes:
-        """Return the messages of one."""
-        ...
 
 
 class ViewServer(ThreadingHTTPServer):
@@ -147,6 +120,17 @@ class ViewServer(ThreadingHTTPServer):
 
     def handle_error(self, request: Any, client_address: Any) -> None:
         """Say nothing: a page that went away is no error."""
+
+
+@contextlib.contextmanager
+def told_if_left() -> Iterator[None]:
+    """Say in a line that a page is left because it does not read."""
+    try:
+        yield
+    except TimeoutError:
+        said = f"a page did not read what it was sent within {STALL_S:g} s and was left; it connects again by itself"
+        say(f"eitskin view: {said}", error=True)
+        raise
 
 
 class _Request(BaseHTTPRequestHandler):
@@ -248,7 +232,8 @@ class _Request(BaseHTTPRequestHandler):
             except (SkinError, OSError, ValueError) as error:  # whatever a file may hold
                 self._refuse(HTTPStatus.CONFLICT, str(error))
                 return
-            self._answer(HTTPStatus.OK, body, "application/octet-stream")
+            with told_if_left():
+                self._answer(HTTPStatus.OK, body, "application/octet-stream")
 
     def _token_missing(self) -> bool:
         """Return whether the page lacks the token; it is told so."""
@@ -263,7 +248,7 @@ class _Request(BaseHTTPRequestHandler):
         if self._token_missing():
             return
         board = self.server.board
-        with board.page() as room:
+        with board.page() as room, told_if_left():
             if not room:
                 self._refuse(HTTPStatus.SERVICE_UNAVAILABLE, "as many pages as may be look on already; close one")
                 return

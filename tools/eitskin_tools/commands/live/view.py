@@ -16,6 +16,9 @@ from eitskin_tools.errors import UsageError
 PORT = 8416
 """Unless another one is named."""
 
+LOOK_S = 1.0
+"""How soon Ctrl-C is heard at the latest."""
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
@@ -63,7 +66,9 @@ def run(arguments: argparse.Namespace) -> int:
             import webbrowser
 
             webbrowser.open(address)
-        threading.Event().wait()
+        ended = threading.Event()
+        while not ended.wait(LOOK_S):  # a signal that comes just before a wait does not end that one
+            pass
     return 0
 
 

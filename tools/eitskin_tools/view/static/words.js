@@ -35,6 +35,14 @@ const WITHHELD = {
   stale: "waited while a newer one came",
 };
 
+const VERIFIER = {
+  starting: "The verifier starts",
+  preparing: "The verifier models the surface in use",
+  ready: "The verifier is ready: frames are verified",
+  waiting: "The verifier ended, and will be started again",
+  failed: "The verifier has given up: frames go out unverified",
+};
+
 export const STAGES = ["decode", "normalise", "gate", "infer", "pack", "publish"];
 export const LOSSES = [["lost", "lost"], ["corrupt", "corrupt"], ["withheld", "withheld"], ["overrun", "late"]];
 export const COUNTED = { lost: "lost on the wire", corrupt: "corrupt on the wire", overrun: "over their time budget" };
@@ -55,6 +63,7 @@ export function eventWords(code) {
   if (EVENTS[code]) return EVENTS[code];
   const [kind, ...rest] = code.split(":");
   if (kind === "withheld") return `A frame was withheld: ${WITHHELD[rest[0]] ?? rest[0]}`;
+  if (kind === "verifier") return VERIFIER[rest[0]] ?? `The verifier is ${rest[0]}`;
   if (kind === "electrode" && rest[1] === "back") return `Electrode ${rest[0]} is used again`;
   if (kind === "electrode") return `Electrode ${rest[0]} is ${rest[1]}${rest[2] ? `; its rows are ${rest[2]}` : ""}`;
   if (kind === "drift") return `All untouched voltages have moved by ${rest[0]}`;
@@ -63,5 +72,5 @@ export function eventWords(code) {
 }
 
 export function valueWords(solver) {
-  return solver === "tikhonov" ? "relative: the largest is 1" : "share of a pixel that is touched";
+  return solver === "tikhonov" ? "relative: the largest is 1" : "touched share of a pixel, or probability of a touch";
 }
