@@ -202,7 +202,7 @@ def _start(options: Options, folder: Path, publish: str, control: str, children:
     if options.view:
         words = ["view", f"--endpoint={publish}", "--port=0", "--no-open", *sheet]
         children.append(viewer := Child("view", "eitskin_tools.cli", words, folder))
-        show_page(viewer.line(viewer.out, "viewing ", READY_S, children).split()[3])
+        show_page(viewer.line(viewer.out, "viewing ", READY_S, children).rpartition(" at ")[2].split()[0])
 
 
 def show_page(address: str) -> None:

@@ -149,7 +149,7 @@ def _onlookers(
     children += found
     try:
         recorder, viewer = found
-        address = viewer.line(viewer.out, "viewing ", READY_S, children).split()[3]
+        address = viewer.line(viewer.out, "viewing ", READY_S, children).rpartition(" at ")[2].split()[0]
         with readers(address, pages) as counts:
             deadline_s = time.monotonic() + READY_S
             while not (file.exists() and all(counts)):

@@ -81,7 +81,7 @@ def _measure(pages: int | None, seconds: float, rate_hz: float) -> dict[str, Any
         if pages is not None:
             words = ["view", f"--endpoint={publish}", "--port=0", "--no-open"]
             viewer = _started(children, "view", words, folder)
-            address = viewer.line(viewer.out, "viewing ", READY_S, children).split()[3]
+            address = viewer.line(viewer.out, "viewing ", READY_S, children).rpartition(" at ")[2].split()[0]
         with readers(address, pages or 0) as counts:
             capacity = int(seconds * rate_hz * 1.5) + 1000
             words = [publish, str(record), f"--seconds={seconds:g}", f"--capacity={capacity}"]
