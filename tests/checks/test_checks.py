@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from .cpu_limit import LIMIT_S, NOMINAL_S, slowness
+from .cpu_limit import BESIDE, LIMIT_S, NOMINAL_S, slowness
 from .leftovers import Leftovers
 
 CONFTEST = """
@@ -99,7 +99,9 @@ def test_what_computes_for_long_or_starts_processes_without_saying_so_fails(tmp_
 def test_a_slow_machine_gets_more_seconds_and_a_fast_one_no_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
     for taken_s, factor in ((0.5 * NOMINAL_S, 1.0), (NOMINAL_S, 1.0), (4.0 * NOMINAL_S, 4.0)):
         monkeypatch.setattr(sys.modules[slowness.__module__], "_known_work_s", lambda taken_s=taken_s: taken_s)
-        assert slowness() == pytest.approx(factor)
+        for others, more in ((0.0, 1.0), (100.0, BESIDE)):
+            monkeypatch.setattr(os, "getloadavg", lambda others=others: (others * (os.cpu_count() or 1), 0.0, 0.0))
+            assert slowness() == pytest.approx(factor * more)
     assert LIMIT_S == 3.0
 
 

@@ -70,19 +70,26 @@ def test_a_reference_is_captured_and_the_runtime_streams_over_usb(usb, tmp_path,
 
 
 def test_the_runtime_goes_on_after_an_unplug(usb, tmp_path, tiny_path):
-    runtime = subprocess.Popen(
-        [sys.executable, "-m", "eitskin_tools.cli", "run", "--port", usb.port, "--reconnect", "120", "--json",
-         "--bundle", str(tiny_path), "--reference-frames", "20", "--frames", "300",
-         "--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control"],
+    words = [
+        "run", "--port", usb.port, "--reconnect", 120, "--json", "--bundle", tiny_path,
+        "--reference-frames", 20, "--frames", 300,
+        "--publish", f"ipc://{tmp_path}/frames", "--control", f"ipc://{tmp_path}/control",
+    ]  # fmt: skip
+    with subprocess.Popen(
+        [sys.executable, "-m", "eitskin_tools.cli", *map(str, words)],
         env=usb.environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    try:
-        while not runtime.stderr.readline().startswith("ready"):
-            assert runtime.poll() is None
-        usb.tell("unplug 0.2")
-        out, err = runtime.communicate(timeout=300)
-    finally:
-        runtime.kill()
+    ) as runtime:  # fmt: skip
+        said = []
+        try:
+            for line in runtime.stderr:
+                said.append(line)
+                if line.startswith("ready"):
+                    break
+            assert any(line.startswith("ready") for line in said), said
+            usb.tell("unplug 0.2")
+            out, err = runtime.communicate(timeout=300)
+        finally:
+            runtime.kill()
     assert runtime.returncode == 0, err
     summary = json.loads(out)
     assert (summary["frames"], summary["recoveries"], summary["corrupt"]) == (300, 1, 0)
