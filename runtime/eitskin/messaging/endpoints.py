@@ -25,6 +25,7 @@ import zmq
 
 from eitskin.errors import EndpointError
 from eitskin.messaging.curve_keys import ServerKeys
+from eitskin_proto.files.plain import quoted
 
 LONGEST_PATH: Final = 100
 """Bytes of an ipc path; the kernel takes 107."""
@@ -88,16 +89,16 @@ def needs_keys(endpoint: str, *, control: bool) -> bool:
     """
     scheme, separator, rest = endpoint.partition("://")
     if not separator or scheme not in ("ipc", "tcp"):
-        raise EndpointError(f"endpoint {endpoint!r}: expected ipc:///path or tcp://address:port")
+        raise EndpointError(f"endpoint {quoted(endpoint)}: expected ipc:///path or tcp://address:port")
     if scheme == "ipc":
         if not rest.startswith("/"):
-            raise EndpointError(f"endpoint {endpoint!r}: expected an absolute path, such as ipc:///tmp/skin")
+            raise EndpointError(f"endpoint {quoted(endpoint)}: expected an absolute path, such as ipc:///tmp/skin")
         if len(os.fsencode(rest)) > LONGEST_PATH:
-            raise EndpointError(f"endpoint {endpoint!r}: the path has more than {LONGEST_PATH} bytes")
+            raise EndpointError(f"endpoint {quoted(endpoint)}: the path has more than {LONGEST_PATH} bytes")
         return False
     host, separator, port = rest.rpartition(":")
     if not separator or not host or not (port == "*" or (port.isdecimal() and int(port) < 65536)):
-        raise EndpointError(f"endpoint {endpoint!r}: expected tcp://address:port")
+        raise EndpointError(f"endpoint {quoted(endpoint)}: expected tcp://address:port")
     return control or not _is_loopback(host)
 
 

@@ -100,10 +100,10 @@ def _toml(whole: bytes, rng: random.Random | None) -> tuple[bytes, str]:
     for _ in range(rng.choice((1, 1, 2))):
         at = rng.randrange(len(lines))
         key, _, value = lines[at].partition("=")
-        numbers = re.findall(r"\d[\d.]*", value)
+        numbers = re.findall(r"\d+(?:\.\d+)?(?![\d.])", value)  # and none in the midst of 127.0.0.1
         if numbers and rng.random() < 0.3:
             one = rng.choice(numbers)
-            lines[at] = f"{key}={value.replace(one, str(float(one.rstrip('.')) * rng.choice(FACTORS)), 1)}"
+            lines[at] = f"{key}={value.replace(one, str(float(one) * rng.choice(FACTORS)), 1)}"
             continue
         values = (
             "1e400", "-1", "nan", "inf", "true", "[]", "{}", '"\\u001b[2J"', "1" * 5000, "[" * 60_000, "9" * 400,

@@ -1,9 +1,20 @@
 """The short forms: some hundreds of damaged files, read or refused in a line."""
 
+import random
+
 import pytest
 
 from ..short import short_form
+from .kinds import KINDS
 
 pytestmark = [pytest.mark.process, pytest.mark.heavy]
 
 outcome, test_damaged_files_are_read_or_refused_within_bounds = short_form("files")
+
+
+@pytest.mark.parametrize("kind", ["robot", "skin"])
+def test_whatever_is_drawn_damages_a_file_of_texts(kind, tmp_path):
+    for seed in range(2000):
+        path, what = KINDS[kind].make(tmp_path, random.Random(seed))
+        assert what
+        path.unlink()

@@ -104,11 +104,11 @@ class Fields:
             raise self.wrong(key, f"a text of at most {MAX_TEXT} characters")
         return value
 
-    def raw(self, key: str, most: int = LARGEST_BODY) -> bytes:
+    def raw(self, key: str, most: int = LARGEST_BODY, least: int = 0) -> bytes:
         """Return bytes."""
         value = self._values.get(key)
-        if not isinstance(value, bytes) or len(value) > most:
-            raise self.wrong(key, f"at most {most} bytes")
+        if not isinstance(value, bytes) or not least <= len(value) <= most:
+            raise self.wrong(key, f"{least} to {most} bytes" if least else f"at most {most} bytes")
         return value
 
     def array(self, key: str, kind: str, shape: tuple[int, ...]) -> npt.NDArray[Any]:

@@ -98,7 +98,7 @@ class WireFrame:
         """
         fields = Fields(WIRE, body)
         return cls(
-            payload=fields.raw("payload", LARGEST_PAYLOAD),
+            payload=fields.raw("payload", LARGEST_PAYLOAD, 1),
             seq=fields.count_or_none("seq"),
             read_ns=fields.count("read_ns"),
             n=n,

@@ -63,6 +63,12 @@ def test_what_goes_in_comes_out(item):
         assert same(getattr(found, field.name), getattr(item, field.name)), field.name
 
 
+@pytest.mark.parametrize("size", [0, 1025])
+def test_a_payload_that_no_packet_has_is_refused(size):
+    with pytest.raises(FrameError, match=r"payload.* 1 to 1024 bytes"):
+        WireFrame.of(replace(WIRE, payload=bytes(size)).body())
+
+
 @ALL
 def test_what_may_be_unknown_may_be_nil(item):
     optional = [field.name for field in fields(item) if "None" in str(field.type) and field.name != "electrodes"]
