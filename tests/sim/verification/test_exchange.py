@@ -16,9 +16,9 @@ from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sets.candidates import Candidates
 from eitskin_sim.verification.sets.exchange import Exchange
 from eitskin_sim.verification.sets.judge import Judge
-from eitskin_sim.verification.sets.known import Candidates
 from eitskin_sim.verification.sets.price import UnitPrice
 
 SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
@@ -57,7 +57,7 @@ class Case:
         price = UnitPrice(model.shape, Prior(places=24), 50.0)
         price.begin([], heights)
         deadline = -1.0 if late else 1.0
-        self.judge = Judge(model, model.of_rank(8), flat, frame, price, 50.0, deadline, lambda: 0.0)
+        self.judge = Judge(model, model.of_rank(8), model.of_rank(4), flat, frame, price, 50.0, deadline, lambda: 0.0)
         self.judge.content = content
         self.candidates = Candidates.of(*(np.full(24, one) for one in contrasts))
         self.search = Exchange(self.judge, self._explains)

@@ -15,11 +15,13 @@ from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.units import BUDGET_S, UnitTouch
+from eitskin_sim.verification.units import BUDGET_S, UnitTouch, UnitVerifier
+from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.units import (
     REBUILT,
     STILL,
     Material,
+    better_with_material,
     material_shown,
     noise_shown,
     unit_heights,
@@ -30,6 +32,10 @@ from eitskin_tools.verifier.letters import Array, FrameLetter, Setup
 FREE_BUDGET_S: Final = 0.2
 """What a frame of touches anywhere may take, unless told otherwise."""
 
+TRIED: Final = 4
+"""How often a model with other material is tried, for one surface."""
+
+UnitVerdict = Found[UnitTouch]
 Three = tuple[float, float, float]
 
 Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...]]
@@ -103,13 +109,22 @@ class UnitChecker:
         self._before: tuple[UnitTouch, ...] = ()
         self._material: Material = STILL
         self._shown: Material | None = None
-        self._rebuilt = 0
+        self._last: tuple[FrameLetter, UnitVerdict] | None = None
+        self._rebuilt = self._tried = 0
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return the touched units that explain a frame best."""
+        found = self._verified(self._verifier, frame)
+        self._before, self._last = found.touches, (frame, found)
+        may = self._rebuilt < REBUILT and self._tried < TRIED
+        self._shown = material_shown(found, self._material) if may else None
+        verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
+        return verdict, self._touches(found.touches)
+
+    def _verified(self, verifier: UnitVerifier, frame: FrameLetter) -> UnitVerdict:
         shape = self._shape
         heights = unit_heights(frame.map.astype(np.float64), shape.grid)
-        found = self._verifier.verify(
+        return verifier.verify(
             frame.change.astype(np.float64),
             shape.reference_V,
             unit_starts(heights),
@@ -119,10 +134,6 @@ class UnitChecker:
             before=self._before,
             heights=heights,
         )
-        self._before = found.touches
-        self._shown = material_shown(found, self._material) if self._rebuilt < REBUILT else None
-        verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
-        return verdict, self._touches(found.touches)
 
     @property
     def improves(self) -> bool:
@@ -130,10 +141,16 @@ class UnitChecker:
         return self._shown is not None
 
     def improve(self) -> None:
-        """Make the model with it."""
-        self._material, self._shown = self._shown or STILL, None
-        self._rebuilt += 1
-        self._verifier = prepared(self._shape.cloud_mm, self._shape.skin, material=self._material)
+        """Make the model with it, and keep that if it explains the frame better that has shown it."""
+        if self._shown is None or self._last is None:
+            return
+        material, self._shown = self._shown, None
+        self._tried += 1
+        verifier = prepared(self._shape.cloud_mm, self._shape.skin, material=material)
+        frame, before = self._last
+        if better_with_material(self._verified(verifier, frame), before):
+            self._rebuilt += 1
+            self._material, self._verifier = material, verifier
 
     def _touches(self, units: tuple[UnitTouch, ...]) -> tuple[VerifiedTouch, ...]:
         grid = self._shape.grid

@@ -7,7 +7,9 @@ With s = sqrt|c - 1| the set's matrix is A = +-M + s H s, its inverse B, and X =
     d / d log c_u    a_u^T (dA_u / d log c) a_u,            a = s X
 
 so that all units are tried beside a set for one product of matrices, 10 to 30 us each, and pairs of them by K and Z of
-both, for one small solve each.
+both, for one small solve each. With units U of the set taken out as v comes in, and h = B s H_Sv ::
+
+    V + X_U^T B_UU^-1 X_U - Z^T K^-1 Z,    Z + h_U^T B_UU^-1 X_U for Z,    K + h_U^T B_UU^-1 h_U for K
 """
 
 from dataclasses import dataclass
@@ -141,6 +143,24 @@ class Beside:
         own[:, :r, :r], own[:, r:, r:] = self._own[first], self._own[second]
         own[:, :r, r:], own[:, r:, :r] = between, between.transpose(0, 2, 1)
         return self._less(np.concatenate([self._load[first], self._load[second]], axis=1), own)
+
+    def instead(self, taken: Index, number: Index) -> Array:
+        """Return (m, 104) V with one of them touched instead of some units of the set.
+
+        Args:
+            taken: (m, q) places in the set of those that are taken out, q at least 1.
+            number: (m,) of who comes in.
+        """
+        state, r = self.state, self.state.model.rank
+        sets, which = np.unique(taken, axis=0, return_inverse=True)
+        places = (sets[:, :, None] * r + np.arange(r)).reshape(len(sets), -1)
+        gone, x = np.linalg.inv(state._inverse[places[:, :, None], places[:, None, :]]), state._scaled[places]
+        without, held = np.matmul(gone, x), self._held[number[:, None], places[which]]
+        turned = held.transpose(0, 2, 1)
+        own = self._own[number] + np.matmul(turned, np.matmul(gone[which], held))
+        load = self._load[number] + np.matmul(turned, without[which])
+        less = np.matmul(load.transpose(0, 2, 1), np.linalg.solve(own, load))
+        return rows_of((state.drives + np.matmul(x.transpose(0, 2, 1), without))[which] - less)
 
     def _less(self, load: Array, own: Array) -> Array:
         return rows_of(self.state.drives - np.matmul(load.transpose(0, 2, 1), np.linalg.solve(own, load)))

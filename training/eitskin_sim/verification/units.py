@@ -36,6 +36,9 @@ CONTRAST: Final = 50.0
 COARSE: Final = 8
 """Patterns a unit of the model on which units are exchanged: chi-squared of a true set is a quarter higher by it."""
 
+ROUGH: Final = 4
+"""Of the model that only says which units may help."""
+
 BUDGET_S: Final = 0.02
 """What a frame may take."""
 
@@ -75,6 +78,7 @@ class UnitVerifier:
     ) -> None:
         self._model, self._flat, self._doubts, self._level = model, flat_V, doubts, level
         self._coarse = model.of_rank(min(COARSE, model.rank))
+        self._rough = self._coarse.of_rank(min(ROUGH, model.rank))
         self._contrast, self._prior = contrast, prior or Prior(places=model.n_units)
 
     def verify(
@@ -122,7 +126,7 @@ class UnitVerifier:
             else state_of(self._model, *self._start(np.zeros(self._model.n_units)))
         )
         frame = Frame(dv, held, noise, self._doubts, rows, self._signal(first))
-        judge = Judge(self._model, self._coarse, self._flat, frame, price, self._contrast, deadline, clock)
+        judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, deadline, clock)
         search = Search(judge)
         best = search.best_of(first, sets[1:], shown)
         best = search.run(best)

@@ -42,6 +42,9 @@ LEAST: Final = 0.02
 MOST: Final = 0.3
 """No amplitude of a real sheet is larger."""
 
+SPARED: Final = 0.7
+"""A model made anew is kept if it leaves less than this part of a frame's chi-squared, or explains the frame."""
+
 SPREADS: Final = (1e-5, 0.01)
 """Of a row's voltage: what noise a reference is believed to have shown, as in :mod:`eitskin.pipeline.stillness`."""
 
@@ -119,10 +122,10 @@ class Verified:
         heights = unit_heights(image, grid)
         starts = unit_starts(heights)
         verifier, material, setup_ms = self._of(case)
-        before: tuple[UnitTouch, ...] = ()
-        for attempt in range(REBUILT + 1):
+
+        def verify(by: UnitVerifier, before: tuple[UnitTouch, ...] = ()) -> tuple[Verdict[UnitTouch], float]:
             start = time.process_time()
-            verdict = verifier.verify(
+            verdict = by.verify(
                 change,
                 case.flat_reference,
                 starts,
@@ -133,14 +136,20 @@ class Verified:
                 heights=heights,
                 clock=time.process_time,
             )
-            cpu_ms = 1e3 * (time.process_time() - start)
-            found = None if attempt == REBUILT else material_shown(verdict, material)
+            return verdict, 1e3 * (time.process_time() - start)
+
+        verdict, cpu_ms = verify(verifier)
+        for _ in range(REBUILT):
+            found = material_shown(verdict, material)
             if found is None:
                 break
-            before, material = verdict.touches, found
             begin = time.process_time()
-            verifier = prepared(case.sheet.cloud_mm, self._skin, material=material)
+            other = prepared(case.sheet.cloud_mm, self._skin, material=found)
             setup_ms += 1e3 * (time.process_time() - begin)
+            again, again_ms = verify(other, verdict.touches)
+            if not better_with_material(again, verdict):
+                break
+            verdict, cpu_ms, verifier, material = again, again_ms, other, found
             self._keep(case.sheet.cloud_mm.tobytes(), verifier, material)
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, cpu_ms, setup_ms, starts[0]))
         touched = np.zeros(grid.n_units)
@@ -185,6 +194,18 @@ def material_shown(verdict: Verdict[UnitTouch], material: Material) -> Material 
     if all(abs(one.value) <= max(CLEAR * one.error, LEAST) for one in more):
         return None
     return tuple(float(np.clip(old + one.value, -MOST, MOST)) for old, one in zip(material, more, strict=True))
+
+
+def better_with_material(again: Verdict[UnitTouch], before: Verdict[UnitTouch]) -> bool:
+    """Return whether a frame is so much better explained by a model made anew that the model is kept.
+
+    A frame whose touches are not found asks for any material; made of it, the model would spoil the frames after it.
+
+    Args:
+        again: The frame's verdict by the model with the material that it has shown.
+        before: By the model without.
+    """
+    return again.p_value >= again.level or again.chi_squared < SPARED * before.chi_squared
 
 
 def unit_heights(image: npt.NDArray[np.float64], grid: Any) -> npt.NDArray[np.float64]:

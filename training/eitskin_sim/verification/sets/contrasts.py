@@ -8,6 +8,8 @@ import numpy as np
 from eitskin_sim.fem.mesh import Array
 from eitskin_sim.reduced.state import State, state_of
 from eitskin_sim.verification.frame import Frame
+from eitskin_sim.verification.sets.candidates import Free
+from eitskin_sim.verification.sets.judge import Judge
 from eitskin_sim.verification.sets.price import LOG_SD
 
 RANGE: Final = (0.1, 200.0)
@@ -63,6 +65,21 @@ def fitted(
         if late():
             break
     return best
+
+
+def refitted(judge: Judge, state: State, free: Free, steps: int = STEPS) -> State:
+    """Return a set with its contrasts fitted as far as they are free.
+
+    Args:
+        judge: Of sets on the frame.
+        state: The set.
+        free: Which contrasts.
+        steps: Of Gauss and Newton, the most.
+    """
+    if free == "none" or not len(state.units):
+        return state
+    judge.evaluations += steps
+    return fitted(judge.frame, judge.flat, state, common=free == "common", steps=steps, late=judge.late)
 
 
 def within(logs: Array, signs: Array) -> Array:

@@ -22,8 +22,10 @@ import numpy as np
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.flips import Flips
 from eitskin_sim.reduced.state import state_of
+from eitskin_sim.verification.sets.candidates import Bits, Candidates
 from eitskin_sim.verification.sets.judge import Judge
-from eitskin_sim.verification.sets.known import Bits, Candidates, Known
+from eitskin_sim.verification.sets.known import Known
+from eitskin_sim.verification.sets.neighbours import moves_of
 
 DOUBT: Final = 9.2
 """Units that it costs less to differ in are in doubt at first: those of a height from 0.01 to 0.99."""
@@ -49,16 +51,16 @@ FAR: Final = 3
 FEWER: Final = 8
 """Pairs that are modelled where others were taken out."""
 
-LAST: Final = 2
-"""Stage of steps: one flipped, two flipped, others taken out before."""
+LAST: Final = 3
+"""Stage of steps: one flipped, two flipped, moved to a place beside, others taken out before."""
 
 GONE: Final = 10
 """Ways to take out one or two of a set that are looked at, of those after which it explains most."""
 
-LATER: Final = (1.0, 1.5)
-"""A set waits for its second stage, and its third, as if it cost so many times as much: the third takes long."""
+LATER: Final = (1.0, 1.0, 1.5)
+"""A set waits for each further stage as if it cost so many times as much: the last takes long."""
 
-TRIED: Final = 24
+TRIED: Final = 16
 """Other pairs that are modelled, of those that look best."""
 
 INFLATION: Final = 2.0
@@ -86,9 +88,10 @@ class Exchange:
     def __init__(self, judge: Judge, explains: Callable[[Index, Array], bool], almost: float = ALMOST) -> None:
         self._judge, self._explains, self._almost = judge, explains, almost
         self._model, self._frame, self._price = judge.coarse, judge.frame, judge.price
-        row, column = np.divmod(np.arange(self._model.n_units), self._model.shape[1])
         self._of = Candidates(np.zeros(0, dtype=np.intp), np.zeros(0))
-        self._distance = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
+        self._pool: Index = self._of.units
+        self._pooled: Bits = np.zeros(0, dtype=np.bool_)
+        self._distance = judge.distance
 
     def improved(self, starts: Sequence[Bits], candidates: Candidates, most: int | None = None) -> Bits:
         """Return the first set found that explains the frame, or the cheapest until time is up.
@@ -127,9 +130,8 @@ class Exchange:
         self._flips = self._made(self._inside, every[0], self._sizes[0])
         self._idle, rows = 0, []
         for bits in every:
-            self._flips.to(bits[self._pool])
             price = self._price.of_bits(self._touched(bits))
-            chi = float(self._judge.chis(self._flips.volts[None])[0])
+            chi = self._judge.chi(self._judge.state(candidates.units[bits], candidates.contrasts[bits], coarse=True))
             rows.append((chi / INFLATION + price, 0, bits.tobytes(), price))
         self._known = Known(rows)
 
@@ -149,7 +151,7 @@ class Exchange:
                 return False
             cost, stage, bits, price = known.cheapest()
             if (bits & ~self._pooled).any():
-                continue
+                flips = self._flips = self._with(bits)
             count += 1
             self._idle += 1
             if stage < LAST:
@@ -180,7 +182,8 @@ class Exchange:
     def _children(self, flips: Flips, bits: Bits, stage: int) -> Iterator[tuple[float, float, Index]]:
         """Yield chi-squared, the price beside the set's own, and the flipped candidates of the best steps.
 
-        At stage 0 one is flipped, at stage 1 two, and at stage 2 one or two near each other are taken out first.
+        At stage 0 one is flipped, at stage 1 two, at stage 2 units are moved to a place beside, and at stage 3 one or
+        two near each other are taken out first.
         """
         if stage == 0:
             yield from self._ones(flips, bits)
@@ -189,6 +192,9 @@ class Exchange:
             yield from self._twos(flips, bits)
             return
         prices = self._price.flips(self._touched(bits))
+        if stage == 2:
+            yield from moves_of(self._judge, self._of, bits, prices, INFLATION, KEPT)
+            return
         for numbers in self._gone(flips):
             if self._judge.late():
                 return
@@ -254,10 +260,16 @@ class Exchange:
         for at in np.argsort(chi / INFLATION + both)[:KEPT]:
             yield float(chi[at]), float(both[at]), self._pool[[first[at], second[at]]]
 
+    def _with(self, bits: Bits) -> Flips:
+        """Return the pool with some candidates more."""
+        self._pooled = self._pooled | bits
+        self._pool = np.flatnonzero(self._pooled)
+        return Flips(self._model, self._of.units[self._pool], self._of.contrasts[self._pool])
+
     def _made(self, bits: Bits, beside: Bits, size: int) -> Flips:
         """Return a pool of some size with some candidates in it, those most in doubt, and those best beside a set."""
         of = self._of
-        state = state_of(self._model, of.units[beside], of.contrasts[beside])
+        state = state_of(self._judge.rough, of.units[beside], of.contrasts[beside])
         free = np.flatnonzero(~self._touched(beside)[of.units])
         chi = np.empty(len(free))
         for contrast in np.unique(of.contrasts[free]):

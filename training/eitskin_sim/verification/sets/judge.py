@@ -4,6 +4,8 @@ import time
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
+
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import State, state_of
@@ -21,6 +23,7 @@ class Judge:
     Args:
         model: The sheet.
         coarse: The same of a lower rank, where many sets are tried.
+        rough: Of a rank that only says which units may help.
         flat_V: (rows,) V of the flat, untouched one.
         frame: What is to be explained.
         price: Of sets.
@@ -33,6 +36,7 @@ class Judge:
         self,
         model: ReducedModel,
         coarse: ReducedModel,
+        rough: ReducedModel,
         flat_V: Array,
         frame: Frame,
         price: UnitPrice,
@@ -40,11 +44,17 @@ class Judge:
         deadline: float,
         clock: Callable[[], float] = time.perf_counter,
     ) -> None:
-        self.model, self.coarse, self.flat, self.frame = model, coarse, flat_V, frame
+        self.model, self.coarse, self.rough = model, coarse, rough
+        self.flat, self.frame = flat_V, frame
         self.price, self.usual, self._deadline, self._clock = price, usual, deadline, clock
         self.content = least_chi_squared(CONTENT, len(frame.white))
         """Chi-squared below which a set explains the frame."""
+        row, column = np.divmod(np.arange(model.n_units), model.shape[1])
+        self.distance: Index = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
+        """(units, units) how far they lie from each other, along or across."""
+        self.rows_missing = not frame.white.rows.all()
         self.evaluations = 0
+        self._states: dict[tuple[bytes, bytes, bool], State] = {}
 
     def late(self) -> bool:
         """Return whether time is up."""
@@ -52,8 +62,11 @@ class Judge:
 
     def state(self, units: Index, contrasts: Array, *, coarse: bool = False) -> State:
         """Return a set of touched units on the whole model, or on the coarse one."""
-        self.evaluations += 1
-        return state_of(self.coarse if coarse else self.model, units, contrasts)
+        key = units.tobytes(), contrasts.tobytes(), coarse
+        if key not in self._states:
+            self.evaluations += 1
+            self._states[key] = state_of(self.coarse if coarse else self.model, units, contrasts)
+        return self._states[key]
 
     def as_whole(self, state: State) -> State:
         """Return a set on the whole model."""

@@ -1,36 +1,10 @@
-"""What may be in a set, and which sets are known: the cheapest of them, and those to go on from."""
+"""Which sets are known: the cheapest of them, and those to go on from."""
 
-from dataclasses import dataclass
 from heapq import heapify, heappop, heappush
 
 import numpy as np
-import numpy.typing as npt
 
-from eitskin_sim.fem.mesh import Array, Index
-
-Bits = npt.NDArray[np.bool_]
-
-
-@dataclass(frozen=True, slots=True)
-class Candidates:
-    """What may be in a set: units, each at one contrast or at several, of which a set holds at most one."""
-
-    units: Index
-    """(m,)"""
-    contrasts: Array
-    """(m,) none 1."""
-
-    @classmethod
-    def of(cls, *contrasts: Array) -> "Candidates":
-        """Return all units at each of some contrasts, (units,) each."""
-        every = np.arange(len(contrasts[0]))
-        return cls(np.tile(every, len(contrasts)), np.concatenate(contrasts))
-
-    def bits(self, units: Index) -> Bits:
-        """Return (m,) which candidates a set of units is, each at its first contrast."""
-        found = np.zeros(len(self.units), dtype=np.bool_)
-        found[units] = True
-        return found
+from eitskin_sim.verification.sets.candidates import Bits
 
 
 class Known:

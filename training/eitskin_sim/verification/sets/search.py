@@ -5,21 +5,19 @@ What :mod:`eitskin_sim.verification.units` says in words.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.reduced.state import State, state_of
-from eitskin_sim.verification.sets.contrasts import STEPS, estimated, fitted
+from eitskin_sim.verification.sets.candidates import Bits, Candidates, Free, candidates_of, own_contrasts
+from eitskin_sim.verification.sets.contrasts import estimated, refitted
 from eitskin_sim.verification.sets.exchange import Exchange
 from eitskin_sim.verification.sets.judge import Judge
-from eitskin_sim.verification.sets.known import Bits, Candidates
+from eitskin_sim.verification.sets.polish import Polish
 from eitskin_sim.verification.sets.price import OTHERS
 from eitskin_sim.verification.sets.steps import Steps
-
-Free = Literal["none", "common", "each"]
-"""Which contrasts are fitted: none, one for all units, or one for each."""
 
 WORTH: Final[dict[Free, float]] = {"none": 1.0, "common": 1.5, "each": 2.5}
 """By so many times must fitted contrasts explain more than the usual one, to be looked at first."""
@@ -36,7 +34,7 @@ RATHER: Final = 3.0
 LOWERED: Final = 0.7
 """A unit is thought of as lowering conductance where its contrast is estimated below."""
 
-FIRST: Final = 5
+FIRST: Final = 10
 """Sets that the usual contrast is given before others are thought of."""
 
 FREE_ALMOST: Final = 40.0
@@ -50,6 +48,12 @@ NEAR: Final = 6.0
 
 NONE: Final = 0.25
 """A touch whose contrast's logarithm is nearer to 0 is none, where the others explain the frame without it."""
+
+GROWN: Final = 4
+"""Units, at most, of a set that is built from nothing before all else."""
+
+GROWS: Final = 0.5
+"""It grows while a unit leaves less than such a part of chi-squared."""
 
 ROUNDS: Final = 3
 """Contrasts are fitted anew so many times, and units exchanged with them."""
@@ -77,7 +81,7 @@ class Search:
     """
 
     def __init__(self, judge: Judge) -> None:
-        self._judge, self._steps = judge, Steps(judge)
+        self._judge, self._steps, self._polish = judge, Steps(judge), Polish(judge)
         self._found: State | None = None
         self._usual: tuple[Exchange, Candidates, Bits] | None = None
 
@@ -102,24 +106,47 @@ class Search:
 
     def fitted(self, state: State) -> int:
         """Return how many contrasts of a set were fitted: one if all have the same that is not the usual one."""
-        other = state.contrasts[state.contrasts != self._judge.usual]
-        return len(np.unique(other))
+        return own_contrasts(state, self._judge.usual)
 
     def run(self, start: State) -> State:
         """Return the best set that time allows."""
         judge = self._judge
         if self._satisfied(start) or judge.late():
-            return start
+            return self._last(start)
         best = start
+        if self._judge.rows_missing:
+            best = judge.better(best, judge.as_whole(self._grown()))
+            if judge.explained(best):
+                return self._last(best)
         for level, most in self._levels(start):
-            if judge.explained(best) or judge.late():
-                return best
             best = judge.better(best, self._exchanged(level, most))
+            if judge.explained(best) or judge.late():
+                return self._last(best)
         for other in (self._from_nothing, self._refitted):
             if judge.explained(best) or judge.late():
                 break
             best = judge.better(best, other(best))
-        return best
+        return self._last(best)
+
+    def _last(self, best: State) -> State:
+        """Return a set as it is, or where rows are missing the cheapest near it: several explain the frame then."""
+        return self._polish.polished(best) if self._judge.rows_missing else best
+
+    def _grown(self) -> State:
+        """Return a set of a few units on the coarse model that is built from nothing, a unit after the other.
+
+        Of rows that are filled in, a network may show one touch as half a dozen.
+        """
+        judge = self._judge
+        every, state = np.arange(judge.coarse.n_units), judge.state(_NONE, np.zeros(0), coarse=True)
+        while len(state.units) < GROWN and not judge.explained(state):
+            free = np.setdiff1d(every, state.units)
+            chis = judge.chis(state.with_each(free, judge.usual))
+            if chis.min() > GROWS * judge.chi(state):
+                break
+            units = np.append(state.units, free[int(np.argmin(chis))])
+            state = judge.state(units, np.full(len(units), judge.usual), coarse=True)
+        return state
 
     def _satisfied(self, state: State) -> bool:
         """Return whether a set explains the frame, and none of its units is one too many."""
@@ -143,7 +170,7 @@ class Search:
             yield Level(each, "each"), 0
         if judge.chi(usual.start) < SURELY * judge.chi(common):
             yield usual, FIRST
-        others = [Level(self._refit(common, "common", 1), "common"), Level(each, "each")]
+        others = [Level(refitted(judge, common, "common", 1), "common"), Level(each, "each")]
         if mixed:
             others.sort(key=lambda level: judge.chi(level.start) * WORTH[level.free])
         first = judge.chi(usual.start) < UNUSUAL * judge.chi(others[0].start) * WORTH[others[0].free]
@@ -160,25 +187,19 @@ class Search:
             found.append((float(chi.min()), judge.state(unit, np.array([contrast]), coarse=True)))
         least = min(found, key=lambda one: one[0])[1]
         levels = [Level(nothing, "none")]
-        return levels if least.contrasts[0] == judge.usual else [Level(self._refit(least, "common"), "common"), *levels]
-
-    def _refit(self, state: State, free: Free, steps: int = STEPS) -> State:
-        """Return a set with its contrasts fitted."""
-        if free == "none" or not len(state.units):
-            return state
-        judge = self._judge
-        judge.evaluations += steps
-        return fitted(judge.frame, judge.flat, state, common=free == "common", steps=steps, late=judge.late)
+        if least.contrasts[0] != judge.usual:
+            levels.insert(0, Level(refitted(judge, least, "common"), "common"))
+        return levels
 
     def _exchanged(self, level: Level, most: int | None = None) -> State:
         """Return a set of a level, units exchanged for others on the coarse model until they explain it."""
         judge, at, free = self._judge, level.start, level.free
         if free == "none":
             return self._of_usual(level.start, most)
-        at = self._refit(at, free)
+        at = refitted(judge, at, free)
         exchange = Exchange(judge, lambda units, own: self._explains(units, own, free), FREE_ALMOST)
         for number in range(ROUNDS):
-            candidates, start = self._candidates(at, free)
+            candidates, start = candidates_of(at, free, judge.usual)
             starts = [start]
             if not number and free != "each":
                 starts += [candidates.bits(units) for units in judge.price.starts]
@@ -192,7 +213,7 @@ class Search:
                 return self._pruned(self._found, free)
             before = at
             at = judge.state(candidates.units[bits], candidates.contrasts[bits], coarse=True)
-            at = self._refit(at, free)
+            at = refitted(judge, at, free)
             if judge.late() or _same(before, at):
                 break
         return judge.as_whole(at)
@@ -202,7 +223,7 @@ class Search:
         judge = self._judge
         if self._usual is None:
             exchange = Exchange(judge, lambda units, own: self._explains(units, own, "none"))
-            self._usual = exchange, *self._candidates(start, "none")
+            self._usual = exchange, *candidates_of(start, "none", judge.usual)
         exchange, candidates, bits = self._usual
         self._found = None
         starts = [*judge.price.starts, *judge.price.sure]
@@ -211,34 +232,16 @@ class Search:
             return self._pruned(self._found, "none")
         return judge.state(candidates.units[bits], candidates.contrasts[bits])
 
-    def _candidates(self, at: State, free: Free) -> tuple[Candidates, Bits]:
-        """Return what may be in a set of a level, and which of it the level's start is."""
-        n = self._judge.coarse.n_units
-        if free == "none":
-            candidates = Candidates.of(np.full(n, self._judge.usual))
-            return candidates, candidates.bits(at.units)
-        if free == "common":
-            candidates = Candidates.of(np.full(n, at.contrasts[0] if len(at.units) else self._judge.usual))
-            return candidates, candidates.bits(at.units)
-        levels = []
-        for sign, otherwise in zip((1.0, -1.0), (10.0, OTHERS[0]), strict=True):
-            own = at.contrasts[np.sign(np.log(at.contrasts)) == sign]
-            levels.append(np.full(n, np.exp(np.log(own).mean()) if len(own) else otherwise))
-            mine = np.sign(np.log(at.contrasts)) == sign
-            levels[-1][at.units[mine]] = at.contrasts[mine]
-        candidates = Candidates.of(*levels)
-        return candidates, candidates.bits(np.where(at.contrasts > 1.0, at.units, at.units + n))
-
     def _explains(self, units: Index, contrasts: Array, free: Free) -> bool:
         """Return whether a set that the coarse model found explains the frame; it is then kept."""
         judge = self._judge
         if free == "none":
             state = judge.state(units, contrasts)
         else:
-            state = self._refit(judge.state(units, contrasts, coarse=True), free)
+            state = refitted(judge, judge.state(units, contrasts, coarse=True), free)
             if judge.chi(state) > NEARLY * judge.content:
                 return False
-            state = self._refit(judge.as_whole(state), free)
+            state = refitted(judge, judge.as_whole(state), free)
         if not judge.explained(state):
             return False
         self._found = state
@@ -249,13 +252,13 @@ class Search:
         real = np.abs(np.log(state.contrasts)) > NONE
         if not real.all():
             rest = self._judge.state(state.units[real], state.contrasts[real])
-            rest = self._refit(rest, free)
+            rest = refitted(self._judge, rest, free)
             state = rest if self._judge.explained(rest) else state
         while not self._judge.late():
             fewer = self._steps.removed(state, self._judge.chi(state))
             if fewer is None:
                 return state
-            state = self._refit(fewer, free)
+            state = refitted(self._judge, fewer, free)
         return state
 
     def _from_nothing(self, best: State) -> State:
@@ -270,7 +273,7 @@ class Search:
         judge, contrasts = self._judge, (self._judge.usual, *OTHERS)
         found = self._steps.descended(state, contrasts)
         if len(found.units) and not judge.late() and not judge.explained(found):
-            found = judge.better(found, self._refit(found, "each"))
+            found = judge.better(found, refitted(judge, found, "each"))
             found = judge.better(found, self._steps.descended(found, contrasts))
         return found
 
