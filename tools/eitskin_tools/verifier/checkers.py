@@ -15,7 +15,7 @@ from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.units import BUDGET_S, UnitTouch, UnitVerifier
+from eitskin_sim.verification.units import UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.units import (
     REBUILT,
@@ -104,7 +104,7 @@ class UnitChecker:
 
     def __init__(self, setup: Setup) -> None:
         self._shape = _Shape(setup)
-        self._budget_s = setup.budget_s or BUDGET_S
+        self._budget_s = setup.budget_s or None
         self._verifier = prepared(self._shape.cloud_mm, self._shape.skin)
         self._before: tuple[UnitTouch, ...] = ()
         self._material: Material = STILL

@@ -102,6 +102,26 @@ def fit_cloud(cloud_mm: npt.ArrayLike, grid: Grid = PAPER.grid) -> FittedSurface
     return FittedSurface(np.einsum("ic,jr,krc->ijk", to_x, to_y, cloud, optimize=True), grid.size_mm)
 
 
+def noise_tangents(xy_mm: Array, grid: Grid = PAPER.grid) -> tuple[Array, Array]:
+    """Return what a scanner's noise does to the tangents of a fitted surface, exactly: the fit is linear.
+
+    Args:
+        xy_mm: (n, 2) flat points.
+        grid: Of the cloud.
+
+    Returns:
+        (n, m) derivatives by x and by y of m independent ways in which noise of 1 mm moves the surface along any one
+        direction of space, each of one standard deviation.
+    """
+    parts = []
+    for axis, (to, extent) in enumerate(zip(_fitters(grid), grid.size_mm, strict=True)):
+        root = linalg.cholesky(to @ to.T, lower=True)
+        parts.append([_basis(xy_mm[:, axis], extent, len(to), derivative) @ root for derivative in (0, 1)])
+    (x, by_x), (y, by_y) = parts
+    along_x, along_y = (np.einsum("ni,nj->nij", *pair).reshape(len(xy_mm), -1) for pair in ((by_x, y), (x, by_y)))
+    return along_x, along_y
+
+
 def predict(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> Array:
     """Return the (104,) V that the untouched sheet of a cloud reads under 1 A.
 

@@ -3,8 +3,6 @@
 from dataclasses import dataclass
 from typing import Final
 
-import numpy as np
-
 from eitskin_proto.skin.skin import Skin
 
 SCAN_NOISE_MM: Final = 0.1
@@ -28,5 +26,9 @@ class Spreads:
 
 
 def usual(skin: Skin) -> Spreads:
-    """Return what a verifier assumes that is told nothing of the device but its skin."""
-    return Spreads(scan_mm=float(np.mean(skin.may_be_off.scan_noise_mm)) or SCAN_NOISE_MM)
+    """Return what a verifier assumes that is told nothing of the device but its skin.
+
+    Of the scanner that is the least noise that the skin states: a scan that has more shows it by its own points
+    (:mod:`eitskin_sim.verification.scan_noise`).
+    """
+    return Spreads(scan_mm=skin.may_be_off.scan_noise_mm[0] or SCAN_NOISE_MM)

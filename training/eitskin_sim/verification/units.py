@@ -40,9 +40,15 @@ ROUGH: Final = 4
 """Of the model that only says which units may help."""
 
 BUDGET_S: Final = 0.02
-"""What a frame may take."""
+"""What a frame may take, unless told otherwise,"""
 
-SEARCHED: Final = 0.9
+HARD_BUDGET_S: Final = 0.06
+"""and one that shows more than ``FEW`` units, or whose rows are not all there: there is more to try, and each try costs
+more."""
+
+FEW: Final = 6
+
+SEARCHED: Final = 0.85
 """Part of the budget after which nothing new is begun."""
 
 
@@ -89,7 +95,7 @@ class UnitVerifier:
         noise: Noise,
         *,
         rows: Rows | None = None,
-        budget_s: float = BUDGET_S,
+        budget_s: float | None = None,
         before: Sequence[UnitTouch] = (),
         heights: npt.ArrayLike | None = None,
         clock: Callable[[], float] = time.perf_counter,
@@ -102,7 +108,7 @@ class UnitVerifier:
             starts: (units,) truth values each: what a network's map shows, at one threshold or several.
             noise: Of the frame.
             rows: (104,) which rows there are; None is all.
-            budget_s: The search ends after it; 0 only judges the starts.
+            budget_s: The search ends after it; 0 only judges the starts. None is ``BUDGET_S``, or ``HARD_BUDGET_S``.
             before: The last frame's touches, another start.
             heights: (units,) of the network's map, from 0 to 1: how sure it is of each unit; None is not known.
             clock: What the budget is counted by, in seconds; ``time.process_time`` on a machine that is shared.
@@ -111,7 +117,7 @@ class UnitVerifier:
             ValueError: The budget is below 0, or shapes differ.
         """
         begin = time.perf_counter()
-        if not budget_s >= 0.0:
+        if budget_s is not None and not budget_s >= 0.0:
             raise ValueError(f"a budget of {budget_s:g} s; expected 0 or more")
         dv, held = np.asarray(change, dtype=np.float64), np.asarray(reference, dtype=np.float64)
         sets = [self._start(one) for one in starts]
@@ -119,6 +125,9 @@ class UnitVerifier:
         if before:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
         price = UnitPrice(self._model.shape, self._prior, self._contrast)
+        if budget_s is None:
+            missing = rows is not None and not rows.all()
+            budget_s = HARD_BUDGET_S if missing or any(len(units) > FEW for units, _ in sets) else BUDGET_S
         deadline = clock() + SEARCHED * budget_s
         first = (
             state_of(self._model, *sets[0])

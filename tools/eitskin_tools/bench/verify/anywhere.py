@@ -11,7 +11,9 @@ from eitskin_sim.evaluation.harness import Case, Sheet, truth_map
 from eitskin_sim.evaluation.metrics import Score, lost_mm, score
 from eitskin_sim.evaluation.near import NEAR_MM
 from eitskin_sim.measurement.noise import add_noise
+from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_tools.bench.verify.allowed import Allowed
 from eitskin_tools.bench.verify.conditions import Anywhere
 from eitskin_tools.bench.verify.truth import SEED, cloud_of, device_of, volts
 from eitskin_tools.bench.verify.units import counted
@@ -28,11 +30,13 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
     network = named(Request("vd2t"), "area", touches=kind).run
     verified = VerifiedFree(network, Noise(condition.noise), kind, PAPER, follow=condition.follow)
     found, scores = [], []
+    allowed = Allowed(Noise(condition.noise), usual_of(kind, PAPER))
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]
         device = device_of(condition.mismatch, number)
         flat = volts(device.reference())
         sheet = Sheet(cloud_of(device, own[0].scene.bend, number), np.full(len(flat), np.nan))
+        allowed.deform(sheet.cloud_mm)
         rng = np.random.default_rng([SEED, number, 2])
         for phantom in own:
             scene = device.scene(phantom.scene, as_it_is=kind != "raising")
@@ -42,7 +46,8 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
             alone, checked = (score(solve(case), truth, labels="area") for solve in (network.solver, verified.solve))
             found.append((told(alone), told(checked), verified.checked[-1]))
             scores.append((alone, checked))
-    return {"what": condition.name, **_figures(scores), **counted(found)}
+            allowed.add(scene)
+    return {"what": condition.name, **_figures(scores), **allowed.figures(), **counted(found)}
 
 
 def told(one: Score) -> bool:

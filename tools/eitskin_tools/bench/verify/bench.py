@@ -28,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--deformations", type=int, default=6, metavar="N", help="of family A (default 6)")
     parser.add_argument("--each", type=int, default=4, metavar="N", help="touch sets at each of them (default 4)")
     parser.add_argument(
-        "--budget-ms", type=float, default=20.0, metavar="T", help="for each frame of touched units (default 20)"
+        "--budget-ms", type=float, metavar="T", help="for each frame of touched units (default: the verifier's own)"
     )
     parser.add_argument(
         "--only", action="append", metavar="ROW", help="rows whose name has this in it; may be given again"
@@ -47,7 +47,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     one_blas_thread()
-    if arguments.deformations < 1 or arguments.each < 1 or arguments.sets < 0 or not arguments.budget_ms >= 0.0:
+    if (
+        arguments.deformations < 1
+        or arguments.each < 1
+        or arguments.sets < 0
+        or not (arguments.budget_ms or 0.0) >= 0.0
+    ):
         raise UsageError("--deformations and --each must be at least 1, --sets and --budget-ms at least 0")
     if arguments.plot is not None:
         files.writable(arguments.plot)
@@ -91,9 +96,10 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
     units: list[Row] = []
     anywhere: list[Row] = []
     measured: Units | None = None
+    budget_s = None if arguments.budget_ms is None else 1e-3 * arguments.budget_ms
     for condition in unit_conditions():
         if condition.name in chosen:
-            measured = measured or Units(arguments.deformations, arguments.each, 1e-3 * arguments.budget_ms)
+            measured = measured or Units(arguments.deformations, arguments.each, budget_s)
             start = time.process_time()
             units.append(measured.row(condition))
             _say(units_line(units[-1]), start)

@@ -31,10 +31,10 @@ class Units:
     Args:
         deformations: How many of family A.
         each: Touch sets at each of them.
-        budget_s: The verifier's, for each frame.
+        budget_s: The verifier's, for each frame; None is its own.
     """
 
-    def __init__(self, deformations: int, each: int, budget_s: float) -> None:
+    def __init__(self, deformations: int, each: int, budget_s: float | None) -> None:
         self._bends = trials.deformations_of(deformations, "A")
         self._each, self._budget_s = each, budget_s
         self._network = named(Request("vd2t"), "units").run

@@ -24,7 +24,7 @@ from eitskin_sim.scene.parts import Phantom
 from eitskin_sim.verification.material import MATERIAL
 from eitskin_sim.verification.prepared import prepared
 from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.units import BUDGET_S, UnitTouch, UnitVerifier
+from eitskin_sim.verification.units import UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Fitted, Verdict
 
 THRESHOLDS: Final = (0.5, 0.25, 0.75)
@@ -81,7 +81,7 @@ class Verified:
         network: The network's run.
         noise: What the instrument's noise is.
         skin: Whose models.
-        budget_s: What a frame may take.
+        budget_s: What a frame may take; None is what the verifier gives it.
         missing: Electrodes that are gone: their rows are not looked at, and filled in for the network.
         filler: Fills them in.
         made: Verifiers of one device's shapes, kept from one run to another; None keeps that of the last shape.
@@ -92,7 +92,7 @@ class Verified:
         network: Run,
         noise: Noise,
         skin: Skin,
-        budget_s: float = BUDGET_S,
+        budget_s: float | None = None,
         missing: tuple[int, ...] = (),
         filler: Filler | None = None,
         made: Made | None = None,

@@ -2,7 +2,8 @@
 
 dV is against the flat reference, as the runtime's: V over the model's own flat sheet on the same mesh, less 1, so that
 the mesh's error and the current drop out. Where a frame says that the sheet is stretched otherwise than the scan shows,
-by more than a derivative is good for, the model is made again about that: :meth:`Model.about`.
+or conducts otherwise where it is stretched, by more than a derivative is good for, the model is made again about that:
+:meth:`Model.about`.
 """
 
 from dataclasses import dataclass, replace
@@ -13,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.device import ideal
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import inverted_metric
@@ -55,7 +57,7 @@ class Model:
     skin: Skin
     size_mm: float
     held: Array
-    """(k,) amplitudes of the first columns that the metric has already."""
+    """(k,) amplitudes of the first columns, waves and layer, that the model has already."""
 
     @property
     def untouched(self) -> Array:
@@ -77,9 +79,9 @@ class Model:
         return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=FLOOR)
 
     def expected(self, ratio: Array) -> Array:
-        """Return (104,) dV that is expected of a frame beside the touches: the waves that the metric has are unlikely.
+        """Return (104,) dV that is expected of a frame beside the touches: what the model has is unlikely.
 
-        What the metric has already was believed of one frame; before any it is none.
+        What the model has already was believed of one frame; before any it is none.
 
         Args:
             ratio: (104,) of the frame's voltages over the untouched sheet's.
@@ -91,16 +93,22 @@ class Model:
         """Return (104,) a frame's voltages over the untouched sheet's, within bounds."""
         return np.clip(np.abs((1.0 + change) / (1.0 + self.untouched)), *RATIO)
 
-    def beyond(self, amplitudes: Array) -> Array:
-        """Return (w,) the waves that amplitudes of all columns say, less those that the metric has."""
+    def beyond(self, amplitudes: Array) -> tuple[Array, float]:
+        """Return (w,) the waves that amplitudes of all columns say, less those that the model has; and so its gauge."""
         own = amplitudes[: len(self.held)] - self.held
-        return np.asarray(self.unseen.mixed @ own)
+        return np.asarray(self.unseen.mixed @ own[: self.unseen.n_waves]), self._gauge(own)
 
     def about(self, amplitudes: Array) -> "Model":
-        """Return the model of the sheet with the waves of some amplitudes of all columns."""
-        held = amplitudes[: len(self.held)]
-        moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held)
-        return _model(moved, self.surface, self.spreads, self.skin, self.size_mm, held)
+        """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns."""
+        held, waves = np.zeros(len(self.held)), self.unseen.n_waves
+        for kept in (slice(waves), waves + self.unseen.names.index("gauge")):
+            held[kept] = amplitudes[kept]
+        moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held[:waves])
+        return _model(moved, self.surface, self.spreads, self.skin, self.size_mm, held, self._gauge(held))
+
+    def _gauge(self, held: Array) -> float:
+        """Return the gauge factor of amplitudes of the first columns."""
+        return float(self.spreads.gauge * held[self.unseen.n_waves + self.unseen.names.index("gauge")])
 
 
 def model_of_cloud(
@@ -120,13 +128,22 @@ def model_of_cloud(
     surface, known = fit_cloud(cloud_mm, skin.grid), spreads or usual(skin)
     if known.scan_mm:
         known = replace(known, scan_mm=max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)))
-    return _model(surface.metric, surface, known, skin, size_mm, None)
+    return _model(surface.metric, surface, known, skin, size_mm)
 
 
 def _model(
-    metric: Metric, surface: FittedSurface, spreads: Spreads, skin: Skin, size_mm: float, held: Array | None
+    metric: Metric,
+    surface: FittedSurface,
+    spreads: Spreads,
+    skin: Skin,
+    size_mm: float,
+    held: Array | None = None,
+    gauge: float = 0.0,
 ) -> Model:
-    sheet = TouchedSheet(inverted_metric(metric, size_mm, skin=skin), shared_mesh(size_mm, None, skin))
-    found = unseen(sheet, metric, surface, spreads, skin)
-    own = np.zeros(found.mixed.shape[1]) if held is None else held
+    stated = ideal(skin)
+    gauge += stated.sheet.gauge_factor
+    device = replace(stated, sheet=replace(stated.sheet, gauge_factor=gauge))
+    sheet = TouchedSheet(inverted_metric(metric, size_mm, None, device, skin), shared_mesh(size_mm, None, skin))
+    found = unseen(sheet, metric, surface, spreads, skin, gauge)
+    own = np.zeros(found.n_waves + len(found.names)) if held is None else held
     return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), spreads, skin, size_mm, own)

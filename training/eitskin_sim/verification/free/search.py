@@ -27,7 +27,7 @@ from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
-from eitskin_sim.verification.free.improve import confirmed, fewer, fitted, moved, usually
+from eitskin_sim.verification.free.improve import confirmed, fewer, fitted, moved, parted, usually
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.starts import followed, presses_of, starts_of
@@ -39,6 +39,9 @@ from eitskin_sim.verification.verdict import Verdict
 
 TRUSTED: Final = 0.02
 """Stretch up to which a derivative is good enough."""
+
+TRUSTED_GAUGE: Final = 0.2
+"""Gauge factor up to which it is."""
 
 ANEW: Final = 4
 """Times that a deformation's model is made again, at most."""
@@ -152,7 +155,7 @@ class FreeVerifier:
                 break
             frame, fit = self._settled(frame, better, effort)
             trail.append(name)
-        fit = usually(frame, fit, effort)
+        fit = usually(frame, parted(frame, fit, effort), effort)
         if trail:
             fit = fewer(frame, fit, effort)
         fit, confirmed_all = confirmed(frame, fit, shares, effort)
@@ -210,7 +213,9 @@ class FreeVerifier:
             model = frame.model
             residual = frame.change - frame.expected - model.solve(fit.pieces)[1]
             amplitudes, _ = frame.white.amplitudes(residual)
-            if np.abs(model.beyond(amplitudes)).max(initial=0.0) < TRUSTED or not _likely(amplitudes, model):
+            waves, gauge = model.beyond(amplitudes)
+            near = np.abs(waves).max(initial=0.0) < TRUSTED and abs(gauge) < TRUSTED_GAUGE
+            if near or not _likely(amplitudes, model):
                 break
             before = self.setup_s
             self._make(partial(model.about, amplitudes))

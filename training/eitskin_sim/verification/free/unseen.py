@@ -10,7 +10,7 @@ X of the untouched sheet every such change answers as
 so the three powers of every element are made once, and a change costs one small product. ::
 
     stretch     the material lies elsewhere under the scan's points: waves along x and y, none across the border
-    scan        random noise of the scanner, through the same fit
+    scan        random noise of the scanner, through the same fit, which is linear: all of it
     drift, tilt x, tilt y, gauge       of the conductivity, as in eitskin_sim.verification.nuisance
 """
 
@@ -25,17 +25,14 @@ from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
-from eitskin_sim.surface.predict import FittedSurface, fit_cloud
+from eitskin_sim.surface.predict import FittedSurface, noise_tangents
 from eitskin_sim.unit_grid.units import to_voltages
 from eitskin_sim.verification.free.usual_waves import usual_waves
 from eitskin_sim.verification.free.waves import Waves, waves_of
 from eitskin_sim.verification.spreads import Spreads
 
-DRAWS: Final = 24
-"""Scans whose noise is looked at: its columns are as many."""
-
-SEED: Final = 44_113
-"""Of their noise."""
+LEAST: Final = 0.01
+"""Ways in which a scan's noise changes voltages by less, of the strongest, are none."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +48,11 @@ class Unseen:
     """(w, k) amplitudes of the waves by the first k columns."""
     by_log_sigma: Array
     """(n_elements, 104) V by log conductivity of each element, untouched."""
+
+    @property
+    def n_waves(self) -> int:
+        """Return how many columns are waves; those of the layer follow, by ``names``."""
+        return int(self.mixed.shape[1])
 
 
 def powers(touched: TouchedSheet) -> Array:
@@ -75,6 +77,7 @@ def unseen(
     surface: FittedSurface | None,
     spreads: Spreads,
     skin: Skin = PAPER,
+    gauge: float = 0.0,
 ) -> Unseen:
     """Return what may differ on a deformation.
 
@@ -84,6 +87,7 @@ def unseen(
         surface: The fitted one, for what noise does to it; None for a metric that no scan gave.
         spreads: How much may differ.
         skin: Whose sheet.
+        gauge: k of its model, where conductivity goes by (area stretch)^-k: it follows what changes the stretch.
     """
     sheet = touched.sheet
     mesh = sheet.system.mesh
@@ -97,7 +101,8 @@ def unseen(
 
     def answer(dE: Array, dF: Array, dG: Array) -> Array:
         """Return (104, m) V for changes (e, m) of the metric."""
-        shrink = -(dE * G[:, None] + E[:, None] * dG - 2.0 * F[:, None] * dF) / (E * G - F**2)[:, None]
+        stretch = (dE * G[:, None] + E[:, None] * dG - 2.0 * F[:, None] * dF) / (E * G - F**2)[:, None]
+        shrink = -(1.0 + gauge / 2.0) * stretch
         parts = (
             scale[:, None] * ratio[:, None] * dG + tensor[0][:, None] * shrink,
             -scale[:, None] * dF + tensor[1][:, None] * shrink,
@@ -120,18 +125,23 @@ def unseen(
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
     parts = [stretch, layer]
     if surface is not None and spreads.scan_mm > 0.0:
-        parts.append(answer(*_scans(surface, at, spreads.scan_mm, skin)))
+        parts.append(_strongest(answer(*_scans(surface, at, spreads.scan_mm, skin))))
     return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
 
 
 def _scans(surface: FittedSurface, at: Array, noise_mm: float, skin: Skin) -> tuple[Array, Array, Array]:
-    """Return (e, draws) changes of E, F and G by a scanner's noise, over the root of their number."""
-    rng = np.random.default_rng(SEED)
+    """Return (e, m) changes of E, F and G by a scanner's noise, each of one standard deviation."""
     by_x, by_y = surface.tangents(at)
-    found = []
-    for _ in range(DRAWS):
-        noise = noise_mm * rng.standard_normal((3, *skin.grid.shape))
-        dx, dy = fit_cloud(noise, skin.grid).tangents(at)
-        found.append([2.0 * np.sum(by_x * dx, 1), np.sum(by_x * dy + by_y * dx, 1), 2.0 * np.sum(by_y * dy, 1)])
-    dE, dF, dG = np.moveaxis(np.array(found), 0, -1) / np.sqrt(DRAWS)
-    return dE, dF, dG
+    dx, dy = noise_tangents(at, skin.grid)
+
+    def along(tangents: Array, changes: Array) -> Array:
+        return noise_mm * (tangents[:, :, None] * changes[:, None, :]).reshape(len(at), -1)
+
+    return 2.0 * along(by_x, dx), along(by_x, dy) + along(by_y, dx), 2.0 * along(by_y, dy)
+
+
+def _strongest(columns: Array) -> Array:
+    """Return (104, m) columns of nearly the same covariance, as few as do."""
+    left, size, _ = np.linalg.svd(columns, full_matrices=False)
+    kept = int(np.sum(size > LEAST * size[0]))
+    return np.asarray(left[:, :kept] * size[:kept])
