@@ -16,8 +16,10 @@ from eitskin_sim.reduced.model import reduced, rows_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.verification import units
 from eitskin_sim.verification.prior import Prior
 from eitskin_sim.verification.residual import Noise
+from eitskin_sim.verification.sets.judge import Judge
 from eitskin_sim.verification.sets.price import BESIDE, UnitPrice
 from eitskin_sim.verification.units import UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Verdict
@@ -120,6 +122,25 @@ def test_with_no_time_a_wrong_start_is_judged_and_flagged(
         verifier.verify(change, flat, [bits([9])], Noise(), budget_s=-1.0)
     with pytest.raises(ValueError, match="truth values"):
         verifier.verify(change, flat, [np.zeros(5)], Noise())
+
+
+def test_many_units_and_missing_rows_have_more_time(
+    exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = []
+
+    class Seen(Judge):
+        def __init__(self, *given: object) -> None:
+            found.append(given[-2])
+            super().__init__(*given)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(units, "Judge", Seen)
+    change = frame(exact, flat, {9: 50.0}, "N2")
+    gone = ~rows_of_electrodes((3,))
+    for start, rows in (([9], None), ([9], gone), (list(range(7)), None), (list(range(6)), np.ones(104, dtype=bool))):
+        verifier.verify(change, flat, [bits(start)], Noise(), rows=rows, clock=lambda: 0.0)
+    few, hard = (units.SEARCHED * one for one in (units.BUDGET_S, units.HARD_BUDGET_S))
+    assert found == [few, hard, hard, few]
 
 
 def test_more_time_is_never_a_worse_answer(exact: ExactSheet, flat: np.ndarray, verifier: UnitVerifier) -> None:

@@ -1,5 +1,6 @@
 """``bench verify``: its rows and tables, the touches that it draws, and the picture of p."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +9,11 @@ import pytest
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.parts import Scene, Touch
+from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
+from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.residual import Noise
+from eitskin_tools.bench.verify.allowed import Allowed, pieces_of_touches
 from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
 from eitskin_tools.bench.verify.matched import LEVELS, of_rows
 from eitskin_tools.bench.verify.moving import STEP_MM, sliding
@@ -23,7 +29,8 @@ UNITS = {"what": "1 to 6 units, N2", "network_exact": 0.7, "exact": 0.8, **COUNT
 ANYWHERE = {
     "what": "pairs", "network_right": 0.5, "network_cc": 0.98, "network_cc_worst": 0.9,
     "network_localisation_median_mm": None, "network_localisation_rms_mm": None, "right": 0.8, "cc": 0.991,
-    "cc_worst": 0.9, "localisation_median_mm": 0.2, "localisation_rms_mm": 0.25, **COUNTED,
+    "cc_worst": 0.9, "localisation_median_mm": 0.2, "localisation_rms_mm": 0.25, "allowed_median_mm": 0.15,
+    "allowed_rms_mm": 0.3, "known_median_mm": None, "known_rms_mm": None, **COUNTED,
 }  # fmt: skip
 STATED = {"what": "p, matched model, N2", "stated": 0.01, "found": 0.012, "error": 0.002}
 
@@ -35,7 +42,7 @@ def test_a_table_has_a_line_for_every_row_and_as_many_cells_as_its_head() -> Non
         cells = {line.count("|") for line in table.splitlines()}
         assert len(cells) == 1, table
     assert "| 1 to 6 units, N2 | 10 | 70 % | 80 % | 1 of 2 | 3 of 8 | 100 | 2.0 / 19.0 |" in first
-    assert "| pairs | 10 | 0.980, - | 0.991 / 0.900 | 0.20 / 0.25 | 80 % | 1 of 2 | 3 of 8 |" in second
+    assert "| pairs | 10 | 0.980, - | 0.991 / 0.900 | 0.20 / 0.25 | 0.15 / 0.30 | - / - | 80 % | 1 of 2 |" in second
     assert tables([], [], [], []) == ""
 
 
@@ -74,6 +81,30 @@ def test_touches_that_slide_stay_on_the_sheet_and_move_by_as_much_each_frame() -
     assert steps.max() < STEP_MM + 1e-9
     follow = [one.follow for one in anywhere_conditions() if "tracked" in one.name]
     assert follow == [True, False, True, False]
+
+
+def test_what_data_allow_is_more_with_noise_and_less_for_a_known_sheet_and_nothing_of_an_l() -> None:
+    touch = Touch((Rect(40.0, 40.0, 50.0, 50.0),))
+    found = {}
+    for law in ("N2", "N3"):
+        allowed = Allowed(Noise(law), usual_of("raising", PAPER))
+        allowed.deform(PAPER.grid.flat_cloud_mm())
+        allowed.add(Scene(touches=(touch,)))
+        found[law] = allowed.figures()
+    for row in found.values():
+        assert 0.0 < row["known_rms_mm"] < row["allowed_rms_mm"] < 5.0
+        assert row["allowed_median_mm"] < row["allowed_rms_mm"]
+    assert found["N2"]["known_rms_mm"] < found["N3"]["known_rms_mm"]
+    allowed.add(Scene(touches=(replace(touch, shapes=(*touch.shapes, Rect(50.0, 40.0, 60.0, 45.0))),)))
+    assert set(allowed.figures().values()) == {None}
+
+
+def test_touches_become_the_pieces_that_are_verified() -> None:
+    touches = [Touch((Rect(40.0, 20.0, 50.0, 26.0),), contrast=0.4), Touch((Disc(80.0, 50.0, 8.0),), border_mm=4.0)]
+    found = pieces_of_touches(touches, 2.0)
+    assert found.tolist() == [[0, 45, 23, 10, 6, 0, 0.4, 0], [2, 80, 50, 16, 16, 0, 25.0, 4.0]]
+    with pytest.raises(ValueError, match="Ellipse: expected rectangles and discs"):
+        pieces_of_touches([Touch((Ellipse(80.0, 50.0, 16.0, 9.0, 20.0),))], 1.0)
 
 
 def test_the_picture_of_p_is_drawn(tmp_path: Path) -> None:

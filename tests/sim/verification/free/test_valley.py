@@ -11,7 +11,9 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
+from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.model import ELEMENT_MM, Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.search import ANEW, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.usual import usual_of
@@ -83,3 +85,22 @@ def test_touches_of_another_contrast_read_alike(model: Model) -> None:
     assert areas_mm2(wide) * (1.0 / 3.0) == pytest.approx(areas_mm2(small) * (49.0 / 51.0))
     one, other = model.solve(small)[1], model.solve(wide)[1]
     assert np.abs(one - other).max() < 0.2 * np.abs(one).max()
+
+
+def test_two_touches_near_each_other_are_not_one_long_weak_one(model: Model) -> None:
+    """A rectangle over both, at a contrast of 2, explains the frame nearly as well; two usual touches do better."""
+    true = np.array([[0, 58.0, 50.0, 10.0, 10.0, 0.0, 60.0, 0.0], [0, 78.0, 50.0, 10.0, 10.0, 0.0, 60.0, 0.0]])
+    usual = usual_of("raising", PAPER)
+    change = model.solve(true)[1] + 3e-3 * np.random.default_rng(4).standard_normal(104)
+    white = model.whitener(change, model.flat_V, Noise("N2", 50.0))
+    frame = Frame(model, white, change, usual, model.expected(model.ratio(change)), 1)
+    one = np.array([[0, 68.0, 50.0, 32.0, 14.0, 0.0, 2.2, 0.0]])
+    start = refine(frame, frame.at(one))
+    found = parted(frame, start, Effort(100.0))
+    assert found.cost < start.cost
+    assert len(found.pieces) == 2
+    assert np.sort(found.pieces[:, 1]) == pytest.approx(true[:, 1], abs=1.5)
+    short = frame.at(np.array([[0, 68.0, 50.0, 15.0, 14.0, 0.0, 2.2, 0.0]]))
+    hard = frame.at(np.array([[0, 68.0, 50.0, 32.0, 14.0, 0.0, 40.0, 0.0]]))
+    for fit in (short, hard, frame.at(np.zeros((0, 8)))):
+        assert parted(frame, fit, Effort(100.0)) is fit

@@ -1,0 +1,116 @@
+"""The model of a scan: all of its noise, a gauge factor that goes with stretch, and models made again about a frame."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
+from eitskin_sim.devices.device import ideal
+from eitskin_sim.freeform.sheet import inverted_metric
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud, noise_tangents
+from eitskin_sim.verification.free.model import Model, model_of_cloud
+from eitskin_sim.verification.spreads import Spreads, usual
+
+GAUGE = Spreads(scan_mm=0.0).gauge
+BEND = Bend(angle_deg=100.0, axis_deg=20.0, twist_deg=10.0, stretch_along=1.15)
+
+
+@pytest.fixture(scope="module")
+def cloud() -> Array:
+    return np.asarray(measured_cloud(BEND, np.random.default_rng(5), 0.1))
+
+
+@pytest.fixture(scope="module")
+def model(cloud: Array) -> Model:
+    return model_of_cloud(cloud, spreads=Spreads(scan_mm=0.1))
+
+
+def amplitudes(model: Model, gauge: float = 0.0, wave: tuple[int, float] | None = None) -> Array:
+    """Return amplitudes of all columns that say a gauge factor, and one of the waves."""
+    found = np.zeros(model.unseen.columns.shape[1])
+    found[model.unseen.n_waves + model.unseen.names.index("gauge")] = gauge / model.spreads.gauge
+    if wave is not None:
+        found[wave[0]] = wave[1]
+    return found
+
+
+def test_noise_bends_the_fitted_surface_as_the_fits_of_every_point_say() -> None:
+    """Noise of one point at a time, through the fit itself, adds up to the same covariance."""
+    at = np.array([[3.0, 4.0], [75.0, 50.0], [140.0, 90.0], [20.0, 80.0]])
+    rows, columns = PAPER.grid.shape
+    by_x, by_y = [], []
+    for point in range(rows * columns):
+        cloud = np.zeros((3, rows * columns))
+        cloud[0, point] = 1.0
+        x, y = fit_cloud(cloud.reshape(3, rows, columns), PAPER.grid).tangents(at)
+        by_x.append(x[:, 0])
+        by_y.append(y[:, 0])
+    dx, dy = np.array(by_x), np.array(by_y)
+    along_x, along_y = noise_tangents(at)
+    assert along_x @ along_x.T == pytest.approx(dx.T @ dx, rel=1e-6, abs=1e-12)
+    assert along_y @ along_y.T == pytest.approx(dy.T @ dy, rel=1e-6, abs=1e-12)
+    assert along_x @ along_y.T == pytest.approx(dx.T @ dy, rel=1e-6, abs=1e-12)
+
+
+def test_the_scans_columns_are_the_covariance_of_models_of_noisy_scans(cloud: Array, model: Model) -> None:
+    """Twice as much noise, twice the columns; and scans drawn with it scatter as they say, in voltages."""
+    known = len(model.unseen.names) + model.unseen.n_waves
+    columns = model.unseen.columns[:, known:] / model.touched.untouched_V[:, None]
+    wider = model_of_cloud(cloud, spreads=Spreads(scan_mm=0.2))
+    twice = wider.unseen.columns[:, known:] / model.touched.untouched_V[:, None]
+    assert twice @ twice.T == pytest.approx(4.0 * columns @ columns.T, rel=1e-3, abs=1e-9)
+    rng = np.random.default_rng(8)
+    drawn = []
+    for _ in range(24):
+        noisy = cloud + 0.02 * rng.standard_normal(cloud.shape)
+        volts = inverted_metric(fit_cloud(noisy).metric, model.size_mm).untouched_V
+        drawn.append(5.0 * np.log(volts / model.touched.untouched_V))
+    stated = np.sqrt(np.square(columns).sum(axis=1))
+    found = np.sqrt(np.mean(np.square(drawn), axis=0))
+    assert np.median(found / stated) == pytest.approx(1.0, abs=0.15)
+
+
+def test_a_model_made_again_about_a_gauge_factor_is_that_of_such_a_sheet(model: Model) -> None:
+    again = model.about(amplitudes(model, gauge=1.0))
+    stated = ideal(PAPER)
+    device = replace(stated, sheet=replace(stated.sheet, gauge_factor=1.0))
+    true = inverted_metric(model.surface.metric, model.size_mm, None, device)
+    assert again.touched.untouched_V == pytest.approx(
+        true.untouched_V, rel=2e-5
+    )  # a metric that is moved by nothing is a spline still
+    assert np.abs(np.log(true.untouched_V / model.touched.untouched_V)).max() > 0.02
+    waves, gauge = again.beyond(amplitudes(model, gauge=1.2))
+    assert np.abs(waves).max() < 1e-12
+    assert gauge == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize("gauge", [0.0, 1.0])
+@pytest.mark.parametrize("wave", [0, 4])
+def test_waves_answer_as_a_sheet_with_them_does_whatever_the_gauge_factor(
+    model: Model, gauge: float, wave: int
+) -> None:
+    """A quotient of two models: with a gauge factor, conductivity follows the stretch that a wave brings."""
+    step = 0.02
+    high, low = (model.about(amplitudes(model, gauge, (wave, sign * step))) for sign in (1.0, -1.0))
+    quotient = (high.touched.untouched_V - low.touched.untouched_V) / (2.0 * step)
+    column = model.about(amplitudes(model, gauge)).unseen.columns[:, wave]
+    assert np.linalg.norm(column - quotient) < 0.02 * np.linalg.norm(quotient)
+
+
+def test_what_a_model_has_is_as_unlikely_as_it_was(model: Model) -> None:
+    again = model.about(amplitudes(model, gauge=1.0))
+    expected = again.expected(np.ones(104))
+    column = again.unseen.columns[:, model.unseen.n_waves + model.unseen.names.index("gauge")] / again.flat_V
+    assert expected == pytest.approx(-column * 1.0 / GAUGE, rel=1e-9, abs=1e-12)
+
+
+def test_of_a_scanner_the_least_noise_is_believed_that_a_skin_states() -> None:
+    lab = named("lab")
+    assert lab.may_be_off.scan_noise_mm[0] < lab.may_be_off.scan_noise_mm[1]
+    assert usual(lab).scan_mm == lab.may_be_off.scan_noise_mm[0]
+    assert usual(replace(lab, may_be_off=replace(lab.may_be_off, scan_noise_mm=(0.0, 0.0)))).scan_mm == 0.1
