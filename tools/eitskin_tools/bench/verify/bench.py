@@ -76,9 +76,10 @@ def _chosen(only: list[str] | None) -> set[str]:
         UsageError: There is none.
     """
     from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
+    from eitskin_tools.bench.verify.slab import SHEETS
 
     units, anywhere = unit_conditions(), anywhere_conditions()
-    known = [*(one.name for one in units), *(one.name for one in anywhere), CALIBRATION]
+    known = [*(one.name for one in units), *SHEETS, *(one.name for one in anywhere), CALIBRATION]
     found = {name for name in known if not only or any(text in name for text in only)}
     if not found:
         texts = " ".join(repr(text) for text in only or ())
@@ -91,6 +92,7 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
     from eitskin_tools.bench.verify.anywhere import row
     from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
     from eitskin_tools.bench.verify.printed import anywhere_line, units_line
+    from eitskin_tools.bench.verify.slab import SHEETS
     from eitskin_tools.bench.verify.units import Units
 
     units: list[Row] = []
@@ -102,6 +104,12 @@ def _rows(arguments: argparse.Namespace, chosen: set[str]) -> tuple[list[Row], l
             measured = measured or Units(arguments.deformations, arguments.each, budget_s)
             start = time.process_time()
             units.append(measured.row(condition))
+            _say(units_line(units[-1]), start)
+    for name in SHEETS:
+        if name in chosen:
+            measured = measured or Units(arguments.deformations, arguments.each, budget_s)
+            start = time.process_time()
+            units.append(measured.on_slab(name))
             _say(units_line(units[-1]), start)
     for place in anywhere_conditions():
         if place.name in chosen:

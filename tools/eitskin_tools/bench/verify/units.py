@@ -17,6 +17,7 @@ from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.verification.residual import Noise
+from eitskin_tools.bench.verify import slab
 from eitskin_tools.bench.verify.conditions import Condition
 from eitskin_tools.bench.verify.truth import SEED, Array, cloud_of, device_of, volts
 from eitskin_tools.evaluation.solvers import Request, bundle_for, named
@@ -70,6 +71,18 @@ class Units:
                 alone = set(np.flatnonzero(checked.network).tolist()) == set(units)
                 found.append((alone, right, checked))
         return {"what": condition.name, **figures(found), **counted(found)}
+
+    def on_slab(self, name: str) -> Row:
+        """Return the figures of touched units on a solid slab."""
+        found, made = [], dict[bytes, Any]()
+        for volts_V, flat_V, cloud_mm, units, law in slab.frames(name):
+            sheet = Sheet(cloud_mm, np.full(len(flat_V), np.nan))
+            verified = self._verified(Condition(name, noise=law), (), made)
+            verified.solve(Case(volts_V, flat_V, flat_V, sheet, "units"))
+            checked = verified.checked[-1]
+            right = {one.unit for one in checked.verdict.touches} == set(units)
+            found.append((set(np.flatnonzero(checked.network).tolist()) == set(units), right, checked))
+        return {"what": name, **figures(found), **counted(found)}
 
     def _verified(self, condition: Condition, missing: tuple[int, ...], made: Made) -> Verified:
         noise = Noise(condition.noise)

@@ -148,6 +148,7 @@ class FreeVerifier:
         rectangles = starts_of(shares, self._skin.grid)
         self._shown = max(len(rectangles), 0 if last is None else len(last))
         frame, fit = self._start(self._frame(change), rectangles, last, effort)
+        frame, fit = self._settled(frame, parted(frame, fit, effort), effort)
         trail: list[str] = []
         while not effort.searched() and not _explained(fit):
             name, better = moved(frame, fit, effort)
