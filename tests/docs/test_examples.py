@@ -24,7 +24,7 @@ from .markdown import ROOT
 
 EXAMPLES = ROOT / "docs/examples"
 
-pytestmark = pytest.mark.process
+pytestmark = [pytest.mark.slow, pytest.mark.process]
 
 
 def test_subscribe_prints_frame_after_frame(example, runtime):

@@ -20,7 +20,7 @@ from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import recipe
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
 
 def trained_looking(architecture: Architecture, skin: Skin = PAPER) -> VD2T:

@@ -14,7 +14,7 @@ from eitskin_training.recipes import Recipe
 
 from .test_graphs import ARCHITECTURES, trained_looking
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
 NAMES = ("units", "predicted", "sharpened", "symmetric")
 

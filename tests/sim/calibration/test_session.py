@@ -21,6 +21,8 @@ from eitskin_sim.scene.parts import Bend, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.surface.measured_cloud import measured_cloud
 
+pytestmark = pytest.mark.slow
+
 GAUGE, CONTRAST, DIAMETER_MM, BORDER_MM = 0.8, 0.45, 18.0, 4.0
 FRAMES = 100
 STAMP_MM = (16.0,)

@@ -16,6 +16,8 @@ from eitskin_sim.dataset.plan import Plan, make_plan
 from eitskin_sim.dataset.reader import load
 from eitskin_sim.dataset.shards import Arrays, make_shard, reference, shard_job
 
+pytestmark = pytest.mark.slow
+
 DRIFTING = replace(PAPER, may_be_off=Doubts(drift=Quantity(0.0, "normal", 0.02)))
 UNEVEN_GAINS = replace(PAPER, front_end=Instrument(gain=Quantity(1.0, "uniform", 0.2)))
 

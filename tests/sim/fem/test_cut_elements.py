@@ -10,7 +10,7 @@ from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect, Shape
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
 SHEET, ELECTRODES = Sheet(), Electrodes()
 

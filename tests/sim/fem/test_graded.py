@@ -14,7 +14,7 @@ from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
 BEND = Bend(angle_deg=70.0, axis_deg=-30.0, twist_deg=10.0, stretch_along=1.08, stretch_across=0.97, nonuniformity=0.05)
 DISC = Disc(70.3, 45.1, 8.0)

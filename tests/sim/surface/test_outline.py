@@ -17,6 +17,8 @@ from eitskin_sim.surface.predict import predict
 from eitskin_sim.surface.rows import find_rows
 from eitskin_tools import cli
 
+pytestmark = pytest.mark.slow
+
 SHEET = Sheet()
 FLAT = Bend()
 UNSTRETCHED = Bend(angle_deg=90, axis_deg=10)

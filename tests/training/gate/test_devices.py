@@ -24,7 +24,7 @@ from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.row_statistics import unpredicted
 from eitskin_training.samples.batches import TrainingData
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
 LAB = named("lab")
 FLAT = replace(LAB, may_be_off=replace(LAB.may_be_off, reference_stretch=Quantity(0.0), late_rms=(0.0, 0.0)))

@@ -1,6 +1,6 @@
 """One deformation of the mesh for touches anywhere, assembled and inverted, and the blocks of its touched elements."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -72,9 +72,15 @@ def inverted_metric(
     into: Array | None = None,
     device: Device | None = None,
     skin: Skin = PAPER,
+    gauge: float = 0.0,
 ) -> InvertedSheet:
-    """Return a sheet of any first fundamental form, ready for touch sets; see :func:`inverted_sheet`."""
+    """Return a sheet of any first fundamental form, ready for touch sets; see :func:`inverted_sheet`.
+
+    A ``gauge`` is added to the gauge factor that device or skin state.
+    """
     true = device or ideal(skin)
+    if gauge:
+        true = replace(true, sheet=replace(true.sheet, gauge_factor=true.sheet.gauge_factor + gauge))
     grid = shared_mesh(size_mm, true.electrodes, skin)
     system = system_on(grid.mesh, true.sheet, true.electrodes, first_form, ideal(skin).electrodes)
     elements = np.arange(grid.mesh.n_elements)

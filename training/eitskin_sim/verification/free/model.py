@@ -14,11 +14,10 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.devices.device import ideal
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.sheet import inverted_metric
-from eitskin_sim.scene.nominal import flat_metric_of
+from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
@@ -140,10 +139,8 @@ def _model(
     held: Array | None = None,
     gauge: float = 0.0,
 ) -> Model:
-    stated = ideal(skin)
-    gauge += stated.sheet.gauge_factor
-    device = replace(stated, sheet=replace(stated.sheet, gauge_factor=gauge))
-    sheet = TouchedSheet(inverted_metric(metric, size_mm, None, device, skin), shared_mesh(size_mm, None, skin))
-    found = unseen(sheet, metric, surface, spreads, skin, gauge)
+    inverted = inverted_metric(metric, size_mm, skin=skin, gauge=gauge)
+    sheet = TouchedSheet(inverted, shared_mesh(size_mm, None, skin))
+    found = unseen(sheet, metric, surface, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
     own = np.zeros(found.n_waves + len(found.names)) if held is None else held
     return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), spreads, skin, size_mm, own)
