@@ -2,40 +2,16 @@
 
 import numpy as np
 import pytest
+from tests.sim.verification.small_frames import judge_of
 
-from eitskin_proto.sensor.normalise import relative_change
-from eitskin_proto.skin.parts import Map
-from eitskin_proto.skin.skin import Skin
-from eitskin_sim.measurement.noise import add_noise
-from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
-from eitskin_sim.reduced.model import ReducedModel, reduced, rows_of
+from eitskin_sim.reduced.exact import ExactSheet
+from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import state_of
-from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.nominal import flat_metric_of
-from eitskin_sim.scene.parts import Bend, Sheet
-from eitskin_sim.verification.frame import Frame
-from eitskin_sim.verification.prior import Prior
-from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.sets.candidates import Candidates
 from eitskin_sim.verification.sets.exchange import Exchange
-from eitskin_sim.verification.sets.judge import Judge
-from eitskin_sim.verification.sets.price import UnitPrice
-
-SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
-"""Few, large units."""
 
 TRUE = [8, 10, 19]
 CONTENT = 130.0
-
-
-@pytest.fixture(scope="module")
-def sheet() -> ExactSheet:
-    return exact_sheet(bend_metric(Bend(angle_deg=80.0, stretch_along=1.1), Sheet()), SMALL)
-
-
-@pytest.fixture(scope="module")
-def model(sheet: ExactSheet) -> ReducedModel:
-    return reduced(sheet, SMALL)
 
 
 class Case:
@@ -50,14 +26,8 @@ class Case:
         heights: np.ndarray | None = None,
         contrasts: tuple[float, ...] = (50.0,),
     ) -> None:
-        flat = rows_of(exact_sheet(flat_metric_of(SMALL), SMALL).untouched)
-        volts = rows_of(sheet.currents(np.array(TRUE), np.full(3, contrasts[0]))[1])
-        noisy = add_noise(volts, flat, "N2", 50.0, np.random.default_rng(3))
-        frame = Frame(relative_change(noisy, flat), flat, Noise())
-        price = UnitPrice(model.shape, Prior(places=24), 50.0)
-        price.begin([], heights)
-        deadline = -1.0 if late else 1.0
-        self.judge = Judge(model, model.of_rank(8), model.of_rank(4), flat, frame, price, 50.0, deadline, lambda: 0.0)
+        true = dict.fromkeys(TRUE, contrasts[0])
+        self.judge = judge_of(sheet, model, true, deadline=-1.0 if late else 1.0, heights=heights)
         self.judge.content = content
         self.candidates = Candidates.of(*(np.full(24, one) for one in contrasts))
         self.search = Exchange(self.judge, self._explains)

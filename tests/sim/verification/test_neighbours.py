@@ -1,54 +1,23 @@
 """Units moved to a place beside and merged, and what is done where rows are missing."""
 
+from typing import Any
+
 import numpy as np
 import pytest
+from tests.sim.verification.small_frames import judge_of
 
-from eitskin_proto.sensor.normalise import relative_change
-from eitskin_proto.sensor.row_gaussian import rows_of as rows_of_electrodes
-from eitskin_proto.skin.parts import Map
-from eitskin_proto.skin.skin import Skin
-from eitskin_sim.measurement.noise import add_noise
-from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
-from eitskin_sim.reduced.model import ReducedModel, reduced, rows_of
+from eitskin_sim.reduced.exact import ExactSheet
+from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import state_of
-from eitskin_sim.scene.bend import bend_metric
-from eitskin_sim.scene.nominal import flat_metric_of
-from eitskin_sim.scene.parts import Bend, Sheet
-from eitskin_sim.verification.frame import Frame
-from eitskin_sim.verification.prior import Prior
-from eitskin_sim.verification.residual import Noise
-from eitskin_sim.verification.sets.candidates import Candidates
-from eitskin_sim.verification.sets.judge import Judge
+from eitskin_sim.verification.sets.candidates import Bits, Candidates
+from eitskin_sim.verification.sets.exchange import Exchange
+from eitskin_sim.verification.sets.judge import REMEMBERED, Judge
 from eitskin_sim.verification.sets.neighbours import moves_of
 from eitskin_sim.verification.sets.polish import Polish
-from eitskin_sim.verification.sets.price import UnitPrice
 from eitskin_sim.verification.sets.search import Search
-
-SMALL = Skin(name="small", map=Map((12, 18), (4, 6)))
-"""Few, large units: 4 rows of 6."""
 
 GONE = 3
 """The electrode whose rows are missing."""
-
-
-@pytest.fixture(scope="module")
-def sheet() -> ExactSheet:
-    return exact_sheet(bend_metric(Bend(angle_deg=80.0, stretch_along=1.1), Sheet()), SMALL)
-
-
-@pytest.fixture(scope="module")
-def model(sheet: ExactSheet) -> ReducedModel:
-    return reduced(sheet, SMALL)
-
-
-def judge_of(sheet: ExactSheet, model: ReducedModel, true: dict[int, float], missing: tuple[int, ...] = ()) -> Judge:
-    """Return the judge of a frame of the exact sheet with some units touched, and noise of 50 dB."""
-    flat = rows_of(exact_sheet(flat_metric_of(SMALL), SMALL).untouched)
-    volts = rows_of(sheet.currents(np.array(list(true)), np.array(list(true.values())))[1])
-    noisy = add_noise(volts, flat, "N2", 50.0, np.random.default_rng(3))
-    frame = Frame(relative_change(noisy, flat), flat, Noise(), rows=~rows_of_electrodes(missing))
-    price = UnitPrice(model.shape, Prior(places=24), 50.0)
-    return Judge(model, model.of_rank(8), model.of_rank(4), flat, frame, price, 50.0, 1.0, lambda: 0.0)
 
 
 def best_move(judge: Judge, units: list[int], contrasts: tuple[float, ...] = (50.0,)) -> list[tuple[int, float]]:
@@ -116,12 +85,34 @@ def test_what_does_not_explain_the_frame_is_not_polished(sheet: ExactSheet, mode
     assert Polish(judge).polished(wrong) is wrong
 
 
-def test_a_touch_that_a_network_shows_as_many_is_built_from_nothing(sheet: ExactSheet, model: ReducedModel) -> None:
-    judge = judge_of(sheet, model, {13: 50.0}, (GONE,))
+@pytest.mark.parametrize("missing", [(GONE,), ()])
+def test_a_touch_that_a_network_shows_as_many_is_built_from_nothing_where_rows_are_missing(
+    sheet: ExactSheet, model: ReducedModel, missing: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No units are exchanged then; where all rows are there, they are."""
+    exchanged, improved = [], Exchange.improved
+
+    def counted(self: Exchange, *given: Any) -> Bits:
+        exchanged.append(self)
+        return improved(self, *given)
+
+    monkeypatch.setattr(Exchange, "improved", counted)
+    judge = judge_of(sheet, model, {13: 50.0}, missing)
     shown = np.array([6, 7, 12, 18, 19, 20])
-    heights = np.where(np.isin(np.arange(24), shown), 0.8, 0.01)
     search = Search(judge)
-    first = search.best_of(state_of(model, shown, np.full(6, 50.0)), [], heights)
-    before = judge.evaluations
+    first = search.best_of(
+        state_of(model, shown, np.full(6, 50.0)), [], np.where(np.isin(np.arange(24), shown), 0.8, 0.01)
+    )
     assert search.run(first).units.tolist() == [13]
-    assert judge.evaluations - before < 400
+    assert bool(exchanged) != bool(missing)
+
+
+def test_sets_are_modelled_once_and_as_many_kept_as_starts_need(sheet: ExactSheet, model: ReducedModel) -> None:
+    judge = judge_of(sheet, model, {13: 50.0})
+    first = judge.state(np.array([13]), np.array([50.0]))
+    assert judge.state(np.array([13]), np.array([50.0])) is first
+    assert judge.evaluations == 1
+    for contrast in np.linspace(2.0, 40.0, 2 * REMEMBERED):
+        judge.state(np.array([13]), np.array([contrast]))
+    assert len(judge._states) == REMEMBERED
+    assert judge.state(np.array([13]), np.array([50.0])) is not first

@@ -29,7 +29,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "core) or always (every changed frame, the newest first); default off",
     )
     parser.add_argument(
-        "--verify-budget-ms", type=float, metavar="B", help="what a frame may take (default: 20 of units, 200 else)"
+        "--verify-budget-ms",
+        type=float,
+        metavar="B",
+        help="what a frame may take (default: 20 or 60 of units, 200 else)",
     )
     parser.add_argument(
         "--verify-nice", type=int, metavar="N", help=f"priority of the verifier's process, 0 to 19 (default {NICE})"

@@ -2,8 +2,8 @@
 
 Noise hides where a touch is and how large, and so does whatever may differ of the sheet. Both are in the covariance of
 the true touches' parameters, (J^T C^-1 J + P)^-1 with J their derivatives, C the covariance of the frame and P what is
-known of touches beforehand. No estimate without bias scatters by less. Twice: for the sheet as a scan shows it, and for
-one that is known exactly.
+known of touches beforehand. No estimate without bias scatters by less; one that is held within what touches may be,
+as those of gentle touches are, may. Twice: for the sheet as a scan shows it, and for one that is known exactly.
 """
 
 from collections.abc import Sequence

@@ -5,7 +5,7 @@ minutes, so its touches are few: a unit within, one at the edge, one in the corn
 for each law.
 """
 
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
@@ -22,33 +22,31 @@ from eitskin_tools.bench.verify.truth import SEED, Array, cloud_of, device_of
 SHEETS: Final[dict[str, Bend]] = {"3-D slab, flat": FLAT, "3-D slab, bent": BENT}
 LAWS: Final[tuple[Kind, ...]] = ("N1", "N2", "N3")
 
-UNITS: Final = ((4 * 14 + 6,), (6,), (0,), (2 * 14 + 3, 6 * 14 + 10))
-"""Touched units: within, at the edge, in the corner, and two."""
+PLACES: Final = (((4, 6),), ((0, 6),), ((0, 0),), ((2, 3), (6, 10)))
+"""Rows and columns of touched units: within, at the edge, in the corner, and two."""
 
 
 def frames(name: str) -> list[tuple[Array, Array, Array, list[int], Kind]]:
     """Return V, the flat slab's V, the cloud, the touched units and the noise's law of every frame of a slab."""
-    grid, bend = PAPER.grid, SHEETS[name]
-    touches = [tuple(_touch(unit) for unit in units) for units in UNITS]
+    bend = SHEETS[name]
     flat = _solved(FLAT, [()])[0]
-    solved = _solved(bend, touches)
+    solved = _solved(bend, [tuple(_touch(*place) for place in places) for places in PLACES])
     cloud = cloud_of(device_of(IDEAL, 0), bend, 0)
-    assert cloud.shape == grid.cloud_shape
     found = []
-    for number, (volts, units) in enumerate(zip(solved, UNITS, strict=True)):
+    for number, (volts, places) in enumerate(zip(solved, PLACES, strict=True)):
+        units = [row * PAPER.grid.units[1] + column for row, column in places]
         for law in LAWS:
             noisy = add_noise(volts, flat, law, 50.0, np.random.default_rng([SEED, number]))
-            found.append((noisy, flat, cloud, list(units), law))
+            found.append((noisy, flat, cloud, units, law))
     return found
 
 
-def _touch(unit: int) -> Touch:
-    row, column = divmod(unit, PAPER.grid.units[1])
+def _touch(row: int, column: int) -> Touch:
     return Touch((Rect(*PAPER.grid.unit_rect_mm(column, row)),))
 
 
 def _solved(bend: Bend, touches: list[tuple[Touch, ...]]) -> list[Array]:
     """Return the (104,) V of each touch set, extrapolated from two meshes."""
-    every: Any = tuple(one for some in touches for one in some) or (_touch(0),)
+    every = tuple(one for some in touches for one in some)
     coarse, fine = (build_solid(Scene(bend=bend), one, every) for one in (COARSE, COARSE.halved()))
     return [extrapolated(coarse.voltages(some)[0], fine.voltages(some)[0])[0] for some in touches]

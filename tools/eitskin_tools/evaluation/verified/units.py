@@ -148,6 +148,7 @@ class Verified:
             setup_ms += 1e3 * (time.process_time() - begin)
             again, again_ms = verify(other, verdict.touches)
             if not better_with_material(again, verdict):
+                setup_ms += again_ms
                 break
             verdict, cpu_ms, verifier, material = again, again_ms, other, found
             self._keep(case.sheet.cloud_mm.tobytes(), verifier, material)

@@ -30,6 +30,9 @@ LONG_MM: Final = 20.0
 LONG: Final = 1.6
 """and so many times as long as wide."""
 
+APART: Final = 0.28
+"""The two lie by so much of its length to either side of its centre."""
+
 IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
 """What touches raise that cannot be."""
 
@@ -103,26 +106,25 @@ def parted(frame: Frame, fit: Fit, effort: Effort) -> Fit:
 
     Two touches near each other read nearly as one over both and what lies between, at a tenth of their contrast.
     """
-    usual = frame.usual.log_contrast
-    for number in np.argsort(-areas_mm2(fit.pieces))[:1].tolist():
-        piece = fit.pieces[number]
-        log, length, width = float(np.log(piece[6])), float(piece[3:5].max()), float(piece[3:5].min())
-        weak = usual * log > 0.0 and abs(usual) - abs(log) > WEAK
-        if effort.searched() or not weak or length < LONG_MM or length < LONG * width:
-            continue
-        side = np.sqrt(length * width / 2.0 * np.tanh(log / 2.0) / np.tanh(usual / 2.0))
-        turn = np.deg2rad(piece[5]) + int(np.argmax(piece[3:5])) * np.pi / 2
-        two = np.vstack([piece, piece])
-        two[:, 1:3] += np.outer([-0.28, 0.28], [np.cos(turn), np.sin(turn)]) * length
-        two[:, 3:5], two[:, 6] = side, np.exp(usual)
-        two[:, 7] = np.minimum(two[:, 7], side - 0.01)
-        pieces = np.vstack([np.delete(fit.pieces, number, axis=0), two])
-        try:
-            other = fitted(frame, pieces, fit.turning, effort, effort.searched)
-        except IMPOSSIBLE:
-            continue
-        fit = other if other.cost < fit.cost else fit
-    return fit
+    if not len(fit.pieces) or effort.searched():
+        return fit
+    largest = int(np.argmax(areas_mm2(fit.pieces)))
+    piece, usual = fit.pieces[largest], frame.usual.log_contrast
+    log, length, width = float(np.log(piece[6])), float(piece[3:5].max()), float(piece[3:5].min())
+    if usual * log <= 0.0 or abs(usual) - abs(log) <= WEAK or length < max(LONG_MM, LONG * width):
+        return fit
+    side = np.sqrt(length * width / 2.0 * np.tanh(log / 2.0) / np.tanh(usual / 2.0))
+    turn = np.deg2rad(piece[5]) + int(np.argmax(piece[3:5])) * np.pi / 2
+    two = np.vstack([piece, piece])
+    two[:, 1:3] += np.outer([-APART, APART], [np.cos(turn), np.sin(turn)]) * length
+    two[:, 3:5], two[:, 6] = side, np.exp(usual)
+    two[:, 7] = np.minimum(two[:, 7], side - 0.01)
+    pieces = np.vstack([np.delete(fit.pieces, largest, axis=0), two])
+    try:
+        other = fitted(frame, pieces, fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return other if other.cost < fit.cost else fit
 
 
 def usually(frame: Frame, fit: Fit, effort: Effort) -> Fit:

@@ -13,6 +13,9 @@ from eitskin_sim.verification.chi_squared import least_chi_squared
 from eitskin_sim.verification.frame import Frame
 from eitskin_sim.verification.sets.price import UnitPrice
 
+REMEMBERED: Final = 32
+"""Sets that are kept: starts are asked for again and again."""
+
 CONTENT: Final = 0.05
 """The search ends where p is above."""
 
@@ -53,6 +56,7 @@ class Judge:
         self.distance: Index = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
         """(units, units) how far they lie from each other, along or across."""
         self.rows_missing = not frame.white.rows.all()
+        """Whether a frame lacks rows: several sets may explain what is left."""
         self.evaluations = 0
         self._states: dict[tuple[bytes, bytes, bool], State] = {}
 
@@ -65,6 +69,8 @@ class Judge:
         key = units.tobytes(), contrasts.tobytes(), coarse
         if key not in self._states:
             self.evaluations += 1
+            while len(self._states) >= REMEMBERED:
+                self._states.pop(next(iter(self._states)))
             self._states[key] = state_of(self.coarse if coarse else self.model, units, contrasts)
         return self._states[key]
 

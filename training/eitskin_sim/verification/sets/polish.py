@@ -1,6 +1,6 @@
 """The cheapest set that is one step from one that explains the frame: a unit put in, or moved to a place beside.
 
-The first set that explains a frame need not be the cheapest: where touches are weak, or rows are missing, several do.
+The first set that explains a frame need not be the cheapest: where rows are missing, several do.
 """
 
 from typing import Final
