@@ -102,13 +102,19 @@ def test_json_is_one_object(shown: tuple[subprocess.CompletedProcess[str], Path]
 
 @pytest.mark.slow
 def test_a_sheet_of_another_size_is_played_scanned_and_shown(place: Path, cache: Path) -> None:
+    """As long a demonstration as it takes: on a busy machine a scan is late for a short one."""
     scene = ROOT / "docs" / "examples" / "scene.json"
-    done = subprocess.run(
-        [*COMMAND, "--seconds=2", "--json", f"--bundle={BUNDLE.with_name('second.eitskin')}", f"--scene={scene}"],
-        capture_output=True, text=True, timeout=2 * PATIENCE_S, check=False, env=environment(place, cache),
-    )  # fmt: skip
-    found = summary(done)
-    assert found["frames"] > 0
+    for seconds in (2, 8, 32, 128):
+        done = subprocess.run(
+            [*COMMAND, f"--seconds={seconds}", "--json", f"--bundle={BUNDLE.with_name('second.eitskin')}",
+             f"--scene={scene}"],
+            capture_output=True, text=True, timeout=seconds + 2 * PATIENCE_S, check=False,
+            env=environment(place, cache),
+        )  # fmt: skip
+        found = summary(done)
+        assert found["frames"] > 0
+        if found["clouds"] > 0:
+            break
     assert found["clouds"] > 0, "the scanner's clouds have the pixels of that sheet"
 
 
