@@ -10,6 +10,8 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.verification.chi_squared import LEVEL
+from eitskin_sim.verification.free import search
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import map_of
@@ -104,3 +106,16 @@ def test_two_touches_near_each_other_are_not_one_long_weak_one(model: Model) -> 
     hard = frame.at(np.array([[0, 68.0, 50.0, 32.0, 14.0, 0.0, 40.0, 0.0]]))
     for fit in (short, hard, frame.at(np.zeros((0, 8)))):
         assert parted(frame, fit, Effort(100.0)) is fit
+
+
+@pytest.mark.parametrize("late", [True, False])
+def test_a_frame_that_time_did_not_suffice_to_explain_is_flagged(
+    model: Model, late: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """At p between the level of flags and what counts as explained, the search goes on; its end by time is said."""
+    monkeypatch.setattr(search, "p_value", lambda *_: 3.0 * LEVEL)
+    monkeypatch.setattr(search, "moved", lambda *_: ("", None))
+    monkeypatch.setattr(Effort, "searched", lambda _: late)
+    found = verified(model, HARD)
+    assert found.p_value == 3.0 * LEVEL
+    assert found.flagged == late

@@ -63,7 +63,7 @@ class FreeVerdict(Verdict[FreeTouch]):
     """Which moves were taken."""
     contested: bool = False
     """Whether the network plainly shows a touch that is not among these, one is smaller than touches of this skin are,
-    or time did not suffice to confirm them."""
+    or time did not suffice to find or to confirm them."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
 
@@ -148,7 +148,8 @@ class FreeVerifier:
         rectangles = starts_of(shares, self._skin.grid)
         self._shown = max(len(rectangles), 0 if last is None else len(last))
         frame, fit = self._start(self._frame(change), rectangles, last, effort)
-        frame, fit = self._settled(frame, parted(frame, fit, effort), effort)
+        if not _explained(fit):
+            frame, fit = self._settled(frame, usually(frame, parted(frame, fit, effort), effort), effort)
         trail: list[str] = []
         while not effort.searched() and not _explained(fit):
             name, better = moved(frame, fit, effort)
@@ -156,6 +157,7 @@ class FreeVerifier:
                 break
             frame, fit = self._settled(frame, better, effort)
             trail.append(name)
+        unfinished = effort.searched() and not _explained(fit)
         fit = usually(frame, parted(frame, fit, effort), effort)
         if trail:
             fit = fewer(frame, fit, effort)
@@ -175,7 +177,8 @@ class FreeVerifier:
             (),
             fit.pieces,
             tuple(trail),
-            not confirmed_all
+            unfinished
+            or not confirmed_all
             or left_out(fit.pieces, shares, self._skin.grid)
             or too_small(fit.pieces, self._skin.touches.size_mm[0]),
             drawn_whole,
