@@ -38,7 +38,7 @@ def adapted(name: str, **work: int) -> recipes.BuildRecipe:
     return recipes.adapted(bundle.path, TWIN, bundle.manifest, bundle.touch_kind, replace(Adaptation(), **work))
 
 
-@pytest.mark.parametrize(("name", "kind", "touches"), [("press", "free", "press"), ("units", "units", "hard")])
+@pytest.mark.parametrize(("name", "kind", "touches"), [("press", "free", "press"), ("units", "units", "both")])
 def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(name, kind, touches):
     (data,) = adapted(name).data.values()
     assert (data.set, data.touches, data.devices, data.skin) == (kind, touches, "random", None)
