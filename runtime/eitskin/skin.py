@@ -45,8 +45,8 @@ class Skin:
         reference: A reference, or its path; None if it will be captured.
         budget_ms: From read to publish; None for no budget.
         baud: Bits per second on a real UART.
-        solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8`` or ``tikhonov``; None for the bundle's own
-            choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
+        solver: The most accurate solver to use: ``vd2t``, ``vd2t-int8``, ``vd2t-small`` or ``tikhonov``; None for the
+            bundle's own choice (:func:`eitskin.model.engine.default_solver`) or, with a budget, its most accurate one.
         skip_unchanged: Whether a frame keeps the map of an earlier one while only noise lies between them
             (:mod:`eitskin.pipeline.stillness`).
         idle_after_s: Let the device scan a few drives only once the sheet has been untouched for so long

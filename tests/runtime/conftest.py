@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import threading
+import zipfile
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -66,6 +67,27 @@ def tiny_path():
 @pytest.fixture(scope="session")
 def tiny():
     return load_bundle(TINY)
+
+
+@pytest.fixture(scope="session")
+def paired_path(tmp_path_factory):
+    """Return the tiny bundle with a smaller network besides, which is its own int8 head and geometry once more."""
+    with zipfile.ZipFile(TINY) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    manifest = json.loads(parts.pop("manifest.json"))
+    manifest["small"] = {"bias": manifest["head"]["bias"]}
+    for name, own in (("small_geometry.onnx", "geometry.onnx"), ("small_head.onnx", "head_int8.onnx")):
+        parts[name], manifest["files"][name] = parts[own], manifest["files"][own]
+    path = tmp_path_factory.mktemp("paired") / "paired.eitskin"
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, data in {"manifest.json": json.dumps(manifest), **parts}.items():
+            archive.writestr(name, data)
+    return path
+
+
+@pytest.fixture(scope="session")
+def paired(paired_path):
+    return load_bundle(paired_path)
 
 
 @pytest.fixture

@@ -47,6 +47,7 @@ OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "adapt-skin": ("offline.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
     "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
     "export": ("offline.export", "export a trained network to a bundle"),
+    "pair": ("offline.pair", "put a smaller network into a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),
     "bench": ("offline.bench", "benchmarks, each with --json"),
 }

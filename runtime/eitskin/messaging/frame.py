@@ -109,7 +109,7 @@ class Frame:
         host_ns: ``perf_counter_ns`` of the runtime's machine at the end of each of ``STAGES``.
         received_ns: ``perf_counter_ns`` of this machine when the frame was taken from the socket.
         age_us: From the scan to publishing, against the fastest frame seen.
-        solver: ``vd2t``, ``vd2t-int8``, ``tikhonov``, or ``none`` when nothing was computed.
+        solver: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``, or ``none`` when nothing was computed.
         skipped: What was left out, and why: ``inference:untouched``.
         events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
         electrodes: Those that are not well, what is wrong, what stands in for their rows: ``5:detached:imputed``.

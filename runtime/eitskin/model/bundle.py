@@ -49,6 +49,9 @@ SHIPPED: Final = {
 REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files without which a bundle is no bundle."""
 
+OF_SMALL: Final = ("small_geometry.onnx", "small_head.onnx")
+"""Files of a second, smaller network, where the manifest says ``small``."""
+
 LARGEST_MANIFEST: Final = 1 << 20
 LARGEST_FILE: Final = 64 << 20
 LARGEST_BUNDLE: Final = 256 << 20
@@ -126,6 +129,12 @@ class Bundle:
         return int(self.manifest["head"]["bias"])
 
     @property
+    def small_bias_width(self) -> int | None:
+        """Likewise of the smaller network; None where the bundle has none."""
+        small = self.manifest.get("small")
+        return None if small is None else int(small["bias"])
+
+    @property
     def uses_prediction(self) -> bool:
         """Whether the head takes the predicted reference of the deformed sheet."""
         return "log_predicted" in self.manifest["head"]["inputs"]
@@ -201,7 +210,8 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = manifest_of(raw, where, EXPORT_HINT)
-    missing = [name for name in (*REQUIRED, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
+    required = (*REQUIRED, *OF_SMALL) if manifest.get("small") is not None else REQUIRED
+    missing = [name for name in (*required, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
         raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")
     if (claimed := sum(sizes[name] for name in manifest["files"])) > LARGEST_BUNDLE:

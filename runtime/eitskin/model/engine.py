@@ -19,8 +19,11 @@ from eitskin.model.bundle import EXPORT_HINT, Bundle
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, onnxruntime, open_session
 
-HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx"}
-"""What frames call a head, and its file."""
+SMALL: Final = "vd2t-small"
+"""The head of a smaller network, which some bundles have besides."""
+
+HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", SMALL: "small_head.onnx"}
+"""What frames call a head, and its file; from the most accurate to the fastest."""
 
 QUANTISED: Final = "vd2t-int8"
 """The head that takes half the time."""
@@ -34,7 +37,7 @@ class Engine(Protocol):
 
     @property
     def name(self) -> str:
-        """What frames call it: ``vd2t``, ``vd2t-int8``, ``tikhonov``."""
+        """What frames call it: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
 
     def infer(self) -> None:
         """Fill the map from dV, without making an array."""
@@ -45,8 +48,8 @@ class HeadEngine:
 
     Args:
         bundle: Where the graph is.
-        file: ``head.onnx`` or ``head_int8.onnx``.
-        name: What frames call it.
+        file: A graph of :data:`HEADS`.
+        name: What frames call it; ``vd2t-small`` has its own bias.
         buffers: Bound as inputs and output.
         pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
         graph: Instead of the file's; it gives the pixels alone.
@@ -71,7 +74,7 @@ class HeadEngine:
         self._map = buffers.map[0]
         self._cropped = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
         self._session = open_session(bundle, file, bundle.files[file] if graph is None else graph)
-        arrays = {"dv": buffers.change, "bias": buffers.bias}
+        arrays = {"dv": buffers.change, "bias": buffers.small_bias if name == SMALL else buffers.bias}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
         shapes = {key: value.shape for key, value in arrays.items()}
@@ -196,7 +199,10 @@ def engines(
 
 def solvers(bundle: Bundle) -> list[str]:
     """Return the names of what a bundle offers, from the most accurate to the fastest."""
-    return [*(name for name, file in HEADS.items() if file in bundle.files), "tikhonov"]
+    heads = [name for name, file in HEADS.items() if file in bundle.files]
+    if bundle.small_bias_width is None and SMALL in heads:
+        heads.remove(SMALL)
+    return [*heads, "tikhonov"]
 
 
 def default_solver(bundle: Bundle) -> str:

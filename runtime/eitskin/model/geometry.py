@@ -40,6 +40,8 @@ class Geometry:
 
     bias: npt.NDArray[np.float32]
     """(1, H) what the cloud adds in the first fusion layer."""
+    small_bias: npt.NDArray[np.float32]
+    """(1, H) likewise of the smaller network; (1, 0) where the bundle has none."""
     log_predicted: npt.NDArray[np.float32]
     """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
     revision: int
@@ -53,7 +55,7 @@ class Geometry:
 class GeometryGraph:
     """From clouds to geometries; not part of the frame loop.
 
-    The session is made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs it once.
+    Sessions are made with the first call and forgotten by :meth:`rest`: a skin that never gets a cloud needs them once.
 
     Args:
         bundle: Where the graph is.
@@ -65,20 +67,24 @@ class GeometryGraph:
     def __init__(self, bundle: Bundle) -> None:
         self._bundle = bundle
         self._grid = bundle.skin.grid
-        self._session: Any = None
-        self._open()
+        self._widths = {"geometry.onnx": bundle.bias_width}
+        if bundle.small_bias_width is not None:
+            self._widths["small_geometry.onnx"] = bundle.small_bias_width
+        self._sessions: dict[str, Any] = {}
+        for file in self._widths:
+            self._open(file)
 
-    def _open(self) -> Any:
-        if self._session is None:
-            bundle = self._bundle
-            self._session = open_session(bundle, "geometry.onnx", bundle.files["geometry.onnx"])
+    def _open(self, file: str) -> Any:
+        if file not in self._sessions:
+            session = open_session(self._bundle, file, self._bundle.files[file])
             expected = {"cloud": (1, *self._grid.cloud_shape)}
-            check_signature("geometry.onnx", self._session, expected, "bias", (1, bundle.bias_width))
-        return self._session
+            check_signature(file, session, expected, "bias", (1, self._widths[file]))
+            self._sessions[file] = session
+        return self._sessions[file]
 
     def rest(self) -> None:
-        """Give the session's 5 MB back until the next cloud, which then takes 15 ms more."""
-        self._session = None
+        """Give the sessions' 5 MB back until the next cloud, which then takes 15 ms more."""
+        self._sessions.clear()
 
     def geometry(
         self, cloud: npt.ArrayLike | None, log_predicted: npt.NDArray[np.float32] | None, revision: int
@@ -95,18 +101,24 @@ class GeometryGraph:
             ValueError: The cloud is malformed, or the network answers it with values that are not finite.
         """
         given = self._grid.flat_cloud_mm() if cloud is None else cloud
-        points = flushed(network_input(given, self._grid))
-        try:
-            bias = self._open().run(["bias"], {"cloud": points[np.newaxis]})[0]
-        except BundleError:
-            raise
-        except Exception as error:  # onnxruntime's exceptions share no base of their own
-            raise BundleError(f"geometry.onnx cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
-        if cloud is None and not np.isfinite(bias).all():
-            raise BundleError(f"geometry.onnx answers the flat sheet with non-finite values; {EXPORT_HINT}")
-        if not np.isfinite(bias).all():
-            raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
+        points = flushed(network_input(given, self._grid))[np.newaxis]
+        biases = [self._bias(file, points, flat=cloud is None) for file in self._widths]
+        nothing = np.zeros((1, 0), dtype=np.float32)
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted
-        return Geometry(flushed(bias), flushed(predicted), revision, Surface(np.asarray(given), self._grid))
+        bias, small_bias = (*biases, nothing)[:2]
+        return Geometry(bias, small_bias, flushed(predicted), revision, Surface(np.asarray(given), self._grid))
+
+    def _bias(self, file: str, points: npt.NDArray[np.float32], *, flat: bool) -> npt.NDArray[np.float32]:
+        try:
+            bias = self._open(file).run(["bias"], {"cloud": points})[0]
+        except BundleError:
+            raise
+        except Exception as error:  # onnxruntime's exceptions share no base of their own
+            raise BundleError(f"{file} cannot be computed ({first_line(error)}); {EXPORT_HINT}") from error
+        if flat and not np.isfinite(bias).all():
+            raise BundleError(f"{file} answers the flat sheet with non-finite values; {EXPORT_HINT}")
+        if not np.isfinite(bias).all():
+            raise ValueError("the geometry graph answers this cloud with non-finite values; measure the surface again")
+        return flushed(bias)

@@ -54,7 +54,7 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
     touches = manifest.get("touches", "raising")
     if not isinstance(touches, str) or touches not in TOUCH_KINDS:
         return f"touches found {quoted(touches)}, expected one of {', '.join(TOUCH_KINDS)}"
-    for name in ("gate", "metrics", "recipe"):
+    for name in ("gate", "metrics", "recipe", "small"):
         if not isinstance(manifest.get(name), dict | None):
             return f"{name} found {quoted(manifest[name])}, expected an object"
     if not isinstance(files, dict) or len(files) > 32:
@@ -63,7 +63,9 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
         return "every file needs a sha256"
     if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
         return "head.inputs must be a list"
-    bias = head.get("bias")
-    if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
-        return f"head.bias found {quoted(bias)}, expected a width from 1 to 65536"
+    small = manifest.get("small")
+    for name, of in (("head", head), *((("small", small),) if small is not None else ())):
+        bias = of.get("bias")
+        if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
+            return f"{name}.bias found {quoted(bias)}, expected a width from 1 to 65536"
     return None

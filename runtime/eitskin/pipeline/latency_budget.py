@@ -2,11 +2,12 @@
 
 ::
 
-    level 0      1           2 (last engine)   3
-    vd2t    ->   vd2t-int8 -> tikhonov     ->  tikhonov, and of several waiting frames only the newest
+    level 0      1            2             3 (last engine)   4
+    vd2t    ->   vd2t-int8 -> vd2t-small -> tikhonov      ->  tikhonov, and of several waiting frames only the newest
 
-An overrun goes down one level at once. Going up takes a while of frames that use less than half of the budget, and
-twice as long each time that going up led straight to another overrun, so that it does not flutter.
+A bundle without a smaller network has a level less. A stream begins where an engine by itself leaves half of the
+budget. An overrun goes down one level at once. Going up takes a while of frames that use less than half of the budget,
+and twice as long each time that going up led straight to another overrun, so that it does not flutter.
 """
 
 from typing import Final
@@ -27,15 +28,16 @@ class LatencyBudget:
     Args:
         budget_ns: From read to publish; None for no budget, which stays on level 0.
         engines: How many there are.
+        level: The first one.
     """
 
     __slots__ = ("_easy", "_hold", "_last", "_risen", "budget_ns", "level", "overruns")
 
-    def __init__(self, budget_ns: int | None, engines: int) -> None:
+    def __init__(self, budget_ns: int | None, engines: int, level: int = 0) -> None:
         if budget_ns is not None and budget_ns <= 0:
             raise ValueError(f"a budget of {budget_ns} ns is not positive")
         self.budget_ns = budget_ns
-        self.level = 0
+        self.level = level
         self.overruns = 0
         """Frames over budget so far."""
         self._last = engines  # one beyond the last engine: drop stale input

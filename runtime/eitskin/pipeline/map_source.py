@@ -19,7 +19,7 @@ from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine, ProjectionEngine, engines
-from eitskin.pipeline.latency_budget import LatencyBudget
+from eitskin.pipeline.latency_budget import EASY, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 
 PROJECTION: Final = "tikhonov"
@@ -82,10 +82,10 @@ class MapSource:
         """The solver of the map that is held; empty if none is."""
         self._held_sequence = 0
         record.map_sequence = -REFRESH_FRAMES
-        self.budget = LatencyBudget(budget_ns, len(self.engines))
         self.engine_ns = self._warm_up()
         """{engine: median time in ns}, measured at the start."""
         self._check_budget(budget_ns)
+        self.budget = LatencyBudget(budget_ns, len(self.engines), self._first_easy(budget_ns))
 
     def _warm_up(self) -> dict[str, float]:
         medians = {}
@@ -106,6 +106,13 @@ class MapSource:
                 f"a budget of {budget_ns / 1e6:g} ms cannot be met: the fastest solver, {fastest}, takes "
                 f"{self.engine_ns[fastest] / 1e6:.3f} ms here; give --budget-ms more than that"
             )
+
+    def _first_easy(self, budget_ns: int | None) -> int:
+        """Return the most accurate engine that leaves half of the budget to the rest of a frame, else the fastest."""
+        if budget_ns is None:
+            return 0
+        easy = (number for number, one in enumerate(self.engines) if self.engine_ns[one.name] <= EASY * budget_ns)
+        return next(easy, len(self.engines) - 1)
 
     @property
     def keeps_unchanged(self) -> bool:

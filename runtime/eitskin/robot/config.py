@@ -202,7 +202,7 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         reference=reference,
         reference_frames=table.whole("reference_frames", 2, 10_000),
         curve_keys=curve_keys,
-        solver=table.one_of("solver", ("vd2t", "vd2t-int8", "tikhonov")),
+        solver=table.one_of("solver", ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")),
         budget_ms=table.number("budget_ms"),
         every_map=table.truth("every_map") or False,
         idle_after_s=table.number("idle_after_s"),

@@ -2,7 +2,7 @@
 
 A few hundred samples are made and trained on. What a deformation, a sample and a sample trained on take follows from
 that; the deformations and the epochs of the recipe are then scaled alike, up or down. Gate, export and card take what
-they take, ``REST_S`` is kept for them.
+they take, ``REST_S`` is kept for them. Where a smaller network is built besides, it gets ``SMALL_SHARE`` of the time.
 """
 
 import tempfile
@@ -16,6 +16,9 @@ from eitskin_tools.build.steps import Tell, plan_of
 
 REST_S: Final = 600.0
 """For gate, export and card: five minutes on two quiet cores."""
+
+SMALL_SHARE: Final = 0.35
+"""Of a smaller network: its data take as long, a sample trained on less than half."""
 
 SAMPLES: Final = (50, 250)
 """Samples a deformation of the two small data sets."""

@@ -5,6 +5,7 @@
     format = "eitskin-recipe"      version = 1     name = "press"
     skin = "hydrogel"              a shipped skin, or a file beside this one
     network = "free"               what is trained: a recipe of 'eitskin train'
+    small = "press-small"          a smaller network besides: a shipped recipe, or a file beside this one
 
     [data.presses]                 a data set, by any name: the options of 'eitskin dataset'
     set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
@@ -109,13 +110,16 @@ class BuildRecipe:
     """The folder that its files are named from."""
     presses: str = ""
     """Id of the recorded presses that it learns from besides, where there are any."""
+    small: str = ""
+    """Recipe of the smaller network that goes into the bundle; empty for none."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
-        if not self.presses:
-            del found["presses"]
+        for name in ("presses", "small"):
+            if not found[name]:
+                del found[name]
         return found
 
     @property
@@ -131,6 +135,29 @@ class BuildRecipe:
             ValueError: It is no skin's description.
         """
         return self.skin if data.skin is None else _skin(data.skin, self.beside)
+
+    def smaller(self) -> "BuildRecipe | None":
+        """Return the recipe of the smaller network; None where there is none.
+
+        Raises:
+            MissingFileError: There is no such file.
+            ValueError: It is no recipe, has a smaller one itself, or is of another skin or other labels.
+        """
+        from eitskin_training.recipes import recipe as network_named
+
+        if not self.small:
+            return None
+        own = self.beside / self.small
+        found = load(str(own) if own.exists() else self.small)
+        if found.small:
+            raise ValueError(f"small is {quoted(self.small)}, which has a smaller one itself; expected one without")
+        for what, one, other in (
+            ("skin", found.skin.digest, self.skin.digest),
+            ("labels", network_named(found.network).labels, network_named(self.network).labels),
+        ):
+            if one != other:
+                raise ValueError(f"small is {quoted(self.small)}: {what} found {one}, expected {other}")
+        return found
 
 
 def load(name: str) -> BuildRecipe:
@@ -194,7 +221,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     """
     from eitskin_training.recipes import recipe as network_named
 
-    keys = ["format", "version", "name", "skin", "network", "data", "training", "gate", "card"]
+    keys = ["format", "version", "name", "skin", "network", "small", "data", "training", "gate", "card"]
     unknown(content, keys, "the head of the file")
     if content.get("version") != VERSION:
         raise ValueError(f"version is {quoted(content.get('version'))}, expected {VERSION}")
@@ -227,6 +254,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         _table(GateWork, content.get("gate", {}), "[gate]"),
         _table(CardWork, content.get("card", {}), "[card]"),
         beside,
+        small=_text(content, "small") if "small" in content else "",
     )
 
 

@@ -44,7 +44,7 @@ Prediction = Literal["scan", "none", "true"]
 PREDICTIONS: Final[tuple[str, ...]] = get_args(Prediction)
 """The kinds of second input."""
 
-NETWORKS: Final = ("vd2t", "vd2t-int8")
+NETWORKS: Final = ("vd2t", "vd2t-int8", "vd2t-small")
 """Solvers that a bundle provides."""
 
 VERIFIED: Final = "verified"

@@ -22,6 +22,7 @@ DPI: Final = 100
 COLOURS: Final = {
     "vd2t": "#0b4fa8",
     "vd2t-int8": "#58a6ff",
+    "vd2t-small": "#12a3a3",
     "projection": "#2a8f3c",
     "tikhonov": "#c0392b",
     "l1": "#e08a1e",

@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
-        "says that it shows the same, else vd2t)",
+        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t-int8 where the "
+        "bundle's card says that it shows the same, else vd2t)",
     )
     parser.add_argument(
         "--scene", metavar="FILE", help="hold this scene (a file, or sample); without it touches come and go"

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from eitskin_tools.service.supervisor import Supervisor
     from eitskin_tools.service.watchdog import Watchdog
 
-SOLVERS = ("vd2t", "vd2t-int8", "tikhonov")
+SOLVERS = ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")
 """From the most accurate to the fastest."""
 
 
@@ -62,8 +62,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="most accurate solver to use: vd2t, vd2t-int8 or tikhonov (default: vd2t-int8 where the bundle's card "
-        "says that it shows the same, else vd2t; with a budget vd2t)",
+        help="most accurate solver to use: vd2t, vd2t-int8, vd2t-small or tikhonov (default: vd2t-int8 where the "
+        "bundle's card says that it shows the same, else vd2t; with a budget vd2t)",
     )
     parser.add_argument(
         "--every-map", action="store_true", help="compute every touched frame, also if only noise changed"

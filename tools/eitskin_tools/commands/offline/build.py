@@ -66,7 +66,8 @@ def make(
     import torch
 
     from eitskin_tools.build import folder as half_made
-    from eitskin_tools.build import hours, press_lesson, steps
+    from eitskin_tools.build import press_lesson, steps
+    from eitskin_tools.build.making import Making, with_smaller
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
@@ -76,25 +77,22 @@ def make(
         raise UsageError("--workers is at least 1, --threads at least 0")
     files.writable(arguments.out)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
+    small = asked.smaller()
     steps.check(asked)
-    begun = half_made.begun(work, asked, hours_asked)
+    if small is not None:
+        steps.check(small)
+    half_made.begun(work, asked, hours_asked)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
-    workers = steps.processes(arguments.workers)
     began = time.monotonic()
     with Stages() as tell:
-        if begun is not None:
-            wanted = half_made.scaled_as_before(asked, begun)
+        making = Making(steps.processes(arguments.workers), tell, _say)
+        if small is None:
+            made = making.whole(asked, work, hours_asked, presses=presses)
+            identity = made.finish(arguments.out)
         else:
-            wanted = asked
-            if hours_asked is not None:
-                wanted = hours.scaled(asked, hours_asked, hours.measure(asked, workers, tell))
-            half_made.begin(work, asked, wanted, hours_asked)
-        steps.make_data(wanted, work, workers, tell)
-        trained = steps.train_legs(wanted, work, tell, _say, presses)
-        bundle, exported = steps.export_run(wanted, work, trained, tell)
-        found = steps.make_card(wanted, work, bundle, str(exported["bundle"]), tell)
-        identity = steps.finish(bundle, found, arguments.out)
+            made, identity = with_smaller(making, asked, small, work, hours_asked, arguments.out)
+    wanted, exported, found = made.recipe, made.exported, made.card
     result: dict[str, Any] = {
         "bundle": identity,
         "path": str(arguments.out),

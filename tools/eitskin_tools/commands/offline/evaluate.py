@@ -33,8 +33,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         default="vd2t",
-        help="vd2t, vd2t-int8, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three take the grid "
-        "of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
+        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three "
+        "take the grid of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
     )
     parser.add_argument(
         "--all",

@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--solver",
         metavar="NAME",
-        help="vd2t, vd2t-int8, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
+        help="vd2t, vd2t-int8, vd2t-small, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="another solver: one frame in N (default 1)")
     parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")

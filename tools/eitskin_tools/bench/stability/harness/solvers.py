@@ -20,7 +20,7 @@ from eitskin_tools.bench.stability.harness.tally import Tally
 
 Array = npt.NDArray[np.float64]
 
-ENGINES: Final = {"vd2t": "vd2t", "vd2t-int8": "vd2t-int8", "projection": "tikhonov"}
+ENGINES: Final = {"vd2t": "vd2t", "vd2t-int8": "vd2t-int8", "vd2t-small": "vd2t-small", "projection": "tikhonov"}
 """What is published: this table's name -> the runtime's."""
 
 CLASSICAL: Final = {"tikhonov": "tikhonov", "l1": "l1", "sbl": "sbl"}

@@ -48,7 +48,7 @@ def _empty_rows(subjects: Subjects, samples: Sequence[Sample]) -> list[Row]:
         text += (
             f"; with it {max(gated):.3g}, in {sum(x > SHOWN for x in gated)}" if gated else "; it is never published"
         )
-        scaled = name not in ("vd2t", "vd2t-int8")
+        scaled = name not in ("vd2t", "vd2t-int8", "vd2t-small")
         rows.append(
             {
                 "sweep": "empty scene",

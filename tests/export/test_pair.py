@@ -1,0 +1,128 @@
+"""A smaller network goes into a bundle: the same maps as in its own, and nothing of the larger one is changed."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.golden import make_tiny_bundle
+from tests.second_skin import SECOND
+
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import OF_SMALL, load_bundle
+from eitskin.model.engine import SMALL, engines
+from eitskin.model.geometry import GeometryGraph
+from eitskin_export.bundle import read, write
+from eitskin_export.pair import pair
+from eitskin_proto.errors import SkinError
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
+from eitskin_tools.cli import main
+
+
+def made(path: Path, hidden: int, skin: Any = PAPER, **facts: Any) -> Path:
+    """Return a bundle with so many hidden values, and with facts of its own."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(make_tiny_bundle, "HIDDEN", hidden)
+        make_tiny_bundle.main(path, skin)
+    members, known, of = read(path)
+    write(path, members, {**known, **facts}, of)
+    return path
+
+
+@pytest.fixture
+def large(tmp_path: Path) -> Path:
+    return made(tmp_path / "large.eitskin", 8)
+
+
+@pytest.fixture
+def small(tmp_path: Path) -> Path:
+    return made(tmp_path / "small.eitskin", 4, metrics={"int8": {"flipped": 0.0}, "card": {"cc": 0.5}, "gate": {}})
+
+
+def shown(path: Path) -> dict[str, Any]:
+    """Return {solver: map} of a bent sheet."""
+    bundle = load_bundle(path)
+    buffers, cloud = Buffers(bundle), flat_cloud()
+    cloud[2] = 4.0 * np.sin(cloud[0] / 30)
+    buffers.take(GeometryGraph(bundle).geometry(cloud, np.full(104, 0.02, np.float32), 1))
+    buffers.change[0] = np.random.default_rng(1).normal(0, 0.1, 104)
+    found = {}
+    for engine in engines(bundle, buffers):
+        engine.infer()
+        found[engine.name] = buffers.map[0].copy()
+    return found
+
+
+def test_both_networks_give_what_they_gave_in_bundles_of_their_own(large: Path, small: Path, tmp_path: Path) -> None:
+    result = pair(large, small, tmp_path / "both.eitskin")
+    both, one, other = shown(tmp_path / "both.eitskin"), shown(large), shown(small)
+    for name, image in one.items():
+        assert np.array_equal(both[name], image)
+    assert np.array_equal(both[SMALL], other["vd2t-int8"])
+    assert result["bundle"] == load_bundle(tmp_path / "both.eitskin").id
+    assert result["small_head_bytes"] < result["large_head_bytes"]
+
+
+def test_the_manifest_says_where_it_is_from_and_what_it_is_worth(large: Path, small: Path, tmp_path: Path) -> None:
+    pair(large, small, tmp_path / "both.eitskin")
+    whole, before = load_bundle(tmp_path / "both.eitskin"), load_bundle(large)
+    about = whole.manifest["small"]
+    assert about["bundle"] == load_bundle(small).id
+    assert about["head"] == "head_int8.onnx"
+    assert about["bias"] == 4
+    assert about["metrics"] == {"card": {"cc": 0.5}, "int8": {"flipped": 0.0}}
+    assert set(whole.files) == {*before.files, "skin.toml", *OF_SMALL}
+    assert {name: whole.files[name] for name in before.files if name != "skin.toml"} == {
+        name: before.files[name] for name in before.files if name != "skin.toml"
+    }
+    assert whole.manifest["metrics"] == before.manifest["metrics"]
+
+
+def test_a_head_whose_card_does_not_vouch_for_8_bits_goes_in_as_it_is(large: Path, tmp_path: Path) -> None:
+    doubtful = made(tmp_path / "doubtful.eitskin", 4)
+    big = made(tmp_path / "big.eitskin", 64)
+    pair(big, doubtful, tmp_path / "both.eitskin")
+    assert load_bundle(tmp_path / "both.eitskin").manifest["small"]["head"] == "head.onnx"
+
+
+def test_another_one_takes_its_place(large: Path, small: Path, tmp_path: Path) -> None:
+    first = tmp_path / "both.eitskin"
+    pair(large, made(tmp_path / "two.eitskin", 2), first)
+    pair(first, small, first)
+    again = tmp_path / "again.eitskin"
+    pair(large, small, again)
+    assert first.read_bytes() == again.read_bytes()
+
+
+@pytest.mark.parametrize(
+    ("facts", "skin", "what"),
+    [({}, SECOND, "skin found"), ({"labels": "units"}, PAPER, "labels found units, expected area"),
+     ({"touches": "lowering"}, PAPER, "touches found lowering, expected raising"),
+     ({"head": {"inputs": ["dv", "bias"], "bias": 4}}, PAPER, "head.inputs found")],
+)  # fmt: skip
+def test_what_does_not_go_together_is_refused(
+    large: Path, tmp_path: Path, facts: dict[str, Any], skin: Any, what: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    other, out = made(tmp_path / "other.eitskin", 4, skin, **facts), tmp_path / "both.eitskin"
+    assert main(["pair", str(large), str(other), "--out", str(out)]) != 0
+    error = capsys.readouterr().err
+    assert what in error
+    assert error.count("\n") == 1
+    assert not out.exists()
+
+
+def test_the_larger_one_named_second_is_told(large: Path, small: Path, tmp_path: Path) -> None:
+    with pytest.raises(SkinError, match="name the smaller one second"):
+        pair(small, large, tmp_path / "both.eitskin")
+
+
+def test_the_command_reports_sizes(
+    large: Path, small: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "both.eitskin"
+    assert main(["pair", str(large), str(small), "--out", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["bytes"] == out.stat().st_size
+    assert main(["pair", str(large), str(small), "--out", str(out)]) == 0
+    assert "with vd2t-small 0.0" in capsys.readouterr().out

@@ -1,0 +1,117 @@
+"""A bundle with two networks: the smaller one is a solver of its own, between the larger one's and the matrix."""
+
+import json
+import zipfile
+
+import numpy as np
+import pytest
+
+from eitskin.errors import BundleError
+from eitskin.model.buffers import Buffers
+from eitskin.model.bundle import OF_SMALL, load_bundle
+from eitskin.model.engine import SMALL, default_solver, engines, solvers
+from eitskin.model.geometry import GeometryGraph
+from eitskin.pipeline import map_source
+from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin_proto.skin.cloud import flat_cloud
+
+ALL = ["vd2t", "vd2t-int8", SMALL, "tikhonov"]
+
+
+def changed(path, out, change):
+    """Write a bundle with another manifest."""
+    with zipfile.ZipFile(path) as archive:
+        parts = {name: archive.read(name) for name in archive.namelist()}
+    manifest = json.loads(parts["manifest.json"])
+    change(manifest)
+    with zipfile.ZipFile(out, "w") as archive:
+        for name, data in {**parts, "manifest.json": json.dumps(manifest).encode()}.items():
+            archive.writestr(name, data)
+    return out
+
+
+def maps(bundle, cloud=None, forget=""):
+    """Return {solver: map} of one dV; the bias named ``forget`` is 0."""
+    buffers = Buffers(bundle)
+    buffers.take(GeometryGraph(bundle).geometry(cloud, None, 1))
+    buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
+    if forget:
+        getattr(buffers, forget)[:] = 0.0
+    found = {}
+    for engine in engines(bundle, buffers):
+        engine.infer()
+        found[engine.name] = buffers.map[0].copy()
+    return found
+
+
+def bent():
+    cloud = flat_cloud()
+    cloud[2] = 4.0 * np.sin(cloud[0] / 30)
+    return cloud
+
+
+def test_the_smaller_network_is_a_solver_before_the_matrix(tiny, paired):
+    assert solvers(paired) == ALL
+    assert solvers(tiny) == ["vd2t", "vd2t-int8", "tikhonov"]
+    assert default_solver(paired) == default_solver(tiny)  # a stream without a budget is the same as before
+
+
+def test_its_maps_are_of_its_own_graphs_and_of_its_own_half_of_the_geometry(paired):
+    found = maps(paired, bent())
+    assert np.array_equal(found[SMALL], found["vd2t-int8"])  # the same graphs, in this bundle
+    without_own, without_others = maps(paired, bent(), "small_bias"), maps(paired, bent(), "bias")
+    assert np.array_equal(without_own["vd2t-int8"], found["vd2t-int8"])
+    assert not np.array_equal(without_own[SMALL], found[SMALL])
+    assert np.array_equal(without_others[SMALL], found[SMALL])
+    assert not np.array_equal(without_others["vd2t-int8"], found["vd2t-int8"])
+
+
+def test_a_part_of_the_map_is_computed_by_it_too(paired):
+    buffers, pixels = Buffers(paired), np.arange(40, 90)
+    buffers.take(GeometryGraph(paired).geometry(bent(), None, 1))
+    buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
+    engines(paired, buffers, pixels, best=SMALL, alone=True)[0].infer()
+    assert np.allclose(buffers.map[0, pixels], maps(paired, bent())[SMALL][pixels], atol=1e-6)
+    assert not np.delete(buffers.map[0], pixels).any()
+
+
+@pytest.mark.parametrize(
+    ("easy", "first"), [(ALL, "vd2t"), (ALL[1:], "vd2t-int8"), (ALL[2:], SMALL), (["tikhonov"], "tikhonov")]
+)
+def test_a_budget_begins_with_the_most_accurate_solver_that_leaves_half_of_it(paired, hello, monkeypatch, easy, first):
+    monkeypatch.setattr(
+        map_source.MapSource,
+        "_warm_up",
+        lambda self: {one.name: 400.0 + (one.name not in easy) * 200.0 for one in self.engines},
+    )
+    pipeline = Pipeline(paired, hello, budget_ns=1000)
+    assert pipeline.engines[pipeline.budget.engine].name == first
+
+
+def test_without_a_budget_there_is_one_solver_and_any_may_be_named(paired, hello):
+    assert [one.name for one in Pipeline(paired, hello, solver=SMALL).engines] == [SMALL]
+
+
+@pytest.mark.parametrize("name", OF_SMALL)
+def test_a_bundle_that_lacks_one_of_its_graphs_is_refused(paired_path, tmp_path, name):
+    path = changed(paired_path, tmp_path / "b.eitskin", lambda manifest: manifest["files"].pop(name))
+    with pytest.raises(BundleError, match=f"lacks {name}"):
+        load_bundle(path)
+
+
+@pytest.mark.parametrize("small", [{}, {"bias": 0}, {"bias": True}, {"bias": "8"}, [], "x"])
+def test_a_malformed_entry_is_refused(paired_path, tmp_path, small):
+    path = changed(paired_path, tmp_path / "b.eitskin", lambda manifest: manifest.update(small=small))
+    with pytest.raises(BundleError, match=r"small(\.bias)? found"):
+        load_bundle(path)
+
+
+def test_another_width_than_the_graphs_is_refused(paired_path, tmp_path):
+    path = changed(paired_path, tmp_path / "b.eitskin", lambda manifest: manifest.update(small={"bias": 9}))
+    with pytest.raises(BundleError, match=r"small_geometry\.onnx"):
+        GeometryGraph(load_bundle(path))
+
+
+def test_files_that_the_manifest_says_nothing_of_are_no_network(paired_path, tmp_path):
+    path = changed(paired_path, tmp_path / "b.eitskin", lambda manifest: manifest.pop("small"))
+    assert solvers(load_bundle(path)) == ["vd2t", "vd2t-int8", "tikhonov"]
