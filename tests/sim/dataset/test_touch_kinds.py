@@ -1,12 +1,14 @@
 """Data sets of touches both ways: what they keep of every touch, and that those of hard touches are as before."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.skin.toml import named, to_toml
 from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.index import touch_kind_of
 from eitskin_sim.dataset.plan import make_plan
@@ -32,7 +34,7 @@ def test_a_kind_of_touches_is_part_of_the_plan(name: str) -> None:
 def test_what_no_set_has_is_refused() -> None:
     with pytest.raises(ValueError, match="touches: found 'press', expected 'hard': the paper's set is as"):
         make_plan("paper", touches="press")
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both"):
+    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both, skin"):
         make_plan("free", touches="soft")
 
 
@@ -40,8 +42,11 @@ def test_what_no_set_has_is_refused() -> None:
 def test_a_set_says_which_way_its_touches_go(said: dict[str, str], way: str) -> None:
     assert touch_kind_of(said) == way
     assert touch_kind_of({"touch_kind": "press"}) == "lowering"
+    hydrogel = named("hydrogel")
+    own = {"touch_kind": "skin", "skin": to_toml(hydrogel), "skin_digest": hydrogel.digest}
+    assert touch_kind_of(own) == "lowering"
     for wrong in ("soft", 1):
-        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, raise, press, both"):
+        with pytest.raises(ValueError, match=r"touch_kind is .*, expected one of hard, press, raise, both, skin"):
             touch_kind_of({"touch_kind": wrong})
 
 
@@ -83,6 +88,15 @@ def test_a_unit_set_keeps_the_contrast_of_every_touched_unit(tmp_path: Path) -> 
     touched = data.units[data.touch_set].any(axis=1)
     assert change[touched].min() > 0.01  # before, every one of them was untouched
     assert change[~touched].max(initial=0.0) < 1e-6
+
+
+def test_units_have_the_contrasts_of_the_skin() -> None:
+    hydrogel = named("hydrogel")
+    skin = replace(hydrogel, touches=replace(hydrogel.touches, lowering_contrast=(0.5, 0.6)))
+    plan = make_plan("units", 3, deformations=1, kept=0, touch_sets=40, touches="skin", skin=skin)
+    assert plan.touches == "skin"
+    contrast = unit_contrasts(plan).contrast
+    assert 0.5 <= contrast.min() < contrast.max() <= 0.6
 
 
 @pytest.mark.heavy

@@ -9,8 +9,9 @@ from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.patterns import CLASSES, CONTRAST, touch_pool
 from eitskin_sim.freeform.pool import set_pool
-from eitskin_sim.freeform.presses import BORDERS_MM, LOWERING, RAISING, SIZES_MM, pool_of
+from eitskin_sim.freeform.presses import pool_of
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
+from eitskin_sim.freeform.touch_kinds import Ranges
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.gap import half_extents_mm
 from eitskin_sim.scene.parts import Bend, Scene, Touch
@@ -150,17 +151,19 @@ def test_a_touch_that_would_change_nothing_is_an_error(sheet: InvertedSheet, pie
 @pytest.mark.parametrize(("kind", "lowering"), [("press", 1.0), ("raise", 0.0), ("both", 0.5)])
 def test_presses_are_on_the_sheet_and_of_the_sizes_borders_and_contrasts_they_say(kind: str, lowering: float) -> None:
     pieces = pool_of(kind, 640, np.random.default_rng(1)).pieces
-    lowers = pieces[:, 6] < 1.0
-    assert np.all((pieces[lowers, 6] >= LOWERING[0]) & (pieces[lowers, 6] <= LOWERING[1]))
-    assert np.all((pieces[~lowers, 6] >= RAISING[0]) & (pieces[~lowers, 6] <= RAISING[1]))
+    lowers, usual = pieces[:, 6] < 1.0, Ranges("both")
+    assert np.all((pieces[lowers, 6] >= usual.lowering[0]) & (pieces[lowers, 6] <= usual.lowering[1]))
+    assert np.all((pieces[~lowers, 6] >= usual.raising[0]) & (pieces[~lowers, 6] <= usual.raising[1]))
     assert lowers.mean() == pytest.approx(lowering, abs=0.1 if kind == "both" else 0.0)
     half = half_extents_mm(pieces)
     assert np.all((pieces[:, 1:3] >= half - 1e-9) & (pieces[:, 1:3] <= np.array([150.0, 100.0]) - half + 1e-9))
     pressed = pieces[lowers] if lowering else pieces[pieces[:, 7] > 0.0]
-    assert np.all((pressed[:, 3:5] >= SIZES_MM[0]) & (pressed[:, 3:5] <= SIZES_MM[1]))
+    assert np.all((pressed[:, 3:5] >= usual.sizes_mm[0]) & (pressed[:, 3:5] <= usual.sizes_mm[1]))
     graded = pressed[pressed[:, 7] > 0.0]
     assert 0.6 < len(graded) / len(pressed) < 0.9 if lowering else 0.3 < len(graded) / len(pieces) < 0.45
-    assert np.all((graded[:, 7] >= BORDERS_MM[0]) & (graded[:, 7] <= np.minimum(BORDERS_MM[1], graded[:, 4])))
+    assert np.all(
+        (graded[:, 7] >= usual.borders_mm[0]) & (graded[:, 7] <= np.minimum(usual.borders_mm[1], graded[:, 4]))
+    )
     assert set(pressed[:, 0]) == {DISC, ELLIPSE, RECTANGLE}
     assert len(np.unique(pieces[:, 6])) == CLASSES
 
@@ -181,8 +184,8 @@ def test_hard_touches_are_drawn_as_ever() -> None:
     assert np.array_equal(hard.pieces, ever.pieces)
     assert hard.pieces.shape[1] == 7
     assert hard.pieces[:, 6].min() >= CONTRAST[0]
-    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both"):
-        pool_of("soft", 1, np.random.default_rng(0))  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="touches 'soft' are unknown; expected one of hard, press, raise, both, skin"):
+        pool_of("soft", 1, np.random.default_rng(0))
 
 
 def _pool_as_ever(count: int) -> TouchTable:

@@ -47,6 +47,20 @@ def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(n
     assert adapted(name, seed=1).digest != adapted(name).digest
 
 
+def test_it_learns_the_presses_that_were_calibrated():
+    bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
+
+    def touches(twin, kind="lowering"):
+        return (
+            recipes.adapted(bundle.path, twin, bundle.manifest, kind, Adaptation(), bundle.skin).data["touches"].touches
+        )
+
+    stamped = replace(TWIN, touches=replace(TWIN.touches, lowering_contrast=(0.5, 0.6)))
+    assert touches(TWIN) == "press"  # the file says what the bundle's own skin said
+    assert touches(stamped) == "skin"
+    assert touches(stamped, "raising") == "hard"  # the bundle knows other touches than the skin has
+
+
 @pytest.mark.heavy
 def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
     assert len(images(TWIN)) == 1

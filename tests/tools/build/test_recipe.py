@@ -48,8 +48,8 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
     (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lowering")))
     found = recipes.load(str(tmp_path / "skin.toml"))
     assert found.skin == SECOND.touched("lowering")
-    assert [(one.touches, one.devices) for one in found.data.values()] == [("press", "random")]
-    assert recipes.load("lab").data["touches"].touches == "both"
+    assert [(one.touches, one.devices) for one in found.data.values()] == [("skin", "random")]
+    assert plan_of(found, replace(found.data["touches"], deformations=1, kept=0)).skin == SECOND.touched("lowering")
 
 
 @pytest.mark.parametrize(

@@ -182,13 +182,17 @@ def load(name: str) -> BuildRecipe:
 
 def usual(skin: Skin) -> BuildRecipe:
     """Return what is built for a skin where nothing else is said: random devices, touched as the skin says."""
-    touches = {"raising": "raise", "lowering": "press", "both": "both"}[skin.touch_kind]
-    data = Data(touches=touches, devices="random")
+    data = Data(touches="skin", devices="random")
     return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20),))
 
 
-def adapted(bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, work: Adaptation) -> BuildRecipe:
+def adapted(
+    bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, work: Adaptation, own: Skin | None = None
+) -> BuildRecipe:
     """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
+
+    It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
+    as after presses of a stamp; else the usual ones of its kind.
 
     Args:
         bundle: The file that it begins with.
@@ -196,11 +200,14 @@ def adapted(bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, wo
         facts: The bundle's manifest.
         touch_kind: Which touches it knows, and goes on knowing.
         work: How much it learns.
+        own: The bundle's skin; None leaves the usual touches.
     """
     network = facts.get("recipe", {}).get("name")
     if not isinstance(network, str):
         raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
     touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
+    if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
+        touches = "skin"
     kind = "free" if facts.get("labels") == "area" else "units"
     data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
     leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name)

@@ -10,6 +10,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import parse
 from eitskin_proto.skin.touch_kind import TouchKind
+from eitskin_sim.freeform.touch_kinds import TOUCH_KINDS, WAYS
 
 FORMAT: Final = "eitskin-dataset"
 VERSION: Final = 1
@@ -18,9 +19,6 @@ VERSION_OF_SOFT: Final = 2
 HINT: Final = "make it again with 'eitskin dataset'"
 
 MOST_SHARDS: Final = 10_000
-
-WAYS: Final[dict[str, TouchKind]] = {"hard": "raising", "raise": "raising", "press": "lowering", "both": "both"}
-"""Kind of touches that were drawn -> which way they change conductance."""
 
 
 def is_soft(index: dict[str, Any]) -> bool:
@@ -35,9 +33,9 @@ def touch_kind_of(index: dict[str, Any]) -> TouchKind:
         ValueError: There are no such touches.
     """
     found = index.get("touch_kind", "hard")
-    if not isinstance(found, str) or found not in WAYS:
-        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(WAYS)}")
-    return WAYS[found]
+    if not isinstance(found, str) or found not in TOUCH_KINDS:
+        raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
+    return skin_of(index).touch_kind if found == "skin" else WAYS[found]
 
 
 def skin_of(index: dict[str, Any]) -> Skin:

@@ -24,7 +24,7 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.draws import check_outline
 from eitskin_sim.freeform.draws import CLUSTERED
-from eitskin_sim.freeform.presses import TOUCH_KINDS, TouchKind
+from eitskin_sim.freeform.touch_kinds import TouchKind, ranges_of
 from eitskin_sim.scene.family import draw, paper_bends
 from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend
@@ -184,7 +184,8 @@ def make_plan(
         per_deformation: Touch sets shown at each deformation to train on.
         kept: Deformations of A kept apart, and as many of B; "paper" has none.
         near: Share of the sets drawn with touches near to each other; for "free" alone.
-        touches: "hard", the paper's; "press", that lower conductance; "raise"; "both"; "paper" has hard ones alone.
+        touches: "hard", the paper's; "press", that lower conductance; "raise"; "both"; "skin", as the
+            skin's file says; "paper" has hard ones alone.
         devices: "ideal", or "random": a device for every few deformations; "paper" has the ideal one alone.
         skin: What is bent and touched; None is the paper's, or for random devices the shipped skin "lab".
 
@@ -202,8 +203,7 @@ def make_plan(
         )
     if set_name != "free" and near is not None:
         raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
-    if touches not in TOUCH_KINDS:
-        raise ValueError(f"touches {touches!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
+    ranges_of(touches, PAPER if skin is None else skin)
     if set_name == "paper" and touches != "hard":
         raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
     if devices not in DEVICE_KINDS:
@@ -215,7 +215,7 @@ def make_plan(
     if devices == "random":
         check_outline(skin)
     nominal_sheet(skin)
-    kind: TouchKind = touches
+    kind = cast(TouchKind, touches)
     device_kind: DeviceKind = devices
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations

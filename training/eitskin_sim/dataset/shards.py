@@ -23,8 +23,9 @@ from eitskin_sim.freeform.mesh import shared_mesh
 from eitskin_sim.freeform.parts import geometry
 from eitskin_sim.freeform.patterns import CLASSES
 from eitskin_sim.freeform.pool import SetPool, set_pool
-from eitskin_sim.freeform.presses import TouchKind, contrasts_of
+from eitskin_sim.freeform.presses import contrasts_of
 from eitskin_sim.freeform.sheet import inverted_sheet
+from eitskin_sim.freeform.touch_kinds import Ranges, ranges_of
 from eitskin_sim.freeform.voltages import pool_responses
 from eitskin_sim.scene.parts import Bend, Scene
 from eitskin_sim.scene.touch_table import TouchTable
@@ -48,13 +49,14 @@ def _unit_sets(set_name: str, count: int, seed: int, shape: tuple[int, int]) -> 
 
 def unit_contrasts(plan: Plan) -> UnitContrasts:
     """Return the contrasts of a plan's touches on the unit grid, which are not hard ones."""
-    return _unit_contrasts(plan.set_name, plan.touch_sets, plan.seed, plan.skin.grid.units, plan.touches)
+    ranges = ranges_of(plan.touches, plan.skin)
+    return _unit_contrasts(plan.set_name, plan.touch_sets, plan.seed, plan.skin.grid.units, ranges)
 
 
 @lru_cache(maxsize=2)
-def _unit_contrasts(set_name: str, count: int, seed: int, shape: tuple[int, int], kind: TouchKind) -> UnitContrasts:
+def _unit_contrasts(set_name: str, count: int, seed: int, shape: tuple[int, int], ranges: Ranges) -> UnitContrasts:
     generator = np.random.default_rng([seed, 6])
-    contrast = contrasts_of(kind, CLASSES, generator)
+    contrast = contrasts_of(ranges, CLASSES, generator)
     sets = _unit_sets(set_name, count, seed, shape)
     return UnitContrasts(touch_classes(sets, CLASSES, generator, shape), contrast)
 
@@ -161,13 +163,13 @@ def _unit_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device
         generator = UnitGenerator(bend, device=device, skin=job_skin(job))
         contrast = None
         if job["touches"] != "hard":
-            contrast = _unit_contrasts(*drawn, job["touches"]).of(shown)
+            contrast = _unit_contrasts(*drawn, ranges_of(job["touches"], job_skin(job))).of(shown)
         yield generator.responses(sets[shown], contrast), generator.at_terminals
 
 
 def _pool(job: dict[str, Any]) -> SetPool:
     """Return the touches of a free shard and their sets, also of those of its deformations that are made already."""
-    return set_pool(job["pool"], job["seed"], job["near"], job["touches"], job_skin(job).grid)
+    return set_pool(job["pool"], job["seed"], job["near"], job["touches"], job_skin(job))
 
 
 def _free_responses(job: dict[str, Any], bends: list[Bend], devices: list[Device]) -> Iterator[_Made]:

@@ -9,11 +9,10 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_proto.skin.grid import Grid
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.freeform.draws import CLUSTERED, SetDrawer
 from eitskin_sim.freeform.patterns import CLASSES
-from eitskin_sim.freeform.presses import TouchKind, pool_of
+from eitskin_sim.freeform.presses import pool_of
 from eitskin_sim.freeform.sets import PartSets
 from eitskin_sim.scene.touch_table import TouchTable
 
@@ -46,8 +45,8 @@ def set_pool(
     counts: dict[int, tuple[int, int]],
     seed: int,
     near: float = CLUSTERED,
-    touches: TouchKind = "hard",
-    grid: Grid = PAPER.grid,
+    touches: str = "hard",
+    skin: Skin = PAPER,
 ) -> SetPool:
     """Return the pool of some deformations and their touch sets.
 
@@ -55,8 +54,8 @@ def set_pool(
         counts: By number of the deformation, how many sets it shows and how many of them are held out.
         seed: Of the data set.
         near: Share of the chains of sets whose touches lie near to each other.
-        touches: Which touches.
-        grid: Of the sheet that they lie on.
+        touches: Which touches, see :mod:`eitskin_sim.freeform.touch_kinds`.
+        skin: Of the sheet that they lie on.
     """
     first = min(counts)
     learned = max(total - held for total, held in counts.values())
@@ -65,8 +64,8 @@ def set_pool(
     for kind, size in enumerate((learned, held)):
         generator = np.random.default_rng([seed, 4, first, kind])
         many = max(LEAST, round(TOUCHES_PER_SET * size)) if size else 0
-        pools.append(pool_of(touches, many, generator, grid.size_mm))
-    drawers = [SetDrawer(pool, near, grid) for pool in pools]
+        pools.append(pool_of(touches, many, generator, skin))
+    drawers = [SetDrawer(pool, near, skin.grid) for pool in pools]
     sets = {}
     for number, (total, apart) in counts.items():
         generator = np.random.default_rng([seed, 5, number])

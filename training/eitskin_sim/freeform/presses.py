@@ -11,38 +11,21 @@ to 22 mm, strength follows it with that spread, and size follows from both; one 
     both     half of the touches lower it so; a quarter raises it, contrast 1.2 to 200 log-uniform, any size from 8 to
              25 mm; a quarter has that contrast and the sharp shapes of hard touches, bars and L's among them
 
+    skin     the ways, contrasts, sizes and borders of the skin's description
+
 A quarter of the borders of presses is sharp, the others are graded over 0.5 to 8 mm, at most over the press's width.
+Where no measured strength goes with the skin's contrasts and sizes, sizes are drawn by themselves.
 """
 
-from typing import Final, Literal
+from typing import Final
 
 import numpy as np
 
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.freeform.patterns import CLASSES, touch_pool
+from eitskin_sim.freeform.touch_kinds import Ranges, ranges_of
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, RECTANGLE, Array, TouchTable, gather
-
-TouchKind = Literal["hard", "press", "raise", "both"]
-"""The paper's touches of contrast 20 to 200; presses that lower conductance; touches that raise it; both ways."""
-
-TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("hard", "press", "raise", "both")
-
-LOWERING: Final = (0.2, 0.85)
-"""Contrasts of presses that lower conductance, log-uniform over classes."""
-
-RAISING: Final = (1.2, 200.0)
-"""Contrasts of presses that raise it."""
-
-SIZES_MM: Final = (8.0, 25.0)
-"""Of discs' diameters, ellipses' axes, rectangles' sides."""
-
-BORDERS_MM: Final = (LEAST_BORDER_MM, 8.0)
-"""Widths of graded borders."""
-
-SHARP: Final = 0.25
-"""Share of the borders that are sharp."""
 
 FORMS: Final = (0.45, 0.35, 0.2)
 """Chances of a disc, an ellipse, a rectangle."""
@@ -62,30 +45,30 @@ SPREAD: Final = 0.2
 LONGEST: Final = 2.0
 """The most that one axis is longer than the other."""
 
+PATIENCE: Final = 300
+"""Draws of a strength until a size that fits is drawn by itself; of the usual presses one in ten fits."""
 
-def pool_of(
-    kind: TouchKind, count: int, generator: np.random.Generator, size_mm: tuple[float, float] = PAPER.outline.size_mm
-) -> TouchTable:
+
+def pool_of(kind: str, count: int, generator: np.random.Generator, skin: Skin = PAPER) -> TouchTable:
     """Return ``count`` random touches of a kind on a sheet, one a set; those of one class have one contrast.
 
     Args:
         kind: Which touches.
         count: How many.
         generator: Where draws come from.
-        size_mm: Length and width of the sheet.
+        skin: Of the sheet.
 
     Raises:
-        ValueError: The kind is unknown.
+        ValueError: The kind is unknown, or the skin's own do not fit on its sheet.
     """
-    if kind not in TOUCH_KINDS:
-        raise ValueError(f"touches {kind!r} are unknown; expected one of {', '.join(TOUCH_KINDS)}")
+    ranges, size_mm = ranges_of(kind, skin), skin.outline.size_mm
     if kind == "hard":
         return touch_pool(count, generator, size_mm)
     number = np.arange(count)
-    contrast = contrasts_of(kind, CLASSES, generator)[number % CLASSES]
-    plain = np.flatnonzero((contrast > 1.0) & (number // CLASSES % 2 == 1))
+    contrast = contrasts_of(ranges, CLASSES, generator)[number % CLASSES]
+    plain = np.flatnonzero(ranges.hard_shapes & (contrast > 1.0) & (number // CLASSES % 2 == 1))
     pressed = np.setdiff1d(number, plain)
-    pieces = _on_sheet(contrast[pressed], generator, size_mm)
+    pieces = _on_sheet(contrast[pressed], generator, size_mm, ranges)
     own: dict[int, Array] = {int(at): piece[None] for at, piece in zip(pressed, pieces, strict=True)}
     shapes = touch_pool(len(plain), generator, size_mm)
     for row, at in enumerate(plain.tolist()):
@@ -94,52 +77,54 @@ def pool_of(
     return gather([np.zeros((0, 8)), *(own[at] for at in range(count))]).chosen(number + 1)
 
 
-def _on_sheet(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float]) -> Array:
+def _on_sheet(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float], ranges: Ranges) -> Array:
     """Return (n, 8) presses of given contrasts (n,), their outlines on the sheet."""
-    pieces = _draw(contrast, generator, size_mm)
+    pieces = _draw(contrast, generator, size_mm, ranges)
     half, middle_mm = half_extents_mm(pieces), np.array(size_mm) / 2
     while len(missing := np.flatnonzero((np.abs(pieces[:, 1:3] - middle_mm) > middle_mm - half).any(axis=1))):
         pieces[missing, 1:3] = generator.uniform((0.0, 0.0), size_mm, (len(missing), 2))
     return pieces
 
 
-def _draw(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float]) -> Array:
+def _draw(contrast: Array, generator: np.random.Generator, size_mm: tuple[float, float], ranges: Ranges) -> Array:
     """Return (n, 8) presses of given contrasts (n,), which may reach over the sheet's border."""
-    count = len(contrast)
+    count, (low, high) = len(contrast), ranges.sizes_mm
     pieces = np.empty((count, 8))
-    missing = np.arange(count)
+    missing, tries = np.arange(count), 0
     while len(missing):
-        area = _areas(contrast[missing], generator)
+        tries += 1
+        area = _areas(contrast[missing], generator, ranges.sizes_mm)
         form = generator.choice((DISC, ELLIPSE, RECTANGLE), len(missing), p=FORMS)
-        ratio = np.where(form == DISC, 1.0, np.exp(generator.uniform(0.0, np.log(LONGEST), len(missing))))
+        longest = LONGEST if tries < PATIENCE else min(LONGEST, high / low)
+        ratio = np.where(form == DISC, 1.0, np.exp(generator.uniform(0.0, np.log(longest), len(missing))))
         full = np.where(form == RECTANGLE, 1.0, np.pi / 4)
-        width = np.sqrt(area / full / ratio)
-        fits = (width >= SIZES_MM[0]) & (width * ratio <= SIZES_MM[1])
+        width = np.sqrt(area / full / ratio) if tries < PATIENCE else generator.uniform(low, high / ratio)
+        fits = (width >= low) & (width * ratio <= high * (1.0 + 1e-12))
         chosen = missing[fits]
         pieces[chosen, 0], pieces[chosen, 3], pieces[chosen, 4] = form[fits], (width * ratio)[fits], width[fits]
         missing = missing[~fits]
     pieces[:, 1:3] = generator.uniform((0.0, 0.0), size_mm, (count, 2))
     pieces[:, 5] = np.where(pieces[:, 0] == DISC, 0.0, generator.uniform(0.0, 180.0, count))
     pieces[:, 6] = contrast
-    border = np.minimum(generator.uniform(*BORDERS_MM, count), pieces[:, 4])
-    pieces[:, 7] = np.where(generator.random(count) < SHARP, 0.0, border)
+    border = np.minimum(generator.uniform(*ranges.borders_mm, count), pieces[:, 4])
+    pieces[:, 7] = np.where(generator.random(count) < ranges.sharp, 0.0, border)
     return pieces
 
 
-def _areas(contrast: Array, generator: np.random.Generator) -> Array:
+def _areas(contrast: Array, generator: np.random.Generator, sizes_mm: tuple[float, float]) -> Array:
     """Return (n,) areas, mm^2: of those that lower conductance by their strength."""
     count = len(contrast)
     depth = generator.uniform(*DEPTHS_MM, count)
     strength = STRENGTH_MM2 * (depth / 10.0) ** POWER * np.exp(SPREAD * generator.standard_normal(count))
-    even = np.pi / 4 * generator.uniform(*SIZES_MM, count) ** 2
+    even = np.pi / 4 * generator.uniform(*sizes_mm, count) ** 2
     return np.where(contrast < 1.0, strength / np.abs(1.0 - contrast), even)
 
 
-def contrasts_of(kind: TouchKind, classes: int, generator: np.random.Generator) -> Array:
-    """Return (classes,) contrasts, each from its share of a range: presses lower conductance, of both every second."""
-    raising = np.arange(classes) % 2 == 1 if kind == "both" else np.full(classes, kind == "raise")
+def contrasts_of(ranges: Ranges, classes: int, generator: np.random.Generator) -> Array:
+    """Return (classes,) contrasts, each from its share of a range; of touches both ways every second one raises."""
+    raising = np.arange(classes) % 2 == 1 if ranges.way == "both" else np.full(classes, ranges.way == "raising")
     found = np.empty(classes)
-    for which, bounds in ((~raising, LOWERING), (raising, RAISING)):
+    for which, bounds in ((~raising, ranges.lowering), (raising, ranges.raising)):
         number = np.count_nonzero(which)
         low, high = np.log(bounds)
         found[which] = np.exp(low + (high - low) * (np.arange(number) + generator.random(number)) / max(number, 1))

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.freeform.presses import BORDERS_MM, LOWERING, SHARP, SIZES_MM
+from eitskin_sim.freeform.touch_kinds import Ranges
 from eitskin_sim.scene.touch_table import DISC
 
 STRENGTH_MM2: Final = 50.0
@@ -47,12 +47,14 @@ def contrast_of(strength_mm2: float, diameter_mm: float) -> float:
 def drawn_presses(count: int, rng: np.random.Generator, skin: Skin) -> list[Array]:
     """Return touch sets of one faint press each, as pieces."""
     sets: list[Array] = []
+    usual = Ranges("lowering")
+    (least, most), border_mm = usual.sizes_mm, usual.borders_mm
     while len(sets) < count:
         strength = np.exp(rng.uniform(*np.log(STRENGTHS_MM2)))
-        contrast = np.exp(rng.uniform(*np.log(LOWERING)))
+        contrast = np.exp(rng.uniform(*np.log(usual.lowering)))
         diameter = float(np.sqrt(4 / np.pi * strength / (1.0 - contrast)))
-        border = 0.0 if rng.random() < SHARP else float(rng.uniform(BORDERS_MM[0], min(BORDERS_MM[1], diameter)))
-        if SIZES_MM[0] <= diameter <= SIZES_MM[1]:
+        border = 0.0 if rng.random() < usual.sharp else float(rng.uniform(border_mm[0], min(border_mm[1], diameter)))
+        if least <= diameter <= most:
             x, y = rng.uniform((diameter / 2, diameter / 2), np.array(skin.outline.size_mm) - diameter / 2)
             sets.append(press(float(x), float(y), diameter, float(contrast), border))
     return sets

@@ -110,7 +110,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
     usual = Adaptation()
     deformations = -(-arguments.samples // usual.per_deformation)
     work = replace(usual, deformations=deformations, epochs=arguments.epochs)
-    recipe = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work)
+    recipe = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
     place = folder / f"{bundle.path.stem}.build"
     if half_made.begun(place, recipe, None) is None:
         half_made.begin(place, recipe, recipe, None)

@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(recipes.Adaptation(), **chosen)
-    recipe = recipes.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work)
+    recipe = recipes.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
     if arguments.presses is None:
         return make(recipe, arguments)
     recording, identity = _recorded(arguments.presses, twin, bundle.labels)
