@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from eitskin_sim.calibration.fit import CalibrationError, fit
+from eitskin_sim.calibration.fit import UnsettledError, fit
 
 
 class Linear:
@@ -88,5 +88,6 @@ def test_what_never_gets_better_is_an_error():
             return residuals, -jacobian
 
     jacobian, _, read = drawn(5)
-    with pytest.raises(CalibrationError, match=r"does not converge: .*look at the recording"):
+    with pytest.raises(UnsettledError, match=r"does not converge: .*look at the recording") as caught:
         fit(Wrong(0.01 * jacobian, read))
+    assert caught.value.residuals.shape == read.shape

@@ -1,6 +1,7 @@
 """``eitskin calibrate`` on a device that is known: electrodes and the instrument are found, and a misfit is refused."""
 
 import json
+import re
 from dataclasses import replace
 
 import numpy as np
@@ -102,6 +103,32 @@ def test_a_row_that_is_off_is_named_and_nothing_is_written(recorded, capsys):
     assert "the residual stays above noise" in said
     assert f"drive {drive} measure {measure} by " in said
     assert not out.exists()
+
+
+def test_a_search_that_does_not_settle_names_its_rows_and_nothing_is_written(recorded, monkeypatch, capsys):
+    from eitskin_sim.calibration import fit
+
+    monkeypatch.setattr(fit, "MOST_STEPS", 1)
+    out = recorded / "calibrated.toml"
+    assert main(["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml"), "--out", str(out)]) == 1
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(r"does not converge: after 1 steps .*; rows .* their noise: drive \d+ measure \d+ by \d", said)
+    assert said.endswith("the uncertainties that the skin states")
+    assert not out.exists()
+
+
+def test_the_residual_of_every_row_is_shown_by_drive_and_measured_pair(recorded, capsys):
+    words = ["calibrate", str(recorded / "r.npz"), "--skin", str(recorded / "ours.toml")]
+    assert main([*words, "--out", str(recorded / "calibrated.toml"), "--json"]) == 0
+    exact = json.loads(capsys.readouterr().out)["residuals"]
+    assert main([*words, "--out", str(recorded / "calibrated.toml")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    head = next(number for number, line in enumerate(lines) if line.startswith("drive / measure"))
+    shown = {}
+    for drive, line in enumerate(lines[head + 1 : head + 17]):
+        cells = [line[15 + 6 * pair : 21 + 6 * pair].strip() for pair in range(16)]
+        shown |= {f"drive {drive} measure {pair}": float(cell) for pair, cell in enumerate(cells) if cell}
+    assert shown == {name: pytest.approx(value, abs=0.051) for name, value in exact.items()}
 
 
 def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recorded, monkeypatch, capsys):

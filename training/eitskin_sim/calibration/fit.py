@@ -56,6 +56,19 @@ class CalibrationError(SkinError):
     """Nothing could be calibrated; the text says why, and what to do."""
 
 
+class UnsettledError(CalibrationError):
+    """The search does not converge.
+
+    Args:
+        why: What was seen.
+        residuals: (rows,) over their noise, where it ended.
+    """
+
+    def __init__(self, why: str, residuals: Array) -> None:
+        self.why, self.residuals = f"the calibration does not converge: {why}", residuals
+        super().__init__(f"{self.why}; {REMEDY}")
+
+
 class Residuals(Protocol):
     """What is fitted."""
 
@@ -124,7 +137,7 @@ def fit(
             gained that matters.
 
     Raises:
-        CalibrationError: It does not converge.
+        UnsettledError: It does not converge.
     """
     z = np.zeros(model.count) if start is None else start
     steps = done
@@ -166,9 +179,8 @@ def _descend(
             if damping > MOST_DAMPING and rough:
                 return z, residuals, jacobian, step
             if damping > MOST_DAMPING:
-                raise CalibrationError(
-                    f"the calibration does not converge: no step from a misfit of {cost / len(residuals):.3g} makes it "
-                    f"smaller; {REMEDY}"
+                raise UnsettledError(
+                    f"no step from a misfit of {cost / len(residuals):.3g} makes it smaller", residuals
                 )
         far = float(np.sqrt(whole @ curvature @ whole / len(z)))
         z, damped = z + whole, damping > 1e-3
@@ -179,9 +191,8 @@ def _descend(
             return z, residuals, jacobian, step
         if far < (CLOSE if last else ROUGHLY) and not damped:
             return z, residuals, jacobian, step
-    raise CalibrationError(
-        f"the calibration does not converge: after {MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and "
-        f"still falls; {REMEDY}"
+    raise UnsettledError(
+        f"after {MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still falls", residuals
     )
 
 

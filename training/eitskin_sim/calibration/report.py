@@ -1,14 +1,15 @@
 """What calibration found, as numbers and as a table: each parameter with its error, each row with its residual."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 from scipy.stats import chi2
 
-from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.calibration.fit import CHANCE, FAR, CalibrationError, Fit, fit
+from eitskin_sim.calibration.fit import CHANCE, FAR, REMEDY, CalibrationError, Fit, UnsettledError, fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.recording import Later, Recording
@@ -24,6 +25,9 @@ NEAR_1_A: Final = 5.0
 
 MOST_NAMED: Final = 6
 """Rows that a message names."""
+
+MOMENT_ROWS: Final = [f"drive {drive} measure {measure}" for drive, measure in TABLE]
+"""A name for every row of a bent moment or a press."""
 
 
 def calibrate(
@@ -47,7 +51,7 @@ def calibrate(
             f"skin {skin.name} states everything exactly: there is nothing to calibrate; say in its file how sure you "
             "are, as {value = .., normal = ..}, or name one that does, as --skin lab"
         )
-    found = fit(model, progress)
+    found = _named_if_unsettled(lambda: fit(model, progress), row_names(model))
     check_rows(model, found, slice(None))
     session = Session(skin, recording, snr_db)
     if recording.bents or recording.presses:
@@ -86,10 +90,28 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
         return float(np.sum(one.residuals(start) ** 2))
 
     chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
-    found = fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True)
+    names = [*row_names(chosen.flat), *(f"{one.name} {row}" for one in chosen.moments for row in MOMENT_ROWS)]
+    found = _named_if_unsettled(
+        lambda: fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True), names
+    )
     check_moments(chosen, found)
     check_rows(chosen.flat, found, chosen.blocks[0])
     return chosen, found
+
+
+def _named_if_unsettled(work: Callable[[], Fit], names: list[str]) -> Fit:
+    """Return a fit; where the search does not converge, the rows that are off most are named.
+
+    Raises:
+        CalibrationError: It does not.
+    """
+    try:
+        return work()
+    except UnsettledError as error:
+        worst = _worst(error.residuals, names)
+        raise CalibrationError(
+            f"{error.why}; rows that are off by so many times their noise: {worst}; {REMEDY}"
+        ) from error
 
 
 def check_moments(session: Session, found: Fit) -> None:
@@ -147,7 +169,7 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
 
 
 def _named(found: Fit, block: slice) -> str:
-    return _worst(found.far[block], [f"drive {drive} measure {measure}" for drive, measure in TABLE])
+    return _worst(found.far[block], MOMENT_ROWS)
 
 
 def _worst(far: Any, rows: list[str]) -> str:
@@ -223,6 +245,18 @@ def press_fields(session: Session, found: Fit) -> dict[str, Any] | None:
     }
 
 
+def _by_pairs(residuals: dict[str, float]) -> list[str]:
+    """Return the residual of every row over its noise: a line a drive, a column a measured pair."""
+    found = {tuple(int(word) for word in name.split()[1::2]): value for name, value in residuals.items()}
+    lines = [f"{'drive / measure':15}" + "".join(f"{pair:6d}" for pair in range(N_ELECTRODES))]
+    for drive in range(N_ELECTRODES):
+        row = "".join(
+            f"{found[drive, pair]:6.1f}" if (drive, pair) in found else f"{'':6}" for pair in range(N_ELECTRODES)
+        )
+        lines.append(f"{drive:15d}{row}".rstrip())
+    return lines
+
+
 def table(report: dict[str, Any]) -> str:
     """Return the report as people read it."""
     lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
@@ -242,6 +276,7 @@ def table(report: dict[str, Any]) -> str:
         f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "
         f"{report['misfit']:.2f}, chance allows {report['misfit_limit']:.2f}"
     )
+    lines += _by_pairs(report["residuals"])
     if report["far"]:
         lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
     for name, moment in report["moments"].items():
