@@ -19,6 +19,7 @@ from eitskin_sim.evaluation.devices.mismatch import (
     random_mismatch,
     random_rows,
 )
+from eitskin_sim.measurement.front_end import FrontEnd
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.scene import SceneError, check_scene
@@ -29,7 +30,7 @@ BENT = draw("A", 1, 0)[0]
 SCENE = Scene(bend=BENT, touches=(Touch((Rect(60.0, 40.0, 75.0, 55.0),)), Touch((Disc(30.0, 30.0, 6.0),))))
 ALL = Mismatch(
     1.0, 3.0, 10.0, 0.5, 1.5, 148.0, 0.05, 30.0, 1.0, 5.0, 0.02, 10.0, 2.0, 1.0, 0.05, 0.3, 5.0, 1.01, True, 0.01, True,
-    60.0,
+    60.0, 1.0, 0.01, 40.0, 0.7, 0.3, 0.4,
 )  # fmt: skip
 
 
@@ -44,6 +45,7 @@ def test_without_a_mismatch_the_device_is_the_nominal_one():
     assert np.allclose(scene.electrodes.impedances_ohm_m2(), 1e-4, rtol=1e-15)
     assert scene.electrodes.arc_length_mm == Electrodes().arc_length_mm
     assert (scene.bend, scene.touches) == (SCENE.bend, SCENE.touches)
+    assert device.front_end == FrontEnd()
     assert device.reference().bend == Bend()
     assert np.array_equal(device.cloud(BENT, rng()), measured_cloud(BENT, rng()).astype(np.float64))
 

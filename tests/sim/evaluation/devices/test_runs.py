@@ -5,13 +5,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.parts import Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.devices import runs
+from eitskin_sim.evaluation.devices.device import draw_device
 from eitskin_sim.evaluation.devices.mismatch import IDEAL, Mismatch
 from eitskin_sim.evaluation.harness import Run, truth_map
-from eitskin_sim.scene.parts import Phantom, Scene, Touch
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.faults import response_of
+from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.parts import Bend, Phantom, Scene, Touch
 from eitskin_sim.scene.shapes import Rect
 
 SQUARE = Phantom("square", Scene(touches=(Touch((Rect(60.0, 40.0, 70.0, 50.0),)),)), "area")
@@ -26,9 +31,12 @@ QUIET = runs.Plan(noise="none")
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     monkeypatch.setattr(runs, "ELEMENT_MM", 4.5)
-    runs.voltages_of.cache_clear()
+    caches = runs.voltages_of, runs._differences
+    for one in caches:
+        one.cache_clear()
     yield
-    runs.voltages_of.cache_clear()
+    for one in caches:
+        one.cache_clear()
 
 
 def seen(rows, kinds, plan=QUIET, reference="pre"):
@@ -172,3 +180,31 @@ def test_a_touch_is_missed_beyond_15_mm():
     assert found["missed"] == pytest.approx(2 / 3)
     assert found["localisation_rms_mm"] == pytest.approx(3.0)
     assert (found["cc"], found["cc_worst"], found["gate_missed"]) == (0.5, 0.1, 0.5)
+
+
+def test_a_front_end_that_is_next_to_ideal_reads_what_the_model_says():
+    bent = replace(SQUARE.scene, bend=Bend(angle_deg=40.0))
+    assert np.allclose(runs.voltages_of(bent, FrontEnd(gain=(1.0,) * 16)), runs.voltages_of(bent), rtol=1e-9)
+
+
+def test_gains_are_divided_out_by_the_reference_and_offsets_are_not():
+    rows = [("none", IDEAL), ("gains", Mismatch(gain_percent=5.0)), ("offsets", Mismatch(offset_V=0.05))]
+    (plain, gains, offsets), _ = seen(rows, [HARD])
+    change = plain.voltages / plain.flat_reference
+    assert not np.allclose(gains.voltages, plain.voltages, rtol=0.01)
+    assert np.allclose(gains.voltages / gains.flat_reference, change, rtol=1e-9)
+    off = offsets.voltages - plain.voltages
+    assert np.allclose(off, offsets.flat_reference - plain.flat_reference, atol=1e-9)
+    pairs = TABLE[:, 1]
+    assert all(np.ptp(off[pairs == pair]) < 1e-9 for pair in set(pairs.tolist()))
+    assert 0.02 < off.std() < 0.1
+    assert not np.allclose(offsets.voltages / offsets.flat_reference, change, rtol=1e-3)
+
+
+@pytest.mark.parametrize("off", [{"stray_pF": 200.0}, {"minus_percent": 2.0}, {"sink_percent": 2.0}])
+def test_what_a_front_end_loses_is_read_as_the_circuit_says(off):
+    mismatch = Mismatch(**off)
+    _, lossy = seen([("none", IDEAL), ("lossy", mismatch)], [HARD])[0]
+    exact = response_of(factorise_scene(replace(SQUARE.scene, element_size_mm=4.5)))
+    assert np.allclose(lossy.voltages, draw_device(mismatch, 0, 0).front_end.read(exact), rtol=1e-6, atol=1e-9)
+    assert not np.allclose(lossy.voltages, runs.voltages_of(SQUARE.scene), rtol=1e-5)

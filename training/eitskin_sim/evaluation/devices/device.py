@@ -10,7 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.devices.mismatch import Mismatch
+from eitskin_sim.measurement.front_end import FrontEnd, capacitance
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.parts import Bend, Electrodes, Late, Scene, Sheet, SmoothField, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
@@ -32,6 +34,7 @@ class Device:
     mismatch: Mismatch
     sheet: Sheet
     electrodes: Electrodes
+    front_end: FrontEnd
 
     def scene(self, nominal: Scene, *, as_it_is: bool) -> Scene:
         """Return the true scene of a nominal one.
@@ -74,6 +77,7 @@ def draw_device(mismatch: Mismatch, seed: int, number: int) -> Device:
     places = np.clip(rng.standard_normal(N_ELECTRODES), -FARTHEST_SD, FARTHEST_SD)
     contacts = rng.standard_normal(N_ELECTRODES)
     field_seed, late_seed = (int(one) for one in rng.integers(2**31, size=2))
+    gains, offsets, strays = rng.standard_normal((3, N_ELECTRODES))
     off, nominal = mismatch, Electrodes()
     arc = _along(np.array(nominal.arc_length_mm), off.length_mm) + off.electrodes_mm * places
     impedance = nominal.impedances_ohm_m2() * off.impedance_factor * np.exp(off.impedance_spread * contacts)
@@ -93,6 +97,19 @@ def draw_device(mismatch: Mismatch, seed: int, number: int) -> Device:
             contact_impedance_ohm_m2=tuple(impedance.tolist()),
             arc_length_mm=tuple(arc.tolist()),
         ),
+        front_end=_front_end(off, gains, offsets, strays),
+    )
+
+
+def _front_end(off: Mismatch, gains: Array, offsets: Array, strays: Array) -> FrontEnd:
+    """Return electronics of directions (16,) each; an ideal one where none is off."""
+    stray_pF = off.stray_pF * np.exp(off.stray_spread * strays)
+    return FrontEnd(
+        gain=tuple((1.0 + off.gain_percent / 100.0 * gains).tolist()) if off.gain_percent else 1.0,
+        offset_per_pair_V=tuple((off.offset_V * offsets).tolist()) if off.offset_V else 0.0,
+        stray_S=capacitance(tuple(stray_pF.tolist()), PAPER.front_end.frequency_Hz) if off.stray_pF else 0.0,
+        minus_gain=1.0 - off.minus_percent / 100.0,
+        sink_share=1.0 - off.sink_percent / 100.0,
     )
 
 

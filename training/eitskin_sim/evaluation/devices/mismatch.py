@@ -61,6 +61,18 @@ class Mismatch:
     """Whether it was scanned then, so that the reference counts as a flat one's."""
     reference_snr_db: float | None = None
     """The reference's own noise, N2; None for none."""
+    gain_percent: float = 0.0
+    """Standard deviation of each measured pair's gain."""
+    offset_V: float = 0.0
+    """Standard deviation of each measured pair's offset, under 1 A through a layer of 1 S/m."""
+    stray_pF: float = 0.0
+    """Capacitance of each terminal to ground."""
+    stray_spread: float = 0.0
+    """Standard deviation of its logarithm from terminal to terminal."""
+    minus_percent: float = 0.0
+    """How much less the amplifier's minus path passes than its plus path."""
+    sink_percent: float = 0.0
+    """How much less the sink takes than the source gives."""
 
     @property
     def alters_touches(self) -> bool:
@@ -76,7 +88,9 @@ BOUNDS: Final[dict[str, tuple[float, float]]] = {
     "field_mm": (5.0, 500.0), "gauge_factor": (-3.0, 3.0), "drift_percent": (-60.0, 200.0), "gradient_rms": (0.0, 0.3),
     "contrast": (0.01, 1e4), "border_mm": (0.0, 8.0), "dent_mm": (0.0, 5.0), "unseen_stretch": (-0.3, 0.3),
     "scan_noise_mm": (0.0, 5.0), "scan_stale_deg": (0.0, 90.0), "scan_scale": (0.9, 1.1),
-    "reference_stretch": (-0.1, 0.2), "reference_snr_db": (10.0, 120.0),
+    "reference_stretch": (-0.1, 0.2), "reference_snr_db": (10.0, 120.0), "gain_percent": (0.0, 20.0),
+    "offset_V": (0.0, 1.0), "stray_pF": (0.0, 10_000.0), "stray_spread": (0.0, 2.0), "minus_percent": (-20.0, 20.0),
+    "sink_percent": (-20.0, 20.0),
 }  # fmt: skip
 """Least and most of each number."""
 
@@ -127,6 +141,12 @@ def random_mismatch(rng: np.random.Generator) -> Mismatch:
         scan_scale=float(rng.uniform(0.995, 1.005)),
         reference_stretch=float(rng.uniform(0.0, 0.01)),
         reference_snr_db=float(rng.uniform(55.0, 70.0)),
+        gain_percent=float(rng.uniform(0.0, 2.0)),
+        offset_V=float(rng.uniform(0.0, 0.01)),
+        stray_pF=float(10 ** rng.uniform(1.0, 2.0)),
+        stray_spread=float(rng.uniform(0.0, 0.7)),
+        minus_percent=float(rng.normal(0.0, 0.3)),
+        sink_percent=float(rng.normal(0.0, 0.4)),
     )
 
 

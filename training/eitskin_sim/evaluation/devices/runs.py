@@ -21,13 +21,15 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
 from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet, truth_map
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
-from eitskin_sim.fem.solve import solve_scene
+from eitskin_sim.fem.solve import factorise_scene, solve_scene
+from eitskin_sim.measurement.front_end import IDEAL, FrontEnd
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.surface.predict import flat_voltages, predict
@@ -207,7 +209,7 @@ def cases(
         number: Of the device.
         follower: What takes drift out; None leaves it in.
     """
-    taken, flat = voltages_of(device.reference()), flat_voltages(plan.skin)
+    taken, flat = voltages_of(device.reference(), device.front_end), flat_voltages(plan.skin)
     seeds = [DRAW_SEED, plan.seed, number]
     if device.mismatch.reference_snr_db is not None:
         taken = add_noise(taken, taken, "N2", device.mismatch.reference_snr_db, np.random.default_rng([*seeds, 0]))
@@ -220,15 +222,15 @@ def cases(
         return add_noise(np.tile(volts, (frames, 1)), taken, plan.noise, plan.snr_db, read)
 
     if follower is not None:
-        follower.begin(taken, voltages_of(device.scene(Scene(), as_it_is=True)), reads)
+        follower.begin(taken, voltages_of(device.scene(Scene(), as_it_is=True), device.front_end), reads)
     for index, phantom in enumerate(kind.phantoms):
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
-        noisy = add_noise(voltages_of(scene), taken, plan.noise, plan.snr_db, rng)
+        noisy = add_noise(voltages_of(scene, device.front_end), taken, plan.noise, plan.snr_db, rng)
         sheet = _sheet(device, phantom, rng, plan.skin)
         if follower is not None:
             predicted = np.log(sheet.predicted() / flat) if device.mismatch.scan else None
-            follower.meet(voltages_of(replace(scene, touches=())), predicted, reads)
+            follower.meet(voltages_of(replace(scene, touches=()), device.front_end), predicted, reads)
             noisy = follower.correct(noisy)
         held = sheet.predicted() * taken / flat if reference == "predicted" else taken
         yield Case(noisy, held, taken, sheet, kind.labels, lowering=kind.lowering), phantom
@@ -240,9 +242,17 @@ def _sheet(device: Device, phantom: Phantom, rng: np.random.Generator, skin: Ski
 
 
 @lru_cache(maxsize=1024)
-def voltages_of(scene: Scene) -> Array:
-    """Return the (104,) V of a true scene; rows that differ by scans and references alone share them."""
-    return solve_scene(replace(scene, element_size_mm=ELEMENT_MM)).voltages
+def voltages_of(scene: Scene, front_end: FrontEnd = IDEAL) -> Array:
+    """Return the (104,) V that is read of a true scene; rows that differ by scans and references alone share them."""
+    if front_end == IDEAL:
+        return solve_scene(replace(scene, element_size_mm=ELEMENT_MM)).voltages
+    return front_end.read(responses_of(_differences(scene)), current_A=scene.current_A)
+
+
+@lru_cache(maxsize=1024)
+def _differences(scene: Scene) -> Array:
+    """Return what every pair reads under every drive (16, 16), V for 1 A: rows that differ by front ends share them."""
+    return factorise_scene(replace(scene, element_size_mm=ELEMENT_MM)).differences()
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
