@@ -93,6 +93,7 @@ ROOMS: dict[str, Arrows] = {
     "eitskin_export": {
         "__init__": set(),
         "bundle": set(),
+        "pair": {"bundle"},
         "consistency": set(),
         "fold": set(),
         "unfold": {"bundle"},

@@ -27,6 +27,7 @@ from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import to_toml, unknown
+from eitskin_tools.build.tables import table
 from eitskin_tools.command_line import files, skins
 
 FORMAT: Final = "eitskin-recipe"
@@ -241,8 +242,8 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         raise ValueError("there is no training: expected tables [[training]]")
     if bad := [name for name in sets if not name.replace("-", "").replace("_", "").isalnum()]:
         raise ValueError(f"a data set is called {quoted(bad[0])}, expected letters, digits, - and _")
-    data = {name: _table(Data, one, f"[data.{name}]") for name, one in sets.items()}
-    training = tuple(_table(Leg, one, f"[[training]] {number}") for number, one in enumerate(legs, 1))
+    data = {name: table(Data, one, f"[data.{name}]") for name, one in sets.items()}
+    training = tuple(table(Leg, one, f"[[training]] {number}") for number, one in enumerate(legs, 1))
     for number, leg in enumerate(training, 1):
         if missing := [name for name in leg.data if name not in data]:
             raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
@@ -258,8 +259,8 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         texts["network"],
         data,
         training,
-        _table(GateWork, content.get("gate", {}), "[gate]"),
-        _table(CardWork, content.get("card", {}), "[card]"),
+        table(GateWork, content.get("gate", {}), "[gate]"),
+        table(CardWork, content.get("card", {}), "[card]"),
         beside,
         small=_text(content, "small") if "small" in content else "",
     )
@@ -275,43 +276,3 @@ def _text(content: dict[str, Any], key: str) -> str:
     if not isinstance(value, str) or not value or len(value) > 200:
         raise ValueError(f"{key} is {quoted(value)}, expected a text")
     return value
-
-
-KINDS: Final[dict[str, tuple[type, ...]]] = {
-    "set": (str,), "touches": (str,), "devices": (str,), "skin": (str,), "schedule": (str,), "start_from": (str,),
-    "data": (list,), "near": (int, float), "learning_rate": (int, float),
-}  # fmt: skip
-"""Of the keys of tables; all others are whole numbers."""
-
-LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "steps": 1}
-"""Of whole numbers; all others are at least 1."""
-
-
-def _table(kind: type, content: Any, where: str) -> Any:
-    """Return a table as its dataclass, every key checked."""
-    if not isinstance(content, dict):
-        raise ValueError(f"{where} is {quoted(content)}, expected a table")
-    unknown(content, list(kind.__dataclass_fields__), where)  # type: ignore[attr-defined]
-    values: dict[str, Any] = {}
-    for key, value in content.items():
-        kinds = KINDS.get(key, (int,))
-        fits = isinstance(value, kinds) and not isinstance(value, bool)
-        if kinds == (list,):
-            fits = fits and all(isinstance(item, str) for item in value)
-        elif str not in kinds:
-            fits = fits and LEAST.get(key, 1 if kinds == (int,) else 0) <= value <= 1e9
-        if not fits:
-            raise ValueError(f"{key} in {where} is {quoted(value)}, expected {_expected(key, kinds)}")
-        values[key] = tuple(value) if kinds == (list,) else value
-    try:
-        return kind(**values)
-    except TypeError as error:
-        raise ValueError(f"{where} lacks {str(error).rsplit(':', 1)[-1].strip()}") from error
-
-
-def _expected(key: str, kinds: tuple[type, ...]) -> str:
-    if kinds == (list,):
-        return "a list of names"
-    if kinds == (str,):
-        return "a text"
-    return f"a whole number of at least {LEAST.get(key, 1)}" if kinds == (int,) else "a number of at least 0"

@@ -31,7 +31,7 @@ QUIET = runs.Plan(noise="none")
 @pytest.fixture(autouse=True)
 def coarse(monkeypatch):
     monkeypatch.setattr(runs, "ELEMENT_MM", 4.5)
-    caches = runs.voltages_of, runs._differences
+    caches = runs.voltages_of, runs._response
     for one in caches:
         one.cache_clear()
     yield

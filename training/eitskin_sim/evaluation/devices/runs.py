@@ -21,7 +21,6 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
@@ -29,6 +28,7 @@ from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet, truth_ma
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
+from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import IDEAL, FrontEnd
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.scene.parts import Phantom, Scene
@@ -246,13 +246,13 @@ def voltages_of(scene: Scene, front_end: FrontEnd = IDEAL) -> Array:
     """Return the (104,) V that is read of a true scene; rows that differ by scans and references alone share them."""
     if front_end == IDEAL:
         return solve_scene(replace(scene, element_size_mm=ELEMENT_MM)).voltages
-    return front_end.read(responses_of(_differences(scene)), current_A=scene.current_A)
+    return front_end.read(_response(scene), current_A=scene.current_A)
 
 
 @lru_cache(maxsize=1024)
-def _differences(scene: Scene) -> Array:
-    """Return what every pair reads under every drive (16, 16), V for 1 A: rows that differ by front ends share them."""
-    return factorise_scene(replace(scene, element_size_mm=ELEMENT_MM)).differences()
+def _response(scene: Scene) -> Array:
+    """Return the (16, 16) ohm of a true scene: rows that differ by front ends share them."""
+    return response_of(factorise_scene(replace(scene, element_size_mm=ELEMENT_MM)))
 
 
 def figures(outcomes: Sequence[Outcome]) -> dict[str, Any]:
