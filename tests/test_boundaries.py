@@ -92,8 +92,7 @@ ROOMS: dict[str, Arrows] = {
     },
     "eitskin_export": {
         "__init__": set(),
-        "bundle": set(),
-        "pair": {"bundle"},
+        "bundle": set(), "pair": {"bundle"},
         "consistency": set(),
         "fold": set(),
         "unfold": {"bundle"},
