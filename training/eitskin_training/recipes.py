@@ -48,7 +48,7 @@ class Recipe:
         weight_decay: Decoupled decay of the weights a step, times the learning rate.
         average: Decay a step of the running mean of the weights that is validated and exported; 0 takes the last ones.
         noises: Definitions of 50 dB, one drawn for each sample.
-        snr_db: Signal-to-noise ratio.
+        snr_db: Signal-to-noise ratio; of a range each sample has its own.
         correlation_weight: Weight of 1 - correlation beside the cross-entropy.
         flips: Whether each batch is shown in one of the skin's mirror images, drawn at random.
         lost_rows: Share of the samples that lose one to four rows.
@@ -68,7 +68,7 @@ class Recipe:
     weight_decay: float = 0.0
     average: float = 0.0
     noises: tuple[Noise, ...] = ("N1",)
-    snr_db: float = PAPER_SNR_DB
+    snr_db: float | tuple[float, float] = PAPER_SNR_DB
     correlation_weight: float = 0.0
     flips: bool = False
     lost_rows: float = 0.0

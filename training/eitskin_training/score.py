@@ -90,7 +90,7 @@ def score(
     rows: npt.NDArray[np.intp],
     kinds: tuple[Kind, ...],
     *,
-    snr_db: float = 50.0,
+    snr_db: float | tuple[float, float] = 50.0,
     seed: int = 0,
     most: int = 6000,
 ) -> Score:

@@ -11,7 +11,7 @@ from eitskin_proto.skin.toml import named, to_toml
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.hours import REST_S, Pace, scaled, seconds
 from eitskin_tools.build.recipe import Leg
-from eitskin_tools.build.steps import plan_of
+from eitskin_tools.build.steps import fitted_to, plan_of
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
 
@@ -44,6 +44,15 @@ def test_a_recipe_says_skin_data_and_legs() -> None:
     assert [leg.data for leg in found.training] == [("hard",), ("presses",)]
 
 
+def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> None:
+    front_end = replace(SECOND.front_end, snr_db=(44.0, 56.0))
+    for own, known in ((replace(SECOND, front_end=front_end), (44.0, 56.0)), (SECOND, 50.0)):
+        (tmp_path / "skin.toml").write_text(to_toml(own))
+        found = recipes.load(str(tmp_path / "skin.toml"))
+        assert fitted_to(found, found.training[0], own).snr_db == known
+    assert fitted_to(recipes.load("press"), recipes.load("press").training[-1], named("hydrogel")).snr_db == 50.0
+
+
 def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
     (tmp_path / "skin.toml").write_text(to_toml(SECOND.touched("lowering")))
     found = recipes.load(str(tmp_path / "skin.toml"))
@@ -56,6 +65,7 @@ def test_a_skin_s_file_is_built_as_it_is_touched(tmp_path: Path) -> None:
     ("old", "new", "said"),
     [
         ("epochs = 2", "epoch = 2", r"unknown key 'epoch' in \[\[training\]\] 1; did you mean 'epochs'"),
+        ("epochs = 2", "epochs = 2\nnoise = 'N2'", r"noise in \[\[training\]\] 1 is 'N2', expected 'skin' or none"),
         ("epochs = 2\n", "", r"\[\[training\]\] 1 lacks 'epochs'"),
         ("epochs = 2", "epochs = 0", r"epochs in \[\[training\]\] 1 is 0, expected a whole number of at least 1"),
         ("epochs = 2", "epochs = true", "epochs in .* is True, expected a whole number"),

@@ -6,6 +6,7 @@ import pytest
 import torch
 
 from eitskin_proto.sensor.normalise import relative_change
+from eitskin_sim.measurement.noise import add_noise
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.recipes import recipe
 from eitskin_training.samples.batches import batches, lose_rows, noisy_change
@@ -92,3 +93,33 @@ def test_lost_rows_are_zero_and_as_frequent_as_the_recipe_says() -> None:
     lost = (dv == 0).sum(axis=1)
     assert lost.max() == 4
     assert np.mean(lost > 0) == pytest.approx(0.2, abs=0.02)
+
+
+def test_of_a_range_of_noise_each_sample_has_a_level_of_its_own(toy_data: Any) -> None:
+    data = toy_data("area", samples=3000)
+    rows = np.arange(len(data.voltages))
+    clean = relative_change(data.voltages, data.reference)
+
+    def levels_db(snr_db: Any) -> Any:
+        noisy = noisy_change(data, rows, ("N2",), snr_db, np.random.default_rng(2))
+        size = np.sqrt(np.mean(np.square((noisy - clean) / (1.0 + clean)), axis=1))
+        return -20.0 * np.log10(size)
+
+    spread = 20.0 * np.log10(np.e) / np.sqrt(2 * 104)  # of a level that is found from 104 rows
+    found = levels_db((40.0, 60.0))
+    assert abs(found.mean() - 50.0) < 0.5
+    assert abs(found.std() - np.hypot(20.0 / np.sqrt(12.0), spread)) < 0.3
+    assert found.min() > 40.0 - 5 * spread
+    assert found.max() < 60.0 + 5 * spread
+    assert abs(levels_db(50.0).std() - spread) < 0.1
+
+
+def test_one_level_of_noise_is_drawn_as_ever(toy_data: Any) -> None:
+    data = toy_data("area", samples=50)
+    count, rng = len(data.voltages), np.random.default_rng(2)
+    kind = rng.integers(2, size=count)
+    known = np.empty((count, 104))
+    for index, name in enumerate(("N2", "N3")):
+        known[kind == index] = add_noise(data.voltages[kind == index], data.reference, name, 50.0, rng)
+    found = noisy_change(data, np.arange(count), ("N2", "N3"), 50.0, np.random.default_rng(2))
+    assert np.array_equal(found, relative_change(known, data.reference).astype(np.float32))

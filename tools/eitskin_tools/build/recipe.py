@@ -11,8 +11,8 @@
     set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
 
     [[training]]                   one leg of training, on all data sets or on those that ``data`` names; the next one
-    epochs = 10                    begins with its best weights. learning_rate, schedule, seed; of the first leg
-    start_from = "free"            start_from: a shipped bundle, or a file beside this one
+    epochs = 10                    begins with its best weights. learning_rate, schedule, seed, noise; of the first
+    start_from = "free"            leg start_from: a shipped bundle, or a file beside this one
 
     [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
     [card]                         how much is tried for the card: deformations, each, draws
@@ -32,6 +32,9 @@ from eitskin_tools.command_line import files, skins
 
 FORMAT: Final = "eitskin-recipe"
 VERSION: Final = 1
+
+SKIN: Final = "skin"
+"""What follows the skin's file: touches of data, noise of training."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,6 +65,8 @@ class Leg:
     schedule: str | None = None
     seed: int = 0
     start_from: str | None = None
+    noise: str | None = None
+    """``skin``: from level to level as the skin's front end says."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -183,8 +188,8 @@ def load(name: str) -> BuildRecipe:
 
 def usual(skin: Skin) -> BuildRecipe:
     """Return what is built for a skin where nothing else is said: random devices, touched as the skin says."""
-    data = Data(touches="skin", devices="random")
-    return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20),))
+    data = Data(touches=SKIN, devices="random")
+    return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20, noise=SKIN),))
 
 
 def adapted(
@@ -208,10 +213,10 @@ def adapted(
         raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
     touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
     if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
-        touches = "skin"
+        touches = SKIN
     kind = "free" if facts.get("labels") == "area" else "units"
     data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
-    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name)
+    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN)
     name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
     return BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
 
@@ -247,6 +252,8 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     for number, leg in enumerate(training, 1):
         if missing := [name for name in leg.data if name not in data]:
             raise ValueError(f"[[training]] {number} names data {quoted(missing[0])}, known are {', '.join(data)}")
+        if leg.noise not in (None, SKIN):
+            raise ValueError(f"noise in [[training]] {number} is {quoted(leg.noise)}, expected {SKIN!r} or none")
         if number > 1 and leg.start_from is not None:
             raise ValueError(f"[[training]] {number} has start_from; only the first leg may, the next go on from it")
     for name, one in data.items():

@@ -170,7 +170,12 @@ def start_of(recipe: BuildRecipe, leg: Leg) -> Any:
 def _network(recipe: BuildRecipe, leg: Leg) -> Any:
     from eitskin_training.recipes import recipe as network_named
 
-    given = {name: getattr(leg, name) for name in ("learning_rate", "schedule") if getattr(leg, name) is not None}
+    given: dict[str, Any] = {
+        name: getattr(leg, name) for name in ("learning_rate", "schedule") if getattr(leg, name) is not None
+    }
+    if leg.noise is not None:
+        low, high = recipe.skin.front_end.snr_db
+        given["snr_db"] = low if low == high else (low, high)
     return replace(network_named(recipe.network), epochs=leg.epochs, **given)
 
 

@@ -29,7 +29,7 @@ def add_noise(
     voltages: npt.NDArray[np.floating],
     reference: npt.NDArray[np.floating],
     kind: Kind,
-    snr_db: float,
+    snr_db: float | npt.NDArray[np.float64],
     rng: np.random.Generator,
 ) -> npt.NDArray[np.float64]:
     """Return voltages as a noisy instrument would measure them.
@@ -38,7 +38,7 @@ def add_noise(
         voltages: (..., rows) V, free of noise.
         reference: (rows,) V, the one that dV is taken against; only N1 uses it.
         kind: "N1", "N2", "N3" or "none".
-        snr_db: Signal to noise ratio in dB of amplitude squared.
+        snr_db: Signal to noise ratio in dB of amplitude squared; one, or (..., 1).
         rng: Source of the noise.
 
     Returns:

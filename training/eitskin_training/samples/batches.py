@@ -129,15 +129,21 @@ class Batch:
 
 
 def noisy_change(
-    data: TrainingData, rows: npt.NDArray[np.intp], kinds: tuple[Kind, ...], snr_db: float, rng: np.random.Generator
+    data: TrainingData,
+    rows: npt.NDArray[np.intp],
+    kinds: tuple[Kind, ...],
+    snr_db: float | tuple[float, float],
+    rng: np.random.Generator,
 ) -> npt.NDArray[np.float32]:
-    """Return (n, 104) dV of samples, each with noise of a kind drawn from ``kinds``."""
+    """Return (n, 104) dV of samples, each with noise of a kind drawn from ``kinds``, and of a level of a range."""
     voltages = data.voltages[rows]
+    level = snr_db if isinstance(snr_db, float | int) else rng.uniform(*snr_db, (len(rows), 1))
     noisy = np.empty(voltages.shape, dtype=np.float64)
     kind = rng.integers(len(kinds), size=len(rows))
     for index, name in enumerate(kinds):
         chosen = kind == index
-        noisy[chosen] = add_noise(voltages[chosen], data.reference, name, snr_db, rng)
+        own = level if isinstance(level, float | int) else level[chosen]
+        noisy[chosen] = add_noise(voltages[chosen], data.reference, name, own, rng)
     return relative_change(noisy, data.reference).astype(np.float32)
 
 
