@@ -16,6 +16,8 @@ ABSENT = "nothere"
 """Name of a file that is not there."""
 
 TAKING_A_FILE = {
+    "pair": ["pair", ABSENT, "free", "--out", "x.eitskin"],
+    "pair SMALL": ["pair", "free", ABSENT, "--out", "x.eitskin"],
     "flash write": ["flash", "write", ABSENT, "--port", "/dev/null"],
     "flash diff": ["flash", "diff", ABSENT, "--port", "/dev/null"],
     "virtual-skin --config": ["virtual-skin", "--config", ABSENT],
@@ -132,6 +134,7 @@ def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
 
 
 WRITING = {
+    "pair": ["pair", "free", "press", "--out"],
     "simulate": ["simulate", "sample", "--out"],
     "surface": ["surface", "sample", "--out"],
     "reference": ["reference", "--port", "/dev/null", "--out"],
