@@ -54,8 +54,8 @@ def test_frames_of_this_sheet_are_streamed(made, start):
         words = ["--port", port, "--bundle", bundle, "--reference", flat, "--publish", at]
         with start(*CLI, "run", *words, "--control", f"ipc://{made}/control") as runtime:
             runtime.until("ready publishing")
-            frames = eitskin.subscribe(at, timeout_s=120.0)
-            touched = next(frame for frame in frames if frame.touched and frame.solver != "none")
+            with eitskin.subscribe(at, timeout_s=120.0) as frames:
+                touched = next(frame for frame in frames if frame.touched and frame.solver != "none")
     assert touched.map.shape == (18, 45)
     assert touched.bundle == load_bundle(bundle).id
     assert 0.0 <= touched.map.min() <= touched.map.max() <= 1.0
