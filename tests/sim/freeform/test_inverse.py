@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_sim.freeform.inverse import make_lines, solve_lines
+from eitskin_sim.fem.inverse import make_lines, solve_lines
 from eitskin_sim.freeform.mesh import SharedMesh, shared_mesh
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend

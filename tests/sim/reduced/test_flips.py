@@ -7,7 +7,8 @@ from eitskin_proto.skin.parts import Map
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.reduced.exact import exact_sheet
 from eitskin_sim.reduced.flips import FRESH, Flips
-from eitskin_sim.reduced.model import ReducedModel, reduced
+from eitskin_sim.reduced.making import reduced
+from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.reduced.state import state_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Sheet

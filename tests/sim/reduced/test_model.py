@@ -10,16 +10,9 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.parts import Map
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
-from eitskin_sim.reduced.model import (
-    ReducedError,
-    ReducedModel,
-    cloud_digest,
-    load,
-    reduced,
-    reduced_from_cloud,
-    rows_of,
-    save,
-)
+from eitskin_sim.reduced.files import ReducedError, load, save
+from eitskin_sim.reduced.making import reduced, reduced_from_cloud
+from eitskin_sim.reduced.model import ReducedModel, cloud_digest, rows_of
 from eitskin_sim.reduced.state import state_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Sheet

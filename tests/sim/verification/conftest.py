@@ -4,7 +4,8 @@ import pytest
 from tests.sim.verification.small_frames import SMALL
 
 from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
-from eitskin_sim.reduced.model import ReducedModel, reduced
+from eitskin_sim.reduced.making import reduced
+from eitskin_sim.reduced.model import ReducedModel
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Sheet
 

@@ -12,7 +12,8 @@ from eitskin_proto.skin.parts import Map
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.reduced.exact import ExactSheet, exact_sheet
-from eitskin_sim.reduced.model import reduced, rows_of
+from eitskin_sim.reduced.making import reduced
+from eitskin_sim.reduced.model import rows_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.scene.parts import Bend, Sheet

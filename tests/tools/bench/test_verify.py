@@ -36,16 +36,19 @@ ANYWHERE = {
 }  # fmt: skip
 STATED = {"what": "p, matched model, N2", "stated": 0.01, "found": 0.012, "error": 0.002}
 
+MODEL = {"what": "fine mesh", "cpu_ms_median": 140.2, "cpu_ms_p95": 161.8, "rms_1": 1e-5, "rms_6": 2e-5, "rms_12": 1e-4}
+
 
 def test_a_table_has_a_line_for_every_row_and_as_many_cells_as_its_head() -> None:
-    text = tables([UNITS], [ANYWHERE], [STATED], [])
-    first, second, third = text.split("\n\n")
-    for table in (first, second, third):
+    text = tables([UNITS], [ANYWHERE], [STATED], [], [MODEL])
+    first, second, third, fourth = text.split("\n\n")
+    for table in (first, second, third, fourth):
         cells = {line.count("|") for line in table.splitlines()}
         assert len(cells) == 1, table
     assert "| 1 to 6 units, N2 | 10 | 70 % | 80 % | 1 of 2 | 3 of 8 | 100 | 2.0 / 19.0 |" in first
     assert "| pairs | 10 | 0.980, - | 0.991 / 0.900 | 0.20 / 0.25 | 0.15 / 0.30 | - / - | 80 % | 1 of 2 |" in second
-    assert tables([], [], [], []) == ""
+    assert "| fine mesh | 140 / 162 | 1.0e-05 | 2.0e-05 | 1.0e-04 |" in fourth
+    assert tables([], [], [], [], []) == ""
 
 
 def test_p_is_counted_where_nothing_but_the_scan_is_off() -> None:

@@ -20,6 +20,12 @@ from eitskin_sim.scene.parts import Electrodes, Sheet
 FRINGE: Final = 0.2
 """The share c of the layer's thickness that a face contact's current crosses."""
 
+SHAPES: Final[Array] = values(GAUSS)
+"""(9 points, 9 nodes) of a whole element."""
+
+SQUARES: Final[Array] = np.einsum("qi,qj->qij", SHAPES, SHAPES).reshape(-1, 81)
+"""(9 points, 81) their products."""
+
 
 @dataclass(frozen=True, slots=True)
 class Contacts:
@@ -97,11 +103,11 @@ def _patch(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece,
     columns = np.arange(_line(mesh.x_lines_mm, x0, what), _line(mesh.x_lines_mm, x1, what))
     rows = np.arange(_line(mesh.y_lines_mm, y0, what), _line(mesh.y_lines_mm, y1, what))
     element = (rows[:, None] * mesh.shape[1] + columns).ravel()
-    shapes = values(GAUSS)
-    weight = WEIGHTS * area[element] * np.prod(mesh.sizes_mm[element], axis=1)[:, None] * MM**2
-    mass = (weight @ np.einsum("qi,qj->qij", shapes, shapes).reshape(-1, 81)).reshape(-1, 9, 9)
+    size = np.multiply.outer(np.diff(mesh.y_lines_mm)[rows], np.diff(mesh.x_lines_mm)[columns]).ravel()
+    weight = WEIGHTS * area[element] * size[:, None] * MM**2
+    mass = (weight @ SQUARES).reshape(-1, 9, 9)
     fringe = FRINGE * sheet.thickness_mm * MM / (area[element] @ WEIGHTS)
-    return element, np.full(len(element), piece.electrode), mass, weight @ shapes, fringe
+    return element, np.full(len(element), piece.electrode), mass, weight @ SHAPES, fringe
 
 
 def _edge(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece, metric: Metric, area: Array) -> _Part:

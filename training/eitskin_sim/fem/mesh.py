@@ -96,11 +96,12 @@ class TensorMesh:
     @property
     def nodes_mm(self) -> Array:
         """(n_nodes, 2) positions."""
-        x, y = np.meshgrid(_with_middles(self.x_lines_mm), _with_middles(self.y_lines_mm))
+        x, y = np.meshgrid(with_middles(self.x_lines_mm), with_middles(self.y_lines_mm))
         return np.stack([x.ravel(), y.ravel()], axis=-1)
 
 
-def _with_middles(lines: Array) -> Array:
+def with_middles(lines: Array) -> Array:
+    """Return the (2 m - 1,) positions of nodes along one direction of m lines."""
     found = np.empty(2 * len(lines) - 1)
     found[::2] = lines
     found[1::2] = (lines[:-1] + lines[1:]) / 2

@@ -47,6 +47,16 @@ def gradients(points: Array) -> tuple[Array, Array]:
     return (y[:, :, None] * dx[:, None, :]).reshape(-1, 9), (dy[:, :, None] * x[:, None, :]).reshape(-1, 9)
 
 
+def interpolation(at_mm: Array, lines_mm: Array) -> Array:
+    """Return the (n, 2 m - 1) values at positions (n,) of the nodes' functions along one direction of m lines."""
+    count = len(lines_mm) - 1
+    element = np.clip(np.searchsorted(lines_mm, at_mm, side="right") - 1, 0, count - 1)
+    share = (at_mm - lines_mm[element]) / (lines_mm[element + 1] - lines_mm[element])
+    found = np.zeros((len(at_mm), 2 * count + 1))
+    np.put_along_axis(found, 2 * element[:, None] + np.arange(3), _line_values(share), axis=1)
+    return found
+
+
 def edge_integrals(side: int) -> tuple[Array, Array, Array]:
     """Return points (3, 2), weights (3,) and shape functions (3, 9) on a side: 0 bottom, 1 right, 2 top, 3 left."""
     fixed = np.full(3, 0.0 if side in (0, 3) else 1.0)

@@ -24,9 +24,9 @@ from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System, flat_metric
+from eitskin_sim.fem.inverse import Lines, make_lines
 from eitskin_sim.fem.mesh import Array, Index, TensorMesh
 from eitskin_sim.fem.meshing import electrode_lines
-from eitskin_sim.freeform.inverse import Lines, make_lines
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.parts import Bend, Electrodes
 

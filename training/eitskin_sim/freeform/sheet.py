@@ -12,8 +12,8 @@ from eitskin_sim.fem.borders.cut_blocks import cut_blocks
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.borders.graded_blocks import graded_blocks
 from eitskin_sim.fem.forward import System
+from eitskin_sim.fem.inverse import dense_inverse
 from eitskin_sim.fem.mesh import MM, Metric
-from eitskin_sim.freeform.inverse import dense_inverse
 from eitskin_sim.freeform.mesh import ELEMENT_MM, shared_mesh, with_contacts, without_middle
 from eitskin_sim.scene.bend import metric
 from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity

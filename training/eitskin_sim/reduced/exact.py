@@ -11,22 +11,15 @@ whose solution gives every voltage: U = G_EE - sum over u of G_Eu f_u.
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 from scipy.linalg import lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index, Metric
-from eitskin_sim.unit_grid.skeleton import (
-    Condensed,
-    UnitMesh,
-    assemble_skeleton,
-    condense_at,
-    condense_units,
-    unit_system_of,
-)
-from eitskin_sim.unit_grid.units import inverse
+from eitskin_sim.unit_grid.skeleton import Condensed, condense_at, condense_units, unit_system_of
+from eitskin_sim.unit_grid.strips import inverse_by_strips
+from eitskin_sim.unit_grid.unit_mesh import UnitMesh
 
 DRIVES: Array = np.eye(N_ELECTRODES) - np.roll(np.eye(N_ELECTRODES), 1, axis=0)
 """(16 electrodes, 16 drives): 1 A into electrode k and out of k + 1."""
@@ -39,9 +32,11 @@ class ExactSheet:
     parts: UnitMesh
     system: System
     units: list[Condensed]
-    """Every unit, untouched."""
+    """Every unit, untouched; its unknowns are numbered as those of the inverse."""
     inverse: Array
-    """(s + 16, s + 16) ohm."""
+    """(s + 16, s + 16) ohm, up to a constant; unknowns go from one end of the sheet to the other."""
+    terminals: Index
+    """(16,) which of them the electrodes are."""
 
     @property
     def under_contacts(self) -> Index:
@@ -51,7 +46,7 @@ class ExactSheet:
     @property
     def untouched(self) -> Array:
         """Return (16 drives, 16 measures) V under 1 A."""
-        return np.asarray(DRIVES.T @ self.inverse[-N_ELECTRODES:, -N_ELECTRODES:] @ DRIVES)
+        return np.asarray(DRIVES.T @ self.inverse[np.ix_(self.terminals, self.terminals)] @ DRIVES)
 
     def changes(self, unit: int, contrasts: list[float]) -> list[Array]:
         """Return the (b, b) D of a unit at some contrasts."""
@@ -72,30 +67,43 @@ class ExactSheet:
             here = slice(at, at + len(own))
             change[here, here] = self.changes(unit, [contrast])[0]
             at += len(own)
-        load = self.inverse[every, -N_ELECTRODES:] @ DRIVES
+        load = self.inverse[np.ix_(every, self.terminals)] @ DRIVES
         potentials = np.linalg.solve(np.eye(len(every)) + seen @ change, load)
         flowing = change @ potentials
         return np.split(flowing, np.cumsum([len(one) for one in dofs])[:-1]), self.untouched - load.T @ flowing
 
 
-def exact_sheet(metric: Metric, skin: Skin = PAPER, refine: int = 1) -> ExactSheet:
+def exact_sheet(metric: Metric, skin: Skin = PAPER, refine: int = 1, *, coarse: bool = False) -> ExactSheet:
     """Return the sheet that a skin states, at some first fundamental form.
 
     Args:
         metric: (n, 2) flat points in mm -> (n, 3) E, F, G.
         skin: Whose.
         refine: Multiplies the elements along each direction.
+        coarse: Whether on three elements across a unit instead of five.
     """
-    parts, system = unit_system_of(metric, refine, skin)
-    units = condense_units(parts, system, (system.background,))
-    size = len(parts.skeleton) + N_ELECTRODES
-    return ExactSheet(parts, system, units, inverse(assemble_skeleton(units, 0, size)))
+    parts, system = unit_system_of(metric, refine, skin, coarse=coarse)
+    return ExactSheet(parts, system, *inverse_by_strips(parts, condense_units(parts, system, (system.background,))))
 
 
-def grounded_inverse_form(matrix: Array, currents: Array) -> npt.NDArray[np.float64]:
-    """Return F^T D^+ F of a symmetric D whose null space is the constants, for currents F (b, r) that add up to 0."""
-    _, solved, failed = lapack.dposv(matrix[1:, 1:], currents[1:], lower=1)
-    if failed:
-        raise ValueError("a unit's stiffness is not positive; expected a conducting sheet and a contrast above 1")
-    found = currents[1:].T @ solved
-    return np.asarray((found + found.T) / 2.0)
+def grounded_inverse_form(matrices: Array, currents: Array) -> Array:
+    """Return (n, r, r) F^T D^+ F of symmetric D (n, b, b) whose null space is the constants.
+
+    Args:
+        matrices: D.
+        currents: (b, r) F, which add up to 0.
+
+    Raises:
+        ValueError: A D is not positive.
+    """
+    try:
+        roots = np.linalg.cholesky(matrices[:, 1:, 1:])
+    except np.linalg.LinAlgError:
+        raise ValueError(
+            "a unit's stiffness is not positive; expected a conducting sheet and a contrast above 1"
+        ) from None
+    found = np.empty((len(roots), currents.shape[1], currents.shape[1]))
+    for into, root in zip(found, roots, strict=True):
+        half = lapack.dtrtrs(root, currents[1:], lower=1)[0]
+        np.matmul(half.T, half, out=into)
+    return found

@@ -1,4 +1,4 @@
-"""The reduced model of one bent sheet, in a few matrices, and how it is made and kept.
+"""The reduced model of one bent sheet, in a few matrices.
 
 With the currents of a unit as F_u a_u, F_u its patterns scaled so that F^T S_u^+ F = 1, what touched units solve
 (:mod:`eitskin_sim.reduced.exact`) becomes ::
@@ -11,22 +11,14 @@ under a contact, where conductance is not proportional to conductivity; there it
 """
 
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.digest import id_of
-from eitskin_proto.files.reading import FileError
-from eitskin_proto.files.writing import replacing
-from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
-from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.fem.mesh import Array, Index, Metric
-from eitskin_sim.reduced.basis import RANK, current_patterns
-from eitskin_sim.reduced.exact import DRIVES, ExactSheet, exact_sheet, grounded_inverse_form
-from eitskin_sim.surface.predict import fit_cloud
+from eitskin_proto.sensor.table import TABLE
+from eitskin_sim.fem.mesh import Array, Index
 
 Single = npt.NDArray[np.float32]
 
@@ -38,13 +30,6 @@ NODES: Final = 10
 
 REMEMBERED: Final = 16
 """Contrasts whose M is kept."""
-FORMAT: Final = "eitskin-reduced"
-VERSION: Final = 1
-LARGEST_FILE: Final = 64 << 20
-
-
-class ReducedError(ValueError):
-    """A reduced model's file is not one, or is of another sheet."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -146,7 +131,7 @@ class ReducedModel:
     def _of_contacts(self, contrast: float) -> tuple[Array, Array]:
         """Return (contacts, r, r) M and its derivative by log c; kept for the contrasts that were asked for last."""
         if contrast not in self._usual:
-            powers = np.power(_scaled(contrast), np.arange(NODES))
+            powers = np.power(scaled_log(contrast), np.arange(NODES))
             slopes = np.arange(NODES) * np.append(0.0, powers[:-1]) * (2.0 / np.log(MOST / LEAST))
             flat = np.ascontiguousarray(self.polynomials.transpose(1, 0, 2, 3)).reshape(NODES, -1)
             shape = len(self.contacts), self.rank, self.rank
@@ -161,140 +146,11 @@ def rows_of(drives: Array) -> Array:
     return np.asarray(drives[..., TABLE[:, 0], TABLE[:, 1]])
 
 
-def reduced_from_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> ReducedModel:
-    """Return the reduced model of a measured cloud (3, rows, columns) mm.
-
-    Raises:
-        ValueError: The cloud is malformed, or folds in its own plane.
-    """
-    cloud = np.asarray(cloud_mm, dtype=np.float64)
-    return reduced(exact_sheet(fit_cloud(cloud, skin.grid).metric, skin), skin, cloud_digest=cloud_digest(cloud))
-
-
-def reduced_of(metric: Metric, skin: Skin = PAPER, rank: int = RANK) -> ReducedModel:
-    """Return the reduced model of a sheet of some first fundamental form."""
-    return reduced(exact_sheet(metric, skin), skin, rank)
-
-
-def reduced(sheet: ExactSheet, skin: Skin = PAPER, rank: int = RANK, cloud_digest: str = "") -> ReducedModel:
-    """Return the reduced model of a condensed sheet."""
-    patterns = current_patterns(skin, rank)
-    scaled = [_normal(own, unit.schur[0]) for own, unit in zip(patterns, sheet.units, strict=True)]
-    size = len(scaled) * rank
-    wide = np.empty((size, len(sheet.inverse)))
-    for number, (own, unit) in enumerate(zip(scaled, sheet.units, strict=True)):
-        np.matmul(own.T, sheet.inverse[unit.dofs], out=wide[number * rank : (number + 1) * rank])
-    coupling, tall = np.empty((size, size), dtype=np.float32), np.ascontiguousarray(wide.T)
-    for number, (own, unit) in enumerate(zip(scaled, sheet.units, strict=True)):
-        coupling[number * rank : (number + 1) * rank] = own.T @ tall[unit.dofs]
-    contacts = sheet.under_contacts
-    return ReducedModel(
-        coupling=coupling,
-        loads=wide[:, -N_ELECTRODES:] @ DRIVES,
-        untouched=sheet.untouched,
-        contacts=contacts,
-        polynomials=np.array([_polynomial(sheet, unit, scaled[unit]) for unit in contacts.tolist()]),
-        shape=skin.grid.units,
-        skin_digest=skin.digest,
-        grid_id=skin.grid_id,
-        cloud_digest=cloud_digest,
-    )
-
-
 def cloud_digest(cloud_mm: Array) -> str:
     """Return the digest of a cloud's float32."""
     return id_of(np.ascontiguousarray(cloud_mm, dtype="<f4").tobytes())
 
 
-def _normal(patterns: Array, stiffness: Array) -> Array:
-    """Return F with F^T S^+ F = 1 and the span of patterns."""
-    root = np.linalg.cholesky(grounded_inverse_form(stiffness, patterns))
-    return np.asarray(np.linalg.solve(root, patterns.T).T)
-
-
-def _scaled(contrast: Any) -> Any:
+def scaled_log(contrast: Any) -> Any:
     """Return log c, from -1 at ``LEAST`` to 1 at ``MOST``."""
     return 2.0 * np.log(np.asarray(contrast) / LEAST) / np.log(MOST / LEAST) - 1.0
-
-
-def _polynomial(sheet: ExactSheet, unit: int, patterns: Array) -> Array:
-    """Return the (NODES, r, r) coefficients of M of a unit under a contact, from its values at Chebyshev's nodes."""
-    at = np.cos(np.pi * (np.arange(NODES) + 0.5) / NODES)
-    contrasts = LEAST * np.exp((at + 1.0) / 2.0 * np.log(MOST / LEAST))
-    values = []
-    for contrast, change in zip(contrasts.tolist(), sheet.changes(unit, contrasts.tolist()), strict=True):
-        sign = 1.0 if contrast > 1.0 else -1.0
-        values.append(abs(contrast - 1.0) * grounded_inverse_form(sign * change, patterns))
-    table = np.vander(at, NODES, increasing=True)
-    return np.asarray(np.linalg.solve(table, np.array(values).reshape(NODES, -1)).reshape(NODES, *values[0].shape))
-
-
-def save(model: ReducedModel, path: str | Path) -> None:
-    """Write a model to a file, 17 MB; H is symmetric, and kept whole."""
-    with replacing(Path(path)) as file:
-        np.savez(
-            file,
-            format=FORMAT,
-            version=VERSION,
-            coupling=model.coupling,
-            loads=model.loads,
-            untouched=model.untouched,
-            contacts=model.contacts.astype(np.int64),
-            polynomials=model.polynomials,
-            skin_digest=model.skin_digest,
-            grid_id=model.grid_id,
-            cloud_digest=model.cloud_digest,
-        )
-
-
-def load(path: str | Path, skin: Skin = PAPER, cloud_mm: npt.ArrayLike | None = None) -> ReducedModel:
-    """Return the model of a file.
-
-    Args:
-        path: As :func:`save` wrote it.
-        skin: Whose sheet it must be of.
-        cloud_mm: The cloud it must be of; None takes any.
-
-    Raises:
-        ReducedError: It is none, or of another skin or cloud.
-        OSError: It cannot be read.
-    """
-    try:
-        file = read_npz(path, LARGEST_FILE)
-        if str(file["format"]) != FORMAT or int(file["version"]) != VERSION:
-            raise ReducedError(f"{path} is no reduced model of version {VERSION}; make it anew from the cloud")
-        model = ReducedModel(
-            coupling=np.asarray(file["coupling"], dtype=np.float32),
-            loads=np.asarray(file["loads"], dtype=np.float64),
-            untouched=np.asarray(file["untouched"], dtype=np.float64),
-            contacts=np.asarray(file["contacts"], dtype=np.intp),
-            polynomials=np.asarray(file["polynomials"], dtype=np.float64),
-            shape=skin.grid.units,
-            skin_digest=str(file["skin_digest"]),
-            grid_id=str(file["grid_id"]),
-            cloud_digest=str(file["cloud_digest"]),
-        )
-    except (FileError, KeyError, TypeError, ValueError) as error:
-        if isinstance(error, ReducedError):
-            raise
-        raise ReducedError(f"{path} is no reduced model: {error}; make it anew from the cloud") from error
-    _check(model, path, skin, cloud_mm)
-    return model
-
-
-def _check(model: ReducedModel, path: str | Path, skin: Skin, cloud_mm: npt.ArrayLike | None) -> None:
-    for what, found, expected in (
-        ("skin", model.skin_digest, skin.digest), ("grid", model.grid_id, skin.grid_id),
-    ):  # fmt: skip
-        if found != expected:
-            raise ReducedError(
-                f"{path} is of {what} {found}, expected {expected} of skin {skin.name!r}; make it anew from the cloud"
-            )
-    if cloud_mm is not None and model.cloud_digest != (own := cloud_digest(np.asarray(cloud_mm))):
-        raise ReducedError(
-            f"{path} is of cloud {model.cloud_digest or 'none'}, expected {own}; make it anew from the present cloud"
-        )
-    size = model.n_units * model.rank
-    right = model.coupling.shape == (size, size) and model.untouched.shape == (N_ELECTRODES, N_ELECTRODES)
-    if not right or model.n_units != skin.grid.n_units or len(model.polynomials) != len(model.contacts):
-        raise ReducedError(f"{path} has matrices of wrong shapes; make it anew from the cloud")

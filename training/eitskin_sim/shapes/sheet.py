@@ -19,8 +19,8 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
+from eitskin_sim.fem.inverse import solve_lines
 from eitskin_sim.fem.mesh import Index
-from eitskin_sim.freeform.inverse import solve_lines
 from eitskin_sim.freeform.mesh import SharedMesh
 from eitskin_sim.freeform.parts import between
 from eitskin_sim.freeform.sheet import InvertedSheet

@@ -23,7 +23,8 @@ from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
 from eitskin_sim.scene.soft_touch import LEAST_LOG_CONTRAST
-from eitskin_sim.unit_grid.skeleton import Condensed, UnitMesh, condense_unit, square_root
+from eitskin_sim.unit_grid.skeleton import Condensed, condense_at, square_root
+from eitskin_sim.unit_grid.unit_mesh import UnitMesh
 
 BATCH_BYTES: Final = 2e6
 """Size of the matrices that are gathered at once: they stay in the cache."""
@@ -91,7 +92,7 @@ class ContrastUnits:
         found = self._changes.get((unit, contrast))
         if found is None:
             sigma = contrast * self._system.background
-            found = condense_unit(unit, self._parts, self._system, sigma).schur[0] - self._units[unit].schur[0]
+            found = condense_at(unit, self._parts, self._system, (sigma,)).schur[0] - self._units[unit].schur[0]
             self._changes[unit, contrast] = found
         return found
 

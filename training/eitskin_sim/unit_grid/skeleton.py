@@ -21,46 +21,22 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
-from scipy.linalg import cho_factor, cho_solve
+from scipy.linalg import lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import Device, ideal
 from eitskin_sim.devices.loose_contacts import system_on
+from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System
-from eitskin_sim.fem.mesh import Array, Index, Metric, TensorMesh
-from eitskin_sim.fem.meshing import electrode_lines
+from eitskin_sim.fem.mesh import Array, Index, Metric
 from eitskin_sim.scene.bend import metric
-from eitskin_sim.scene.parts import Bend, Electrodes, Sheet
-
-UNIT_STEPS: Final = (0.06, 0.2, 0.48, 0.2, 0.06)
-"""Elements across a unit, as shares of its side: fine at the borders, whose corners are weak singularities of a touch.
-
-Against a converged mesh a touch's dV is off by 0.1 % (interior) to 0.6 % (under a contact); even steps: 0.35 %."""
-
-SNAP: Final = 0.25
-"""A line this near to a contact's edge, as a share of the unit's side, moves onto it."""
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.unit_grid.unit_mesh import UnitMesh, unit_mesh
+from eitskin_sim.unit_grid.unit_nodes import UnitNodes, near_contacts, nodes_of_units
 
 NULL: Final = 1e-13
 """Relative size under which an eigenvalue of a unit is its one zero: a constant potential passes no current."""
-
-
-@dataclass(frozen=True, slots=True)
-class UnitMesh:
-    """A mesh with lines on the units' borders, and how its nodes divide."""
-
-    mesh: TensorMesh
-    unit_of_element: Index
-    """(n_elements,)"""
-    skeleton: Index
-    """(s,) nodes on lines between units."""
-    shape: tuple[int, int]
-    """Rows and columns of units."""
-
-    @property
-    def n_units(self) -> int:
-        """How many units there are."""
-        return self.shape[0] * self.shape[1]
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,58 +52,9 @@ class Condensed:
     schur: Array
 
 
-def unit_lines(extent_mm: float, count: int, edges_mm: Sequence[float], refine: int = 1) -> Array:
-    """Return mesh lines across ``count`` units, on their borders and on contacts' edges.
-
-    Args:
-        extent_mm: The sheet's length or width.
-        count: Units side by side.
-        edges_mm: Where lines must be.
-        refine: Each element is cut into so many.
-    """
-    side = extent_mm / count
-    found: list[float] = []
-    for k in range(count):
-        lines = k * side + side * np.concatenate([[0.0], np.cumsum(UNIT_STEPS)])
-        free = list(range(1, len(UNIT_STEPS)))
-        for edge in edges_mm:
-            if not lines[0] + 1e-6 < edge < lines[len(UNIT_STEPS)] - 1e-6:
-                continue
-            nearest = min(free, key=lambda i: abs(lines[i] - edge), default=None)
-            if nearest is not None and abs(lines[nearest] - edge) < SNAP * side:
-                lines[nearest] = edge
-                free.remove(nearest)
-            else:
-                lines = np.append(lines, edge)
-        found += np.sort(lines).tolist()
-    coarse = np.unique(np.round(found, 9))
-    parts = np.linspace(coarse[:-1], coarse[1:], refine, endpoint=False, axis=-1)
-    return np.append(parts.ravel(), extent_mm)
-
-
-def unit_mesh(sheet: Sheet, electrodes: Electrodes, shape: tuple[int, int], refine: int = 1) -> UnitMesh:
-    """Return the mesh that rows and columns of units need; ``refine`` multiplies the elements along each direction."""
-    rows, columns = shape
-    x, y = electrode_lines(sheet, electrodes)
-    mesh = TensorMesh(
-        unit_lines(sheet.size_mm[0], columns, sorted({at for at, _ in x}), refine),
-        unit_lines(sheet.size_mm[1], rows, sorted({at for at, _ in y}), refine),
-    )
-    x_borders = np.linspace(0.0, sheet.size_mm[0], columns + 1)
-    y_borders = np.linspace(0.0, sheet.size_mm[1], rows + 1)
-    column = np.searchsorted(x_borders, mesh.centres_mm[:, 0]) - 1
-    row = np.searchsorted(y_borders, mesh.centres_mm[:, 1]) - 1
-    first = np.full(mesh.n_nodes, rows * columns)
-    last = np.full(mesh.n_nodes, -1)
-    unit = row * columns + column
-    np.minimum.at(first, mesh.element_nodes, unit[:, None])
-    np.maximum.at(last, mesh.element_nodes, unit[:, None])
-    return UnitMesh(mesh, unit, np.flatnonzero(first != last), shape)
-
-
-@lru_cache(maxsize=4)
-def _nominal_mesh(skin: Skin, refine: int) -> UnitMesh:
-    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine)
+@lru_cache(maxsize=8)
+def _nominal_mesh(skin: Skin, refine: int, coarse: bool = False) -> UnitMesh:
+    return unit_mesh(ideal(skin).sheet, ideal(skin).electrodes, skin.grid.units, refine, coarse=coarse)
 
 
 def unit_system(
@@ -138,76 +65,59 @@ def unit_system(
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
-def unit_system_of(first: Metric, refine: int = 1, skin: Skin = PAPER) -> tuple[UnitMesh, System]:
+def unit_system_of(
+    first: Metric, refine: int = 1, skin: Skin = PAPER, *, coarse: bool = False
+) -> tuple[UnitMesh, System]:
     """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric."""
-    parts, true = _nominal_mesh(skin, refine), ideal(skin)
+    parts, true = _nominal_mesh(skin, refine, coarse), ideal(skin)
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, first, true.electrodes)
 
 
 def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[float]) -> list[Condensed]:
     """Return all units, each condensed at every one of some conductivities, S/m."""
-    place = _place(parts)
-    return [_condense(unit, parts, system, place, conductivities) for unit in range(parts.n_units)]
-
-
-def condense_unit(unit: int, parts: UnitMesh, system: System, conductivity: float) -> Condensed:
-    """Return one unit, condensed at one conductivity, S/m."""
-    return _condense(unit, parts, system, _place(parts), (conductivity,))
+    return [
+        _condensed(unit, unit.assembled(system.stiffness), system.contacts, conductivities)
+        for unit in nodes_of_units(parts, system.contacts)
+    ]
 
 
 def condense_at(unit: int, parts: UnitMesh, system: System, conductivities: Sequence[float]) -> Condensed:
-    """Return one unit, condensed at each of some conductivities, S/m."""
-    return _condense(unit, parts, system, _place(parts), conductivities)
+    """Return one unit, condensed at each of some conductivities, S/m; what they share is done once."""
+    own = nodes_of_units(parts, system.contacts)[unit]
+    stiffness = own.assembled(system.stiffness)
+    if len(conductivities) > 1:
+        own, order = near_contacts(own)
+        stiffness = _without(stiffness[np.ix_(order, order)], own.size)
+    return _condensed(own, stiffness, system.contacts, conductivities)
 
 
-def _place(parts: UnitMesh) -> Index:
-    """Return (n_nodes,) each node's place in the skeleton's numbering, -1 for those inside units."""
-    place = np.full(parts.mesh.n_nodes, -1)
-    place[parts.skeleton] = np.arange(len(parts.skeleton))
-    return place
-
-
-def _condense(unit: int, parts: UnitMesh, system: System, place: Index, conductivities: Sequence[float]) -> Condensed:
-    elements = np.flatnonzero(parts.unit_of_element == unit)
-    nodes = np.unique(parts.mesh.element_nodes[elements])
-    pieces = np.flatnonzero(np.isin(system.contacts.element, elements))
-    terminals = np.unique(system.contacts.electrode[pieces])
-    shared = place[nodes] >= 0
-    ordered = np.concatenate([nodes[shared], nodes[~shared]])
-    kept = np.count_nonzero(shared)
-    order = np.argsort(ordered)
-
-    def local(numbers: Index) -> Index:
-        found = order[np.searchsorted(ordered, numbers, sorter=order)]
-        return np.asarray(np.where(found < kept, found, found + len(terminals)))
-
-    size = len(nodes) + len(terminals)
-    border = kept + len(terminals)
-    at = local(parts.mesh.element_nodes[elements])
-    stiffness = np.zeros((size, size))
-    np.add.at(stiffness, (at[:, :, None], at[:, None, :]), system.stiffness[elements])
-    under = [
-        (
-            piece,
-            local(parts.mesh.element_nodes[system.contacts.element[piece]]),
-            kept + int(np.searchsorted(terminals, system.contacts.electrode[piece])),
-        )
-        for piece in pieces
-    ]
-    schur = []
-    for sigma in conductivities:
+def _condensed(unit: UnitNodes, stiffness: Array, contacts: Contacts, conductivities: Sequence[float]) -> Condensed:
+    schur: Array = np.empty((len(conductivities), unit.border, unit.border))
+    for into, sigma in zip(schur, conductivities, strict=True):
         whole = sigma * stiffness
-        density = system.contacts.density(np.full(len(system.contacts.element), sigma))
-        for piece, own, terminal in under:
-            whole[np.ix_(own, own)] += density[piece] * system.contacts.mass_m2[piece]
-            whole[own, terminal] -= density[piece] * system.contacts.load_m2[piece]
-            whole[terminal, own] -= density[piece] * system.contacts.load_m2[piece]
-            whole[terminal, terminal] += density[piece] * system.contacts.area_m2[piece]
-        inside = cho_solve(cho_factor(whole[border:, border:]), whole[border:, :border])
-        reduced = whole[:border, :border] - whole[:border, border:] @ inside
-        schur.append((reduced + reduced.T) / 2)
-    dofs = np.concatenate([place[nodes[shared]], len(parts.skeleton) + terminals])
-    return Condensed(dofs=dofs, schur=np.array(schur))
+        density = contacts.density(np.full(len(contacts.element), sigma)) if unit.pieces else np.zeros(0)
+        for piece, own, terminal in unit.pieces:
+            whole[own[:, None], own] += density[piece] * contacts.mass_m2[piece]
+            whole[own, terminal] -= density[piece] * contacts.load_m2[piece]
+            whole[terminal, own] -= density[piece] * contacts.load_m2[piece]
+            whole[terminal, terminal] += density[piece] * contacts.area_m2[piece]
+        into[:] = _without(whole, unit.border)
+    return Condensed(dofs=unit.dofs, schur=schur)
+
+
+def _without(whole: Array, kept: int) -> Array:
+    """Return the (kept, kept) Schur complement of a symmetric matrix, its last unknowns eliminated.
+
+    Raises:
+        ValueError: Its last unknowns are not held by the others.
+    """
+    if kept == len(whole):
+        return whole
+    _, inside, failed = lapack.dposv(whole[kept:, kept:], whole[kept:, :kept], lower=0)
+    if failed:
+        raise ValueError("a unit's stiffness is not positive definite; expected a conducting sheet")
+    reduced = whole[:kept, :kept] - whole[:kept, kept:] @ inside
+    return np.asarray((reduced + reduced.T) / 2)
 
 
 def assemble_skeleton(units: Sequence[Condensed], which: int, n_dofs: int) -> Array:

@@ -7,7 +7,8 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.reduced.exact import exact_sheet
-from eitskin_sim.reduced.model import ReducedModel, cloud_digest, reduced, rows_of
+from eitskin_sim.reduced.model import ReducedModel, cloud_digest, rows_of
+from eitskin_sim.reduced.quick import quick_model
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.surface.predict import fit_cloud
 from eitskin_sim.verification.frame import Doubts
@@ -42,7 +43,7 @@ def prepared(
     spreads = spreads or usual(skin)
     surface = fit_cloud(cloud_mm, skin.grid)
     metric = moved(surface.metric, material, skin)
-    made = model or reduced(exact_sheet(metric, skin), skin, cloud_digest=cloud_digest(np.asarray(cloud_mm)))
+    made = model or quick_model(metric, skin, cloud_digest(np.asarray(cloud_mm)))
     modes = modes_of(metric, skin, spreads)
     worse = max(scan_noise_mm(cloud_mm, surface, skin.grid) / spreads.scan_mm, 1.0) if spreads.scan_mm else 1.0
     return UnitVerifier(made, flat_of(skin), Doubts(modes, worse * scan_columns(spreads.scan_mm, skin)))

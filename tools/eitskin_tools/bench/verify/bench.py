@@ -20,7 +20,10 @@ from eitskin_tools.processes.threads import one_blas_thread
 Row = dict[str, Any]
 
 CALIBRATION = "calibration of p"
-"""What ``--only`` calls the last table."""
+"""What ``--only`` calls the table of p."""
+
+MODELS = "making models"
+"""What it calls the table of what models take and lack."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -60,12 +63,13 @@ def run(arguments: argparse.Namespace) -> int:
 
     units, anywhere = _rows(arguments, _chosen(arguments.only))
     stated, steps = _calibration(arguments, units)
+    made = _models(arguments)
     if arguments.json:
         every = [*units, *anywhere]
         summary = {key: sum(row[key] for row in every) for key in ("maps", "wrong", "wrong_unflagged")}
-        print(json.dumps({"rows": every + stated + steps, "summary": summary}))
+        print(json.dumps({"rows": every + stated + steps + made, "summary": summary}))
     else:
-        print(tables(units, anywhere, stated, steps))
+        print(tables(units, anywhere, stated, steps, made))
     return 0
 
 
@@ -79,7 +83,7 @@ def _chosen(only: list[str] | None) -> set[str]:
     from eitskin_tools.bench.verify.slab import SHEETS
 
     units, anywhere = unit_conditions(), anywhere_conditions()
-    known = [*(one.name for one in units), *SHEETS, *(one.name for one in anywhere), CALIBRATION]
+    known = [*(one.name for one in units), *SHEETS, *(one.name for one in anywhere), CALIBRATION, MODELS]
     found = {name for name in known if not only or any(text in name for text in only)}
     if not found:
         texts = " ".join(repr(text) for text in only or ())
@@ -133,6 +137,18 @@ def _calibration(arguments: argparse.Namespace, units: list[Row]) -> tuple[list[
 
         draw(arguments.plot, stated)
     return stated, candidates()
+
+
+def _models(arguments: argparse.Namespace) -> list[Row]:
+    """Return what making models takes, and what they lack; empty if it was not asked for."""
+    from eitskin_tools.bench.verify.models import models
+
+    if MODELS not in _chosen(arguments.only):
+        return []
+    start = time.process_time()
+    found = models(arguments.deformations)
+    _say(MODELS, start)
+    return found
 
 
 def _say(line: str, start_s: float) -> None:

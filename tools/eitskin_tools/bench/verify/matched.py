@@ -9,7 +9,8 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.evaluation import trials
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_sim.reduced.exact import exact_sheet
-from eitskin_sim.reduced.model import reduced, rows_of
+from eitskin_sim.reduced.making import reduced
+from eitskin_sim.reduced.model import rows_of
 from eitskin_sim.reduced.state import state_of
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Sheet
