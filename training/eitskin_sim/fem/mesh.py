@@ -49,6 +49,12 @@ class TensorMesh:
     y_lines_mm: Array
     element_nodes: Index = field(init=False, repr=False)
     """(n_elements, 9) node numbers; element ey * nx + ex."""
+    sizes_mm: Array = field(init=False, repr=False)
+    """(n_elements, 2) width along x and height along y."""
+    corners_mm: Array = field(init=False, repr=False)
+    """(n_elements, 2) lower left corners."""
+    centres_mm: Array = field(init=False, repr=False)
+    """(n_elements, 2) middles."""
 
     def __post_init__(self) -> None:
         for name in ("x_lines_mm", "y_lines_mm"):
@@ -60,6 +66,11 @@ class TensorMesh:
         first = 2 * np.arange(ny)[:, None] * (2 * nx + 1) + 2 * np.arange(nx)
         local = np.arange(3)[:, None] * (2 * nx + 1) + np.arange(3)
         object.__setattr__(self, "element_nodes", first.reshape(-1, 1) + local.reshape(1, 9))
+        sizes = _pairs(np.diff(self.x_lines_mm), np.diff(self.y_lines_mm))
+        corners = _pairs(self.x_lines_mm[:-1], self.y_lines_mm[:-1])
+        for name, values in (("sizes_mm", sizes), ("corners_mm", corners), ("centres_mm", corners + sizes / 2)):
+            values.setflags(write=False)
+            object.__setattr__(self, name, values)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -77,27 +88,15 @@ class TensorMesh:
         return (2 * self.shape[0] + 1) * (2 * self.shape[1] + 1)
 
     @property
-    def sizes_mm(self) -> Array:
-        """(n_elements, 2) width along x and height along y."""
-        dx, dy = np.meshgrid(np.diff(self.x_lines_mm), np.diff(self.y_lines_mm))
-        return np.stack([dx.ravel(), dy.ravel()], axis=-1)
-
-    @property
-    def corners_mm(self) -> Array:
-        """(n_elements, 2) lower left corners."""
-        x, y = np.meshgrid(self.x_lines_mm[:-1], self.y_lines_mm[:-1])
-        return np.stack([x.ravel(), y.ravel()], axis=-1)
-
-    @property
-    def centres_mm(self) -> Array:
-        """(n_elements, 2) middles."""
-        return self.corners_mm + self.sizes_mm / 2
-
-    @property
     def nodes_mm(self) -> Array:
         """(n_nodes, 2) positions."""
-        x, y = np.meshgrid(with_middles(self.x_lines_mm), with_middles(self.y_lines_mm))
-        return np.stack([x.ravel(), y.ravel()], axis=-1)
+        return _pairs(with_middles(self.x_lines_mm), with_middles(self.y_lines_mm))
+
+
+def _pairs(x: Array, y: Array) -> Array:
+    """Return (n, 2) all pairs, along x first."""
+    along_x, along_y = np.meshgrid(x, y)
+    return np.stack([along_x.ravel(), along_y.ravel()], axis=-1)
 
 
 def with_middles(lines: Array) -> Array:

@@ -90,13 +90,16 @@ class TouchedSheet:
         if len(dofs) > LARGE:
             return self._solved_whole(pieces, base, dofs[dofs >= 0])
         hidden = int(dofs[0] < 0)  # a column for elements under no electrode
-        change = np.zeros((len(dofs), len(dofs)))
-        np.add.at(change, (place[:, :, None], place[:, None, :]), base.blocks - sheet.before[base.element])
+        added = (base.blocks - sheet.before[base.element]).ravel()
+        where = (place[:, :, None] * len(dofs) + place[:, None, :]).ravel()
+        change = np.bincount(where, added, len(dofs) ** 2).reshape(len(dofs), len(dofs))
         dofs, change = dofs[hidden:], change[hidden:, hidden:]
         seen = sheet.to_terminals[dofs]
-        matrix = between(sheet.inverse, dofs, dofs) @ change
+        matrix = change @ between(
+            sheet.inverse, dofs, dofs
+        )  # symmetric both: its transpose is wanted
         matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
-        _, _, fields, failed = lapack.dgesv(matrix, seen)
+        _, _, fields, failed = lapack.dgesv(matrix.T, seen, overwrite_a=1)
         if failed:
             raise ValueError("touches take away more conductance than the sheet has")
         response = sheet.at_terminals - seen.T @ (change @ fields)

@@ -59,6 +59,18 @@ AGAINST: Final = 8.0
 ENOUGH: Final = 0.3
 """A step that gains less of what is minimised is the last."""
 
+KEPT: Final = 1
+"""Steps after which derivatives are kept, but for what the step has shown of them, before they are taken anew."""
+
+AGREES: Final = 0.3
+"""Part by which the residual may have changed otherwise than they told."""
+
+SLOW: Final = 0.02
+"""A step that gains less of what chi-squared has more than rows is the last, too: something else is wrong."""
+
+SMALL: Final = 1e-6
+"""Residual below which a heavy tail is a square."""
+
 NOTHING: Final = 0.1
 """A step that should gain less is not tried."""
 
@@ -85,7 +97,7 @@ class Frame:
         """
         solved, change = self.model.solve(pieces)
         residual = self.white.whiten(self.change - self.expected - change)
-        cost, _ = _prior(pieces, _free(pieces, turning), self.usual)
+        cost = _costs(pieces, _free(pieces, turning), self.usual)
         price = self.usual.touches.per_touch * len(pieces) + AGAINST * max(len(pieces) - self.shown, 0)
         return Fit(pieces, turning, solved, residual, float(cost @ cost), price, self)
 
@@ -119,6 +131,12 @@ class Fit:
             self._linear.append((np.concatenate([self.residual, cost]), np.concatenate([by, rate]), own))
         return self._linear[0]
 
+    def residuals(self) -> "Linear":
+        """Return the (rows + p,) residuals, the prior's (p, r) derivatives, and what is free."""
+        own = _free(self.pieces, self.turning)
+        cost, rate = _prior(self.pieces, own, self.frame.usual)
+        return np.concatenate([self.residual, cost]), rate, own
+
     @property
     def chi_squared(self) -> float:
         """Of the residual."""
@@ -136,56 +154,55 @@ def _free(pieces: Array, turning: bool) -> npt.NDArray[np.bool_]:
     return found
 
 
+def _costs(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> Array:
+    """Return the (p,) residuals of the prior; the last is that of the mean contrast."""
+    if not len(pieces):
+        return np.zeros(0)
+    values = parameters_of(pieces)
+    length, width, log = values[:, HALF_LENGTH], values[:, HALF_WIDTH], values[:, LOG_CONTRAST]
+    graded = own[:, BORDER]
+    return np.concatenate(
+        [
+            0.5 * np.log(4.0 * length * width / usual.touches.size_mm**2) / usual.touches.size_log_sd,
+            _heavy(np.log(length / width), usual.aspect_sd)[0],
+            (log - log.mean()) / usual.own_sd,
+            (values[graded, BORDER] - usual.border_mm) / usual.border_sd,
+            [(log.mean() - usual.log_contrast) / usual.common_sd],
+        ]
+    )
+
+
 def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Array, Array]:
     """Return (p,) residuals of the prior and (p, r) their derivatives by the free parameters."""
-    n = len(pieces)
+    cost, n = _costs(pieces, own, usual), len(pieces)
     if not n:
-        return np.zeros(0), np.zeros((0, 0))
-    values = parameters_of(pieces)
+        return cost, np.zeros((0, 0))
+    values, each, graded = parameters_of(pieces), np.arange(n), np.flatnonzero(own[:, BORDER])
     length, width = values[:, HALF_LENGTH], values[:, HALF_WIDTH]
-    mean = values[:, LOG_CONTRAST].mean()
-    number = np.full(own.shape, -1)
-    number[own] = np.arange(own.sum())
-    cost, by = [], []
-
-    def add(value: float, *rates: tuple[int, float]) -> None:
-        row = np.zeros(int(own.sum()))
-        for at, rate in rates:
-            if at >= 0:
-                row[at] += rate
-        cost.append(value)
-        by.append(row)
-
-    for i in range(n):
-        sd = usual.touches.size_log_sd
-        size = 0.5 * np.log(4.0 * length[i] * width[i] / usual.touches.size_mm**2) / sd
-        at_length, at_width = number[i, HALF_LENGTH], number[i, HALF_WIDTH]
-        add(size, (at_length, 0.5 / length[i] / sd), (at_width, 0.5 / width[i] / sd))
-        aspect, slope = _heavy(float(np.log(length[i] / width[i])), usual.aspect_sd)
-        add(aspect, (at_length, slope / length[i]), (at_width, -slope / width[i]))
-        rates = [(number[j, LOG_CONTRAST], ((i == j) - 1.0 / n) / usual.own_sd) for j in range(n)]
-        add((values[i, LOG_CONTRAST] - mean) / usual.own_sd, *rates)
-        if own[i, BORDER]:
-            off = (values[i, BORDER] - usual.border_mm) / usual.border_sd
-            add(off, (number[i, BORDER], 1.0 / usual.border_sd))
-    all_of_them = [(number[j, LOG_CONTRAST], 1.0 / n / usual.common_sd) for j in range(n)]
-    add((mean - usual.log_contrast) / usual.common_sd, *all_of_them)
-    return np.array(cost), np.array(by)
+    slope = _heavy(np.log(length / width), usual.aspect_sd)[1]
+    by = np.zeros((len(cost), *own.shape))
+    by[each, each, HALF_LENGTH] = 0.5 / length / usual.touches.size_log_sd
+    by[each, each, HALF_WIDTH] = 0.5 / width / usual.touches.size_log_sd
+    by[n + each, each, HALF_LENGTH], by[n + each, each, HALF_WIDTH] = slope / length, -slope / width
+    by[2 * n : 3 * n, :, LOG_CONTRAST] = (np.eye(n) - 1.0 / n) / usual.own_sd
+    by[3 * n + np.arange(len(graded)), graded, BORDER] = 1.0 / usual.border_sd
+    by[-1, :, LOG_CONTRAST] = 1.0 / n / usual.common_sd
+    return cost, by[:, own]
 
 
 def held_prior(fit: Fit) -> float:
     """Return the prior's cost of a fit's touches, but for their mean contrast."""
-    cost, _ = _prior(fit.pieces, _free(fit.pieces, fit.turning), fit.frame.usual)
+    cost = _costs(fit.pieces, _free(fit.pieces, fit.turning), fit.frame.usual)
     return float(cost[:-1] @ cost[:-1])
 
 
-def _heavy(value: float, sd: float) -> tuple[float, float]:
-    """Return a residual whose square is the cost of Student's law with ``TAIL`` degrees of freedom, and its slope."""
+def _heavy(value: Array, sd: float) -> tuple[Array, Array]:
+    """Return residuals whose squares are the cost of Student's law with ``TAIL`` degrees of freedom, and slopes."""
     square = value * value / (TAIL * sd * sd)
-    residual = float(np.copysign(np.sqrt(TAIL * np.log1p(square)), value))
-    if abs(residual) < 1e-6:
-        return value / sd, 1.0 / sd
-    return residual, value / (sd * sd * (1.0 + square) * residual)
+    residual = np.copysign(np.sqrt(TAIL * np.log1p(square)), value)
+    small = np.abs(residual) < SMALL
+    slope = value / (sd * sd * (1.0 + square) * np.where(small, 1.0, residual))
+    return np.where(small, value / sd, residual), np.where(small, 1.0 / sd, slope)
 
 
 def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never) -> Fit:
@@ -198,14 +215,17 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
         over: Whether time is over: asked before each derivative and each solution, so that one of them is what a frame
             takes longer at most.
     """
-    damping = 1e-2
+    damping, by, stale = 1e-2, None, 0
     for _ in range(steps):
         if not len(fit.pieces) or over():
             return fit
-        residual, by, own = fit.linear
+        if by is None:
+            by, stale = fit.linear[1], 0
+        residual, rate, own = fit.residuals()
+        by = np.concatenate([by[: len(fit.residual)], rate])
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
-        best = None
+        best, first = None, True
         for _ in range(4):
             if over():
                 return fit
@@ -220,15 +240,33 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
             if best is not None and best.cost < fit.cost:
                 break
             damping *= 8.0
-            best = None
+            best, first = None, False
         if best is None:
-            return fit
+            if not stale:
+                return fit
+            by = None
+            continue
+        by, stale = _secant(by, fit, best, own, scale, stale)
         gained = fit.cost - best.cost
         fit = best
-        damping = max(damping / 5.0, 1e-4)
-        if gained < ENOUGH:
+        if first:
+            damping = max(damping / 5.0, 1e-4)
+        if gained < max(ENOUGH, SLOW * (fit.chi_squared - len(fit.residual))):
             return fit
     return fit
+
+
+def _secant(
+    by: Array, fit: Fit, best: Fit, own: npt.NDArray[np.bool_], scale: Array, stale: int
+) -> tuple[Array | None, int]:
+    """Return derivatives after a step that keep what it has shown (Broyden), and how often; None to take them anew."""
+    step = (parameters_of(best.pieces) - parameters_of(fit.pieces))[own]
+    told, seen = by[: len(fit.residual)] @ step, best.residual - fit.residual
+    wrong = seen - told
+    if stale >= KEPT or wrong @ wrong > AGREES**2 * (told @ told):
+        return None, 0
+    weight = scale * step
+    return by[: len(fit.residual)] + np.outer(wrong, weight / (weight @ step)), stale + 1
 
 
 def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array) -> Array:

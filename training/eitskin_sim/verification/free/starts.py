@@ -78,10 +78,13 @@ def followed(last: Array, rectangles: Array) -> Array:
 
 def rectangle(share: Array, grid: Grid) -> Array:
     """Return the (8,) upright rectangle with the area and the moments of (rows, columns) shares."""
-    at = grid.pixel_centres_mm()
     total = max(float(share.sum()), 1e-9)
-    middle = np.einsum("rc,rca->a", share, at) / total
-    spread = np.einsum("rc,rca->a", share, (at - middle) ** 2) / total - np.square(grid.pixel_mm) / 12.0
+    middle, spread = np.empty(2), np.empty(2)
+    for axis, pitch in enumerate(grid.pixel_mm):
+        along = share.sum(axis=axis)
+        at = (np.arange(len(along)) + 0.5) * pitch
+        middle[axis] = along @ at / total
+        spread[axis] = along @ (at - middle[axis]) ** 2 / total - pitch**2 / 12.0
     sides = np.maximum(np.sqrt(12.0 * np.maximum(spread, 0.0)), LEAST_MM)
     area = max(total * grid.pixel_mm2, LEAST_MM**2)
     sides *= np.clip(np.sqrt(area / sides.prod()), 0.7, 1.3)
