@@ -150,11 +150,6 @@ def condense_units(parts: UnitMesh, system: System, conductivities: Sequence[flo
     return [_condense(unit, parts, system, place, conductivities) for unit in range(parts.n_units)]
 
 
-def condense_unit(unit: int, parts: UnitMesh, system: System, conductivity: float) -> Condensed:
-    """Return one unit, condensed at one conductivity, S/m."""
-    return _condense(unit, parts, system, _place(parts), (conductivity,))
-
-
 def condense_at(unit: int, parts: UnitMesh, system: System, conductivities: Sequence[float]) -> Condensed:
     """Return one unit, condensed at each of some conductivities, S/m."""
     return _condense(unit, parts, system, _place(parts), conductivities)
