@@ -199,18 +199,16 @@ class ContrastPairs:
 
         Where all conduct worse than the sheet, what is written has the sign of the matrix negated, loads have not.
         """
-        rank, after = self._rank, np.append(scale[1:].ravel(), np.ones(N_ELECTRODES))
-        if contrast[0] < 1.0:  # better ones come first
-            after[:-N_ELECTRODES] *= -1.0
+        rank, after = self._rank, -scale if contrast[0] < 1.0 else scale  # better ones come first
         for i, one in enumerate(units):
             begin = i * rank
             into = upper[begin - rank : begin] if i else panel
             for j, other in enumerate(units[i + 1 :], i):
                 first, second = min(one, other), max(one, other)
                 block = self._rows[first][:, (second - first) * rank : (second - first + 1) * rank]
-                into[:, j * rank : (j + 1) * rank] = block if first == one else block.T
+                scaled = into[:, j * rank : (j + 1) * rank]
+                np.multiply(block if first == one else block.T, after[j + 1], out=scaled)
             into[:, -N_ELECTRODES:] = self._loads[one]
-            into[:, begin:] *= after[begin:]
             into[:, begin:] *= scale[i][:, None]
             if i:
                 into[:, begin - rank : begin] = 0.0
