@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from eitskin_proto.skin.parts import Outline, Ring
+from eitskin_proto.skin.parts import Outline
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import IDEAL
@@ -79,5 +79,14 @@ def test_skins_that_the_generators_have_no_mesh_for_are_refused() -> None:
     disc = replace(PAPER, outline=Outline("disc", (160.0, 160.0)))
     with pytest.raises(ValueError, match="kind is 'disc', expected 'rectangle': the forward model solves no other"):
         draw_device(disc, rng(0))
-    with pytest.raises(ValueError, match="contact is 'edge'; random devices have 'patch'"):
-        draw_device(replace(PAPER, electrodes=Ring(contact="edge")), rng(0))
+
+
+def test_contacts_on_the_edge_are_drawn_as_patches_are_and_may_pass_the_corner() -> None:
+    patches = draw_device(LAB, rng(0)).device.electrodes
+    edge = replace(LAB, electrodes=replace(LAB.electrodes, contact="edge"))
+    assert draw_device(edge, rng(0)).device.electrodes == replace(patches, contact="edge")
+    arc = tuple((np.array(patches.arc_length_mm) - patches.arc_length_mm[0]).tolist())
+    moved = replace(edge.electrodes, arc_length_mm=replace(LAB.electrodes.arc_length_mm, value=arc))
+    first = [draw_device(replace(edge, electrodes=moved), rng(s)).device.electrodes.arc_length_mm[0] for s in range(9)]
+    assert min(first) >= 0.0
+    assert max(first) > 490.0

@@ -1,6 +1,7 @@
 """A solved state's slopes are those of devices that are solved, and its 120 values are all of D."""
 
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
@@ -55,10 +56,13 @@ def test_the_layer_and_the_gauge_factor_move_it_as_they_move_a_solved_sheet(stat
         assert np.linalg.norm(by @ state.slopes - moved) < 0.05 * np.linalg.norm(moved)
 
 
-def test_electrodes_move_it_as_they_move_a_sheet_whose_mesh_follows_them(state: Expansion) -> None:
+@pytest.mark.parametrize("contact", ["patch", "edge"])
+def test_electrodes_move_it_as_they_move_a_sheet_whose_mesh_follows_them(contact: Literal["patch", "edge"]) -> None:
     """Two meshes differ by an error of their own, which two opposite changes have in common."""
     rng = np.random.default_rng(0)
-    own, off = NOMINAL.electrodes, rng.standard_normal(16)
+    own, off = replace(NOMINAL.electrodes, contact=contact), rng.standard_normal(16)
+    nominal = replace(NOMINAL, electrodes=own)
+    state = expansion(nominal, BEND, MM)
     cases = {
         "places": (PLACES, 0.2, lambda by: replace(own, arc_length_mm=tuple(np.add(own.arc_length_mm, by)))),
         "sizes": (SIZES, 0.02, lambda by: replace(own, size_mm=tuple(own.sizes_mm() * np.exp(by)))),
@@ -70,7 +74,7 @@ def test_electrodes_move_it_as_they_move_a_sheet_whose_mesh_follows_them(state: 
     }
     for name, (where, step, changed) in cases.items():
         more, less = (
-            np.log(np.abs(solved(replace(NOMINAL, electrodes=changed(sign * step * off)))[FIRST, SECOND]))
+            np.log(np.abs(solved(replace(nominal, electrodes=changed(sign * step * off)))[FIRST, SECOND]))
             for sign in (1.0, -1.0)
         )
         moved = (more - less) / 2

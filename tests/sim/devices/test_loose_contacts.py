@@ -46,10 +46,7 @@ def test_untouched_voltages_are_near_those_of_a_mesh_that_follows_the_contacts()
     assert np.abs(fine / readings(IDEAL, fine_differences(IDEAL, BEND)) - 1.0).max() > 0.05
 
 
-def test_what_needs_lines_is_refused() -> None:
-    mesh = shared_mesh().mesh
-    with pytest.raises(ValueError, match="contact is 'edge'; expected 'patch'"):
-        loose_contacts(mesh, Sheet(), replace(NOMINAL, contact="edge"), flat_metric)
+def test_two_electrodes_in_one_element_are_refused() -> None:
     coarse = TensorMesh(np.array([0.0, 75.0, 150.0]), np.array([0.0, 50.0, 100.0]))
     with pytest.raises(ValueError, match="two electrodes meet one element"):
         loose_contacts(coarse, Sheet(), LOOSE, flat_metric)

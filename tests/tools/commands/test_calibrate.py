@@ -174,3 +174,11 @@ def test_a_skin_that_states_everything_exactly_has_nothing_to_calibrate(recorded
     assert "states everything exactly" in capsys.readouterr().err
     assert main(["calibrate", str(recorded / "none.npz"), "--out", str(out)]) == 1
     assert not out.exists()
+
+
+def test_contacts_on_the_edge_are_refused_before_anything_is_read(tmp_path, capsys):
+    edge = replace(STATED, electrodes=replace(STATED.electrodes, contact="edge"))
+    (tmp_path / "edge.toml").write_text(to_toml(edge))
+    words = ["calibrate", "missing.npz", "--skin", str(tmp_path / "edge.toml"), "--out", str(tmp_path / "out.toml")]
+    assert main(words) == 1
+    assert "contact is 'edge', expected 'patch': contacts on the edge are not calibrated" in capsys.readouterr().err

@@ -61,6 +61,15 @@ class Lying:
 FLAT: Final = Lying()
 
 
+def check_contacts(skin: Skin) -> None:
+    """Raise ValueError if a skin's contacts are no patches: by those the model moves electrodes."""
+    if skin.electrodes.contact != "patch":
+        raise ValueError(
+            f"skin {skin.name!r}: [electrodes] contact is {skin.electrodes.contact!r}, expected 'patch': contacts on "
+            "the edge are not calibrated; state in its file where they are, as measured by hand"
+        )
+
+
 class Model:
     """A recording's reference.
 
@@ -69,12 +78,16 @@ class Model:
         recording: What was read.
         snr_db: Of a single frame; None takes the least that the skin states.
         more: Groups of parameters besides the skin's.
+
+    Raises:
+        ValueError: The skin's contacts are no patches.
     """
 
     def __init__(
         self, skin: Skin, recording: Recording, snr_db: float | None = None, more: Sequence[Group] = ()
     ) -> None:
         doubts = skin.may_be_off
+        check_contacts(skin)
         self.skin, self.size_mm = skin, skin.outline.size_mm
         self.recording, self.snr_db = recording, snr_db
         self.layer = SmoothModes(self.size_mm, doubts.layer_rms, doubts.layer_correlation_mm)

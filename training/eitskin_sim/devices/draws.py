@@ -88,7 +88,7 @@ def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
     """Return a random device of a skin.
 
     Raises:
-        ValueError: The skin is no rectangle with patches as contacts.
+        ValueError: The skin is no rectangle.
     """
     check_outline(skin)
     doubts, layer = skin.may_be_off, skin.layer
@@ -105,10 +105,8 @@ def draw_device(skin: Skin, rng: np.random.Generator) -> DrawnDevice:
 
 
 def check_outline(skin: Skin) -> None:
-    """Raise ValueError if devices of a skin cannot be computed on the generators' meshes."""
+    """Raise ValueError if devices of a skin cannot be computed on the generators' meshes: it is no rectangle."""
     ideal(skin)
-    if skin.electrodes.contact != "patch":
-        raise ValueError(f"skin {skin.name}: contact is {skin.electrodes.contact!r}; random devices have 'patch'")
 
 
 def draw_front_end(skin: Skin, rng: np.random.Generator) -> FrontEnd:
@@ -161,10 +159,13 @@ def _electrodes(skin: Skin, rng: np.random.Generator) -> Electrodes:
     ring, count = skin.electrodes, N_ELECTRODES
     stated, sizes = ring.arc_length_mm.nominal(count), ring.size_mm.nominal(count)
     moved = np.clip(ring.arc_length_mm.draw(rng, count), stated - MOST_MM, stated + MOST_MM)
+    if ring.contact == "edge":  # which may lie in a corner, on either side of where arc lengths begin
+        moved %= skin.outline.perimeter_mm
     own = np.clip(ring.size_mm.draw(rng, count), SMALLEST * sizes, sizes / SMALLEST)
     impedance = np.maximum(ring.contact_impedance_ohm_m2.draw(rng, count), 1e-9)
     impedance = impedance * float(skin.layer.conductivity_S_per_m.nominal(1)[0])  # the layer is scaled to 1 S/m
     return Electrodes(
+        contact=ring.contact,
         size_mm=tuple(own.tolist()),
         contact_impedance_ohm_m2=tuple(impedance.tolist()),
         arc_length_mm=tuple(moved.tolist()),

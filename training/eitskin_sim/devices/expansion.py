@@ -43,6 +43,9 @@ PLACE_MM: Final = 0.3
 SIZE: Final = 0.05
 """Steps of the central differences; that of sizes is of their logarithm."""
 
+EDGE_SHARE: Final = 1.0 / 6.0
+"""Of these steps for contacts on the edge: at their ends current crowds over 0.1 mm, and steps beyond are 17 % off."""
+
 FIRST, SECOND = np.triu_indices(N_ELECTRODES, 1)
 """(120,) drive and pair of each value that D is made of."""
 
@@ -74,7 +77,7 @@ def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
     """Return a device's state at a bend and its slopes.
 
     Args:
-        device: Its electrodes are patches; its front end is left out.
+        device: Its front end is left out.
         bend: Where.
         element_size_mm: Of the mesh, whose lines follow the device's electrodes.
     """
@@ -95,11 +98,20 @@ def expansion(device: Device, bend: Bend, element_size_mm: float) -> Expansion:
         return (through(change(step)) - through(change(-step))) / (2 * step)
 
     arc, sizes = np.array(electrodes.arc_length_mm), electrodes.sizes_mm()
+    share = EDGE_SHARE if electrodes.contact == "edge" else 1.0
+    perimeter = 2.0 * sum(sheet.size_mm)
+
+    def placed(step: float) -> Electrodes:
+        return replace(electrodes, arc_length_mm=tuple(((arc + step) % perimeter).tolist()))
+
+    def sized(step: float) -> Electrodes:
+        return replace(electrodes, size_mm=tuple((sizes * np.exp(step)).tolist()))
+
     contacts = factor.system.contacts
     slopes = np.concatenate(
         [
-            slope(lambda step: replace(electrodes, arc_length_mm=tuple((arc + step).tolist())), PLACE_MM),
-            slope(lambda step: replace(electrodes, size_mm=tuple((sizes * np.exp(step)).tolist())), SIZE),
+            slope(placed, share * PLACE_MM),
+            slope(sized, share * SIZE),
             -_through(factor, contacts, contacts.impedance_ohm_m2 * factor.density**2),
             cosines(mesh.centres_mm, sheet).T @ power,
             -area[None] @ power,

@@ -2,7 +2,9 @@
 
 One mesh then serves the electrodes of every device, and a touch's geometry, which depends on the mesh, serves them all.
 A patch passes a finite current per area, so under its edge the potential keeps a continuous slope: elements that the
-edge divides lose little, and their integrals are exact, since Gauss's points lie in the covered part alone.
+edge divides lose little, and their integrals are exact, since Gauss's points lie in the covered part alone. A contact
+on the sheet's edge passes a finite current per length, and covers parts of elements' sides likewise. Where it goes
+round a corner the element there has two covered sides, whose integrals add up to one piece of contact.
 """
 
 from dataclasses import replace
@@ -12,7 +14,7 @@ import numpy as np
 from eitskin_sim.fem.contacts import FRINGE, Contacts
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
-from eitskin_sim.fem.q2 import GAUSS, WEIGHTS, values
+from eitskin_sim.fem.q2 import GAUSS, LINE_POINTS, LINE_WEIGHTS, WEIGHTS, values
 from eitskin_sim.scene.device.layer import is_uneven, relative_conductivity
 from eitskin_sim.scene.electrodes import Piece, place
 from eitskin_sim.scene.parts import Electrodes, Sheet
@@ -27,33 +29,31 @@ def system_on(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Me
     Args:
         mesh: Covers the sheet.
         sheet: The flat layer.
-        electrodes: Where current enters: patches, or the nominal ones.
+        electrodes: Where current enters.
         metric: The bent surface's first fundamental form.
         nominal: Whose edges the lines hold.
 
     Raises:
-        ValueError: Electrodes beside the mesh's lines are no patches, or two of them meet one element.
+        ValueError: Two electrodes beside the mesh's lines meet one element.
     """
     if electrodes == nominal:
-        return assemble(mesh, sheet, electrodes, metric)
+        system = assemble(mesh, sheet, electrodes, metric)
+        return replace(system, contacts=one_an_element(system.contacts))
     system = assemble(mesh, sheet, nominal, metric)
     return replace(system, contacts=loose_contacts(mesh, sheet, electrodes, metric))
 
 
 def loose_contacts(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metric: Metric) -> Contacts:
-    """Return the contacts of patches anywhere on the border, on any mesh of the sheet.
+    """Return the contacts of electrodes anywhere on the border, on any mesh of the sheet.
 
     Raises:
-        ValueError: Electrodes are no patches, or two of them meet one element.
+        ValueError: Two electrodes meet one element.
     """
-    if electrodes.contact != "patch":
-        raise ValueError(f"contact is {electrodes.contact!r}; expected 'patch': others need lines of the mesh")
+    build = _patch if electrodes.contact == "patch" else _edge
     sizes, impedance = electrodes.sizes_mm(), electrodes.impedances_ohm_m2()
-    parts = [_patch(mesh, sheet, piece, float(sizes[piece.electrode]), metric) for piece in place(sheet, electrodes)]
+    parts = [build(mesh, sheet, piece, float(sizes[piece.electrode]), metric) for piece in place(sheet, electrodes)]
     element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
-    if len(np.unique(element)) < len(element):
-        raise ValueError("two electrodes meet one element; expected electrodes further apart, or smaller elements")
-    return Contacts(
+    found = Contacts(
         element=element.astype(np.intp),
         electrode=electrode.astype(np.intp),
         mass_m2=mass,
@@ -62,6 +62,42 @@ def loose_contacts(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metri
         impedance_ohm_m2=impedance[electrode],
         fringe_m=fringe,
     )
+    return check_apart(one_an_element(found))
+
+
+def one_an_element(contacts: Contacts) -> Contacts:
+    """Return contacts with one piece for each element and electrode: a corner's two sides are added up."""
+    pair = np.column_stack([contacts.element, contacts.electrode])
+    unique, first, back = np.unique(pair, axis=0, return_index=True, return_inverse=True)
+    if len(unique) == len(pair):
+        return contacts
+    order = np.argsort(first)
+    place = np.argsort(order)[back.ravel()]
+    mass, load, area = (np.zeros((len(unique), *one.shape[1:])) for one in (contacts.mass_m2, contacts.load_m2, back))
+    np.add.at(mass, place, contacts.mass_m2)
+    np.add.at(load, place, contacts.load_m2)
+    np.add.at(area, place, contacts.area_m2)
+    kept = first[order]
+    return Contacts(
+        element=contacts.element[kept],
+        electrode=contacts.electrode[kept],
+        mass_m2=mass,
+        load_m2=load,
+        area_m2=area,
+        impedance_ohm_m2=contacts.impedance_ohm_m2[kept],
+        fringe_m=contacts.fringe_m[kept],
+    )
+
+
+def check_apart(contacts: Contacts) -> Contacts:
+    """Return contacts as they are.
+
+    Raises:
+        ValueError: Two electrodes meet one element.
+    """
+    if len(np.unique(contacts.element)) < len(contacts.element):
+        raise ValueError("two electrodes meet one element; expected electrodes further apart, or smaller elements")
+    return contacts
 
 
 def _covered(lines: Array, low: float, high: float) -> tuple[Index, Array, Array]:
@@ -100,3 +136,27 @@ def _patch(
     if is_uneven(sheet):  # current crosses a layer that conducts so much better or worse
         fringe = fringe / (relative_conductivity(sheet, where, first) @ WEIGHTS)
     return element, np.full(len(element), piece.electrode), mass, load, fringe
+
+
+def _edge(
+    mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric
+) -> tuple[Index, Index, Array, Array, Array]:
+    """Return what :func:`_patch` does, of a straight piece of the border; its size is the piece's own."""
+    along_x, far = piece.side in (0, 2), piece.side in (1, 2)
+    steps, low, high = _covered(mesh.x_lines_mm if along_x else mesh.y_lines_mm, piece.start_mm, piece.stop_mm)
+    ny, nx = mesh.shape
+    element = {0: steps, 1: steps * nx + nx - 1, 2: (ny - 1) * nx + steps, 3: steps * nx}[piece.side]
+    along = low[:, None] + LINE_POINTS * (high - low)[:, None]
+    across = np.full(along.shape, 1.0 if far else 0.0)
+    unit = np.stack([along, across] if along_x else [across, along], axis=-1)  # (e, 3, 2)
+    sizes = mesh.sizes_mm[element]
+    where = mesh.corners_mm[element][:, None, :] + unit * sizes[:, None, :]
+    first = metric(where.reshape(-1, 2)).reshape(*along.shape, 3)
+    stretch = np.sqrt(first[..., 0 if along_x else 2])
+    thickness = sheet.thickness_mm * MM / np.sqrt(first[..., 0] * first[..., 2] - first[..., 1] ** 2)
+    covered = sizes[:, 0 if along_x else 1] * (high - low)
+    weight = LINE_WEIGHTS * stretch * thickness * covered[:, None] * MM
+    shapes = values(unit.reshape(-1, 2)).reshape(*along.shape, 9)
+    load = np.einsum("eq,eqi->ei", weight, shapes)
+    mass = np.einsum("eq,eqi,eqj->eij", weight, shapes, shapes)
+    return element, np.full(len(element), piece.electrode), mass, load, np.zeros(len(element))

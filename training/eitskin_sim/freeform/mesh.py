@@ -21,7 +21,7 @@ import numpy as np
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.devices.device import Device, ideal
-from eitskin_sim.devices.loose_contacts import system_on
+from eitskin_sim.devices.loose_contacts import check_apart, system_on
 from eitskin_sim.fem.contacts import Contacts
 from eitskin_sim.fem.forward import System, flat_metric
 from eitskin_sim.fem.inverse import Lines, make_lines
@@ -71,6 +71,9 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
         electrodes: Which elements have an unknown of which electrode; None is the skin's own, which the lines follow
             whatever it is.
         skin: The sheet and its electrodes as they are stated.
+
+    Raises:
+        ValueError: Two electrodes meet one element.
     """
     sheet, nominal = ideal(skin).sheet, ideal(skin).electrodes
     x, y = electrode_lines(sheet, nominal)
@@ -78,7 +81,7 @@ def shared_mesh(size_mm: float = ELEMENT_MM, electrodes: Electrodes | None = Non
         even_lines(sheet.size_mm[0], [at for at, _ in x], size_mm),
         even_lines(sheet.size_mm[1], [at for at, _ in y], size_mm),
     )
-    contacts = system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts
+    contacts = check_apart(system_on(mesh, sheet, electrodes or nominal, flat_metric, nominal).contacts)
     outer = np.setdiff1d(np.arange(mesh.n_nodes), mesh.element_nodes[:, MIDDLE])
     column = outer % (2 * mesh.shape[1] + 1)
     low, high = _spans(contacts, mesh.shape[1])

@@ -9,7 +9,7 @@ import numpy.typing as npt
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import SharedMesh
 from eitskin_sim.freeform.parts import PartGeometry, reached
-from eitskin_sim.scene.touch_table import TouchTable, gather
+from eitskin_sim.scene.touch_table import TouchTable
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,8 +49,8 @@ def chains(sets: PartSets) -> list[list[int]]:
 
 def merged(
     parts: TouchTable, batches: Sequence[PartGeometry], sets: PartSets, grid: SharedMesh
-) -> tuple[TouchTable, PartSets]:
-    """Return parts to be added, each several that share elements within a set, and the sets in terms of all parts.
+) -> tuple[list[tuple[int, ...]], PartSets]:
+    """Return parts to be added, each the numbers of several that share elements within a set, and sets of all parts.
 
     Args:
         parts: p parts; the first to be added is number p.
@@ -61,7 +61,7 @@ def merged(
     bits = reached(batches, grid.mesh.n_elements)
     pairs = _sharing(bits, sets)
     if not len(pairs):
-        return gather([]), sets
+        return [], sets
     new: dict[tuple[int, ...], int] = {}
     members = [sets.of(number) for number in range(len(sets))]
     order = np.argsort(pairs[:, 0], kind="stable")
@@ -71,9 +71,8 @@ def merged(
         members[number] = np.array(
             [group[0] if len(group) == 1 else new.setdefault(group, len(parts) + len(new)) for group in groups]
         )
-    extra = gather([np.concatenate([parts.of(part) for part in group]) for group in new])
     counts = np.cumsum([0, *(len(member) for member in members)])
-    return extra, PartSets(np.concatenate([*members, np.zeros(0, dtype=np.intp)]), counts)
+    return list(new), PartSets(np.concatenate([*members, np.zeros(0, dtype=np.intp)]), counts)
 
 
 def _sharing(bits: npt.NDArray[np.uint64], sets: PartSets) -> Index:

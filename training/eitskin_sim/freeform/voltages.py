@@ -25,6 +25,7 @@ from scipy.linalg import blas, lapack
 
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.freeform.joined import joined_geometry
 from eitskin_sim.freeform.mesh import ELEMENT_MM, SharedMesh, shared_mesh
 from eitskin_sim.freeform.parts import CondensedPart, PartGeometry, between, condense, geometry
 from eitskin_sim.freeform.pool import SetPool
@@ -65,8 +66,8 @@ def set_responses(
     grid = shared_mesh(size_mm, electrodes, skin)
     alone = TouchTable(touches.pieces, np.arange(len(touches.pieces) + 1))
     batches = geometry(alone, grid)
-    extra, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
-    batches += geometry(extra, grid)
+    groups, sets = merged(alone, batches, PartSets(np.arange(len(alone)), touches.first), grid)
+    batches += joined_geometry(alone, batches, groups, grid)
     return np.array([put_together(sheet, condense(sheet, batches), sets) for sheet in sheets])
 
 
@@ -89,8 +90,9 @@ def pool_responses(
         batches: The geometry of the pool's touches.
         deformation: Its number.
     """
-    extra, sets = merged(pool.parts, batches, pool.sets[deformation], grid)
-    return put_together(sheet, condense(sheet, [*batches, *geometry(extra, grid)]), sets)
+    groups, sets = merged(pool.parts, batches, pool.sets[deformation], grid)
+    joined = joined_geometry(pool.parts, batches, groups, grid)
+    return put_together(sheet, condense(sheet, [*batches, *joined]), sets)
 
 
 def put_together(sheet: InvertedSheet, parts: Sequence[CondensedPart], sets: PartSets) -> Array:

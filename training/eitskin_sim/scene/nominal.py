@@ -27,7 +27,8 @@ def nominal_sheet(skin: Skin) -> Sheet:
     if skin.outline.kind != "rectangle":
         raise SceneError(
             f"skin {skin.name!r}: [outline] kind is {skin.outline.kind!r}, expected 'rectangle': the forward model "
-            "solves no other; describe the rectangle that holds the sheet"
+            "solves no other, so a round sheet has no data sets, networks or predictions; frames of a round tank are "
+            "read by eitskin evaluate --tank"
         )
     layer = skin.layer
     return Sheet(

@@ -139,23 +139,28 @@ def ellipse_distance(local_mm: Array, half_mm: Array) -> tuple[Array, Array]:
     a, b = half_mm[..., 0], half_mm[..., 1]
     x, y = np.abs(local_mm[..., 0]), np.abs(local_mm[..., 1])
     t_x, t_y = np.full(x.shape, np.sqrt(0.5)), np.full(x.shape, np.sqrt(0.5))
+    middle_x, middle_y = (a * a - b * b) / a, (b * b - a * a) / b
     for _ in range(NEAREST_STEPS):
         # The circle that fits the ellipse best at (a t_x, b t_y) has its middle at e; the point's nearest on the circle
-        # is nearly that on the ellipse.
-        e_x, e_y = (a * a - b * b) * t_x**3 / a, (b * b - a * a) * t_y**3 / b
-        radius = np.hypot(a * t_x - e_x, b * t_y - e_y)
+        # is nearly that on the ellipse. Products and roots: numpy's powers and hypot take three to ten times as long.
+        e_x, e_y = middle_x * (t_x * t_x * t_x), middle_y * (t_y * t_y * t_y)
+        radius = _length(a * t_x - e_x, b * t_y - e_y)
         q_x, q_y = x - e_x, y - e_y
-        reach = radius / np.maximum(np.hypot(q_x, q_y), 1e-12)
+        reach = radius / np.maximum(_length(q_x, q_y), 1e-12)
         t_x = np.clip((q_x * reach + e_x) / a, 0.0, 1.0)
         t_y = np.clip((q_y * reach + e_y) / b, 0.0, 1.0)
-        length = np.maximum(np.hypot(t_x, t_y), 1e-12)
+        length = np.maximum(_length(t_x, t_y), 1e-12)
         t_x, t_y = t_x / length, t_y / length
     inside = (x / a) ** 2 + (y / b) ** 2 <= 1.0
-    distance = np.hypot(x - a * t_x, y - b * t_y) * np.where(inside, -1.0, 1.0)
+    distance = _length(x - a * t_x, y - b * t_y) * np.where(inside, -1.0, 1.0)
     n_x, n_y = t_x / a, t_y / b
-    length = np.maximum(np.hypot(n_x, n_y), 1e-12)
+    length = np.maximum(_length(n_x, n_y), 1e-12)
     sign = np.where(np.asarray(local_mm) < 0.0, -1.0, 1.0)
     return distance, np.stack([n_x / length, n_y / length], axis=-1) * sign
+
+
+def _length(x: Array, y: Array) -> Array:
+    return np.asarray(np.sqrt(x * x + y * y))
 
 
 @dataclass(frozen=True, slots=True)

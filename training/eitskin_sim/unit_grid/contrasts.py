@@ -10,6 +10,10 @@ set is then the matrix of :mod:`eitskin_sim.unit_grid.units` with J = 1 or -1 fo
 
     [ J_u s_u s_v H_uv   s W  ]      a Cholesky factor of the part of 1, then one of what is left of the part of -1,
     [ .                  G_EE ]      negated, which is positive since the sheet stays a conductor
+
+The first unit is eliminated by one product, and where all of a set conduct worse the whole matrix is negated at once.
+H_uv is kept for v > u alone, and a set's blocks are scaled in a place that all sets share: new memory takes as long as
+the work.
 """
 
 from collections.abc import Callable, Sequence
@@ -28,6 +32,12 @@ from eitskin_sim.unit_grid.unit_mesh import UnitMesh
 
 BATCH_BYTES: Final = 2e6
 """Size of the matrices that are gathered at once: they stay in the cache."""
+
+TOGETHER: Final = 16
+"""Units whose potentials are held together while pairs are made: 11 MB."""
+
+BEYOND: Final = 1e12
+"""Ohm in place of the electrodes' potentials: what is left of them is not wanted, but must have a root."""
 
 MOST: Final = 10
 """Sets of more units are solved as they stand: no richer set has more."""
@@ -58,6 +68,7 @@ class ContrastUnits:
         if contrast.shape != units.shape:
             raise ValueError(f"contrasts have shape {contrast.shape}; they must have that of the sets, {units.shape}")
         check_contrasts(contrast[units])
+        self._condense_under(units, contrast)
         response = np.empty((len(units), N_ELECTRODES, N_ELECTRODES))
         count = units.sum(axis=1)
         for size in np.unique(count):
@@ -85,16 +96,21 @@ class ContrastUnits:
             change[at[:, None], at] += self._change(unit, sigma)
         return updated(self._inverse, dofs, change)
 
+    def _condense_under(self, units: npt.NDArray[np.bool_], contrast: Array) -> None:
+        """Condense units under contacts at all of their contrasts together: to put one together takes most of it."""
+        for unit in sorted(self._under):
+            own = np.unique(contrast[units[:, unit], unit]).tolist()
+            missing = [one for one in own if (unit, one) not in self._changes]
+            if missing:
+                sigma = [one * self._system.background for one in missing]
+                condensed = condense_at(unit, self._parts, self._system, sigma).schur - self._units[unit].schur[0]
+                self._changes.update(((unit, one), found) for one, found in zip(missing, condensed, strict=True))
+
     def _change(self, unit: int, contrast: float) -> Array:
         """Return the (b, b) D_u of one unit."""
-        if unit not in self._under:
-            return np.asarray((contrast - 1.0) * self._units[unit].schur[0])
-        found = self._changes.get((unit, contrast))
-        if found is None:
-            sigma = contrast * self._system.background
-            found = condense_at(unit, self._parts, self._system, (sigma,)).schur[0] - self._units[unit].schur[0]
-            self._changes[unit, contrast] = found
-        return found
+        if unit in self._under:
+            return self._changes[unit, contrast]
+        return np.asarray((contrast - 1.0) * self._units[unit].schur[0])
 
 
 def check_contrasts(contrast: Array) -> None:
@@ -146,53 +162,69 @@ class ContrastPairs:
         self._factors, self._values = zip(*(_diagonal(inverse, unit) for unit in units), strict=True)
         self._rank = rank = max(len(value) for value in self._values)
         self._lambda = np.array([np.pad(value, (0, rank - len(value))) for value in self._values])
-        self._blocks = np.zeros((n_units, n_units, rank, rank))
         self._loads = np.zeros((n_units, rank, N_ELECTRODES))
-        wide = np.zeros((len(inverse), n_units * rank))
+        self._rows = [np.zeros((rank, (n_units - number) * rank)) for number in range(n_units)]
+        wide = np.zeros((len(inverse), TOGETHER * rank))
+        for start in range(0, n_units, TOGETHER):
+            stop = min(start + TOGETHER, n_units)
+            for number in range(start, stop):
+                factor, at = self._factors[number], (number - start) * rank
+                np.matmul(inverse[:, units[number].dofs], factor, out=wide[:, at : at + factor.shape[1]])
+                wide[:, at + factor.shape[1] : at + rank] = 0.0
+            for number in range(stop):
+                factor, begin = self._factors[number], max(number, start)
+                into = self._rows[number][: factor.shape[1], (begin - number) * rank : (stop - number) * rank]
+                columns = wide[units[number].dofs, (begin - start) * rank : (stop - start) * rank]
+                np.matmul(factor.T, columns, out=into)
         for number, (unit, factor) in enumerate(zip(units, self._factors, strict=True)):
-            wide[:, number * rank : number * rank + factor.shape[1]] = inverse[:, unit.dofs] @ factor
-        for number, (unit, factor) in enumerate(zip(units, self._factors, strict=True)):
-            own = factor.shape[1]
-            row = factor.T @ wide[unit.dofs]
-            self._blocks[number, :, :own] = row.reshape(own, n_units, rank).transpose(1, 0, 2)
-            self._loads[number, :own] = factor.T @ inverse[unit.dofs, -N_ELECTRODES:]
+            self._loads[number, : factor.shape[1]] = factor.T @ inverse[unit.dofs, -N_ELECTRODES:]
         self._own: dict[tuple[int, float], Array] = {}
 
     def responses(self, sets: Index, contrast: Array) -> Array:
         """Return the (n, 16, 16) potentials of electrodes of (n, k) unit numbers with contrasts (n, k)."""
-        count, k = sets.shape
+        (count, k), rank = sets.shape, self._rank
         order = np.argsort(contrast < 1.0, axis=1, kind="stable")
         sets, contrast = np.take_along_axis(sets, order, axis=1), np.take_along_axis(contrast, order, axis=1)
-        better = np.count_nonzero(contrast > 1.0, axis=1) * self._rank
-        size = k * self._rank
-        step = at_once(size)
-        found = np.empty((count, N_ELECTRODES, N_ELECTRODES))
-        for start in range(0, count, step):
-            part = slice(start, start + step)
-            for row, whole in enumerate(self._gathered(sets[part], contrast[part]), start):
-                found[row] = self._solved(whole, int(better[row]))
-        return found
-
-    def _gathered(self, sets: Index, contrast: Array) -> Array:
-        """Return the (n, k r, k r + 16) upper blocks of the matrices and their loads."""
-        (count, k), rank = sets.shape, self._rank
         scale = np.sqrt(np.abs(contrast - 1.0)[..., None] / (1.0 + (contrast - 1.0)[..., None] * self._lambda[sets]))
         scale[self._under[sets]] = 1.0
-        found = np.zeros((count, k * rank, k * rank + N_ELECTRODES))
-        diagonal = np.arange(k * rank)
-        found[:, diagonal, diagonal] = np.repeat(np.where(contrast > 1.0, 1.0, -1.0), rank, axis=1)
-        for i in range(k):
-            own = slice(i * rank, (i + 1) * rank)
-            found[:, own, k * rank :] = self._loads[sets[:, i]] * scale[:, i, :, None]
-            for j in range(i + 1, k):
-                block = self._blocks[sets[:, i], sets[:, j]]
-                found[:, own, j * rank : (j + 1) * rank] = block * scale[:, i, :, None] * scale[:, j, None, :]
-        for row, place in zip(*np.nonzero(self._under[sets]), strict=True):
-            turn = self._turn(int(sets[row, place]), float(contrast[row, place]))
-            own = slice(place * rank, (place + 1) * rank)
-            found[row, own, own.stop :] = turn.T @ found[row, own, own.stop :]
-            found[row, : own.start, own] = found[row, : own.start, own] @ turn
+        side = (k - 1) * rank + N_ELECTRODES
+        panel, upper = np.zeros((rank, side)), np.zeros((side, side))
+        found = np.empty((count, N_ELECTRODES, N_ELECTRODES))
+        for row in range(count):
+            self._gather(sets[row].tolist(), contrast[row].tolist(), scale[row], panel, upper)
+            found[row] = self._solved(panel, upper, int(np.count_nonzero(contrast[row] > 1.0)))
         return found
+
+    def _gather(self, units: list[int], contrast: list[float], scale: Array, panel: Array, upper: Array) -> None:
+        """Write the first unit's row of blocks without its own (r, side), and the upper half of the others' square.
+
+        Where all conduct worse than the sheet, what is written has the sign of the matrix negated, loads have not.
+        """
+        rank, after = self._rank, -scale if contrast[0] < 1.0 else scale  # better ones come first
+        for i, one in enumerate(units):
+            begin = i * rank
+            into = upper[begin - rank : begin] if i else panel
+            for j, other in enumerate(units[i + 1 :], i):
+                first, second = min(one, other), max(one, other)
+                block = self._rows[first][:, (second - first) * rank : (second - first + 1) * rank]
+                scaled = into[:, j * rank : (j + 1) * rank]
+                np.multiply(block if first == one else block.T, after[j + 1], out=scaled)
+            into[:, -N_ELECTRODES:] = self._loads[one]
+            into[:, begin:] *= scale[i][:, None]
+            if i:
+                into[:, begin - rank : begin] = 0.0
+        upper[-N_ELECTRODES:, -N_ELECTRODES:] = 0.0
+        signs = [1.0 if one > 1.0 or contrast[0] < 1.0 else -1.0 for one in contrast[1:]]
+        upper.reshape(-1)[:: len(upper) + 1] = np.repeat([*signs, BEYOND], [*[rank] * len(signs), N_ELECTRODES])
+        for i, unit in enumerate(units):
+            if self._under[unit]:
+                turn, begin = self._turn(unit, contrast[i]), i * rank
+                if i:
+                    own = slice(begin - rank, begin)
+                    panel[:, own] = panel[:, own] @ turn
+                    upper[: begin - rank, own] = upper[: begin - rank, own] @ turn
+                into = upper[begin - rank : begin] if i else panel
+                into[:, begin:] = turn.T @ into[:, begin:]
 
     def _turn(self, unit: int, contrast: float) -> Array:
         """Return the (r, r) Y of a unit under a contact."""
@@ -208,28 +240,34 @@ class ContrastPairs:
             self._own[unit, contrast] = found
         return found
 
-    def _solved(self, whole: Array, better: int) -> Array:
-        """Return the (16, 16) potentials of one set, whose first unknowns conduct better than the sheet."""
-        size, left = len(whole), self._at_terminals
-        if better:
-            root = _root(whole[:better, :better])
-            panel = blas.dtrsm(1.0, root, whole[:better, better:], lower=1)
-            left = left - panel[:, size - better :].T @ panel[:, size - better :]
-            if better < size:
-                whole[better:, better:] -= panel[:, : size - better].T @ panel
-        if better < size:
-            root = _root(-whole[better:, better:size])
-            panel = blas.dtrsm(1.0, root, whole[better:, size:], lower=1)
-            left = left + panel.T @ panel
-        return np.asarray(left)
+    def _solved(self, panel: Array, upper: Array, better: int) -> Array:
+        """Return the (16, 16) potentials of a set with so many units that conduct better; overwrites both arrays."""
+        size, rank, fall = len(upper) - N_ELECTRODES, self._rank, panel[:, -N_ELECTRODES:]
+        left = self._at_terminals + (-1.0 if better else 1.0) * (fall.T @ fall)
+        if not size:
+            return np.asarray(left)
+        blas.dsyrk(-1.0, panel.T, beta=1.0, c=upper.T, lower=1, overwrite_c=1)
+        if better * rank in (0, size + rank):
+            _factorise(upper)
+            fall = upper[:size, size:]
+            return np.asarray(left + (-1.0 if better else 1.0) * (fall.T @ fall))
+        middle = (better - 1) * rank
+        if middle:
+            root = _factorise(upper[:middle, :middle].copy())
+            rows = blas.dtrsm(1.0, root.T, upper[:middle, middle:], lower=1)
+            left = left - rows[:, size - middle :].T @ rows[:, size - middle :]
+            upper[middle:size, middle:] -= rows[:, : size - middle].T @ rows
+        root = _factorise(-upper[middle:size, middle:size])
+        rows = blas.dtrsm(1.0, root.T, upper[middle:size, size:], lower=1)
+        return np.asarray(left + rows.T @ rows)
 
 
-def _root(square: npt.NDArray[np.float64]) -> Array:
-    """Return the lower Cholesky factor of a matrix of which the upper half is given."""
-    root, failed = lapack.dpotrf(square.T, lower=1, clean=0)
+def _factorise(upper: Array) -> Array:
+    """Overwrite the upper half of a matrix with its Cholesky factor, and return it."""
+    _, failed = lapack.dpotrf(upper.T, lower=1, overwrite_a=1, clean=0)
     if failed:
         raise ValueError("a set of touched units takes away more conductance than the sheet has")
-    return np.asarray(root)
+    return upper
 
 
 def _diagonal(inverse: Array, unit: Condensed) -> tuple[Array, Array]:

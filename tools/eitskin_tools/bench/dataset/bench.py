@@ -51,12 +51,13 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--scenes is {arguments.scenes}; it must be 0, or 3 or more")
     one_blas_thread()
     rows = [*_paper(arguments), *_free(arguments)]
-    rows += [row for kind in ("press", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
+    rows += [row for kind in ("press", "raise", "both") for row in (*_units(arguments, kind), *_free(arguments, kind))]
     rows += [_files(arguments, devices) for devices in ("ideal", "random")]
     rows.append(_pyeit())
     errors = [*error_rows(arguments.scenes), *gap_rows(), *rule_rows()] if arguments.scenes else []
     naive = {row["what"]: row["samples_per_cpu_s"] for row in rows if row["method"] == "naive"}
     ours = {row["what"]: row for row in rows if row["method"] == "ours"}
+    slowest = min(ours.values(), key=lambda row: float(row["samples_per_cpu_s"]))
     default = next((row for row in errors if row["what"] == "free, default"), {})
     summary = {
         "paper_samples": ours["paper"]["samples"],
@@ -68,6 +69,8 @@ def run(arguments: argparse.Namespace) -> int:
         "free_samples_per_cpu_s": ours["free"]["samples_per_cpu_s"],
         "free_times_naive": round(ours["free"]["samples_per_cpu_s"] / naive["free"], 1),
         "free_largest_error": ours["free"]["largest_error"],
+        "slowest": slowest["what"],
+        "slowest_samples_per_cpu_s": slowest["samples_per_cpu_s"],
         "free_dV_off_percent": default.get("median_percent"),
     }
     if arguments.json:

@@ -42,6 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate, report and write the skin."""
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import to_toml
+    from eitskin_sim.calibration.model import check_contacts
     from eitskin_sim.calibration.recording import load_recording
     from eitskin_sim.calibration.report import calibrate, table
     from eitskin_sim.devices.draws import check_outline
@@ -51,6 +52,7 @@ def run(arguments: argparse.Namespace) -> int:
     files.writable(arguments.out)
     skin = skins.read(arguments.skin)
     check_outline(skin)
+    check_contacts(skin)
     if arguments.guided:
         _record(arguments, skin)
     elif arguments.port or arguments.stamp:

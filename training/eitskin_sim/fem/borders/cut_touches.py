@@ -50,13 +50,14 @@ class Cuts:
         return 0 if self.graded is None else len(self.graded)
 
 
-def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
+def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: Index | None = None) -> Cuts:
     """Return what some touch sets do to a mesh's elements.
 
     Args:
         touches: The table.
         sets: (s,) which of its sets.
         mesh: The fixed mesh.
+        among: Set times elements of the mesh, plus element, of those alone that are looked at; None for all.
 
     Raises:
         ValueError: A graded border cannot be represented, or its piece would change nothing.
@@ -66,6 +67,9 @@ def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh) -> Cuts:
     pieces, owner = touches.pieces[rows.astype(np.intp)], np.repeat(np.arange(len(sets)), counts)
     borders = borders_mm(pieces)
     piece, element = _near(pieces, mesh, borders)
+    if among is not None:
+        wanted = np.isin(owner[piece] * mesh.n_elements + element, among)
+        piece, element = piece[wanted], element[wanted]
     graded = None
     if borders.any():
         check_pieces(pieces[borders != 0.0], mesh)
