@@ -42,8 +42,9 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate, report and write the skin."""
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import to_toml
+    from eitskin_sim.calibration.printed import table
     from eitskin_sim.calibration.recording import load_recording
-    from eitskin_sim.calibration.report import calibrate, table
+    from eitskin_sim.calibration.report import calibrate
     from eitskin_sim.devices.draws import check_outline
 
     if arguments.snr_db is not None and not 10.0 <= arguments.snr_db <= 120.0:
