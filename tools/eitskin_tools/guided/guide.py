@@ -43,7 +43,7 @@ class Dialogue(Protocol):
         """Return a line that was typed, without waiting; None where there is none."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """What is asked for."""
 
