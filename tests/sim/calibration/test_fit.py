@@ -91,3 +91,16 @@ def test_what_never_gets_better_is_an_error():
     with pytest.raises(UnsettledError, match=r"does not converge: .*look at the recording") as caught:
         fit(Wrong(0.01 * jacobian, read))
     assert caught.value.residuals.shape == read.shape
+
+
+def test_a_sheet_that_cannot_be_ends_the_search_in_one_line_with_its_rows():
+    class Edge(Linear):
+        def linearised(self, z):
+            if np.any(z):
+                raise ValueError("electrode 4 lies round a corner")
+            return super().linearised(z)
+
+    jacobian, _, read = drawn(6)
+    with pytest.raises(UnsettledError, match=r"it ends at a sheet that cannot be \(electrode 4 .*corner\)") as caught:
+        fit(Edge(jacobian, read))
+    assert caught.value.residuals.shape == read.shape

@@ -16,6 +16,10 @@ WHOLE = {
 }
 
 
+NAN = flat_cloud()
+NAN[0, 2, 3] = np.nan
+
+
 def written(tmp_path, **changes):
     path = tmp_path / "r.npz"
     np.savez(path, **{name: value for name, value in {**WHOLE, **changes}.items() if value is not None})
@@ -25,6 +29,12 @@ def written(tmp_path, **changes):
 def test_the_reference_is_taken_and_other_arrays_are_left_alone(tmp_path):
     found = load_recording(written(tmp_path), PAPER)
     assert (len(found.reference_V), found.frames) == (208, 100)
+
+
+def test_the_scan_of_the_reference_is_taken_with_it(tmp_path):
+    assert load_recording(written(tmp_path), PAPER).cloud_mm is None
+    cloud = 1.03 * flat_cloud()
+    assert np.array_equal(load_recording(written(tmp_path, reference_cloud_mm=cloud), PAPER).cloud_mm, cloud)
 
 
 def test_a_reference_alone_will_do(tmp_path):
@@ -41,7 +51,15 @@ def test_a_reference_alone_will_do(tmp_path):
         ({"reference_V": np.array(["a"] * 104)}, r"reference_V holds <U1, expected real numbers"),
         ({"reference_V": np.where(np.arange(104) == 5, np.nan, 1.0)}, r"reference_V\[5\] is nan, expected finite"),
         ({"reference_V": np.where(np.arange(104) == 5, 0.0, 1.0)}, r"row 5 is 0 V: is its electrode connected"),
-        ({"reference_cloud_mm": flat_cloud()}, "calibrate from a reference taken flat"),
+        (
+            {"reference_cloud_mm": np.zeros((3, 5, 5))},
+            r"reference_cloud_mm has shape \(3, 5, 5\), expected \(3, 30, 45\)",
+        ),
+        ({"reference_cloud_mm": NAN}, r"reference_cloud_mm\[0, 2, 3\] is nan, expected finite numbers"),
+        (
+            {"reference_cloud_mm": 1e-3 * flat_cloud()},
+            "reference_cloud_mm: the cloud's sheet is .* in mm; without it the sheet lay flat",
+        ),
         ({"reference_frames": np.array(0)}, "expected one number from 1 on"),
         ({"reference_frames": np.array(1.0)}, "reference_frames is float64"),
     ],

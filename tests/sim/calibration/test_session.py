@@ -12,8 +12,9 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.calibration import bends, model, session, solved, stamp
 from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
+from eitskin_sim.calibration.printed import table
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.report import calibrate, table
+from eitskin_sim.calibration.report import calibrate
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.front_end import FrontEnd

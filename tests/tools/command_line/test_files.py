@@ -37,6 +37,7 @@ TAKING_A_FILE = {
     "evaluate --bundle": ["evaluate", "--random", "2-4", "--bundle", ABSENT],
     "doctor --recorded": ["doctor", "--electrodes", "--recorded", ABSENT],
     "subscribe --server-key": ["subscribe", "--server-key", ABSENT, "--client-key", ABSENT],
+    "calibrate --surface": ["calibrate", "r.npz", "--guided", "--port=/dev/null", "--out=s.toml", "--surface", ABSENT],
     "bench tradeoff": ["bench", "tradeoff", "--phantoms", ABSENT],
     "bench electrodes": ["bench", "electrodes", "--phantoms", ABSENT, "--only", "accuracy"],
 }

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.parts import Instrument, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
@@ -155,7 +157,9 @@ def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recor
         (["--guided", "--port", "/dev/none", "--stamp", "x"], "--stamp is 'x', expected a diameter"),
         (["--guided", "--port", "/dev/none", "--bends", "-1"], "--bends is -1, expected at least 0"),
         (["--guided", "--port", "/dev/none", "--json"], "--guided talks on standard output"),
-        (["--port", "/dev/none"], "--port and --stamp belong to --guided"),
+        (["--port", "/dev/none"], "--port, --stamp, --surface and --full-scan belong to --guided"),
+        (["--full-scan"], "--port, --stamp, --surface and --full-scan belong to --guided"),
+        (["--surface", "lies.npz"], "--port, --stamp, --surface and --full-scan belong to --guided"),
         (["--snr-db", "3"], "--snr-db is 3, expected 10 to 120"),
     ],
 )
@@ -166,6 +170,16 @@ def test_options_that_make_no_sense_are_one_line(recorded, words, text, capsys):
     said = capsys.readouterr().err
     assert text in said.splitlines()[-1]
     assert not out.exists()
+
+
+def test_a_scan_that_is_not_of_this_sheet_is_refused_before_anything_is_recorded(recorded, capsys):
+    out, scan = recorded / "calibrated.toml", recorded / "lies.npz"
+    save_surface(scan, Surface(flat_cloud() * np.array([2.0, 1.0, 1.0])[:, None, None]), None, STATED)
+    words = ["calibrate", str(recorded / "new.npz"), "--guided", "--port", "/dev/none", "--surface", str(scan)]
+    assert main([*words, "--skin", str(recorded / "ours.toml"), "--out", str(out)]) == 2
+    said = capsys.readouterr().err.splitlines()[-1]
+    assert f"--surface {scan}: the cloud's sheet is 300 mm along x" in said
+    assert not (recorded / "new.npz").exists()
 
 
 def test_a_skin_that_states_everything_exactly_has_nothing_to_calibrate(recorded, capsys):

@@ -1,6 +1,7 @@
 """A guided recording, with a sheet that does what it is asked, or does not: no clock anywhere."""
 
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -35,7 +36,7 @@ class Sheet:
             self.state = pressed(int(found[1]) % 7)
         elif "bend the sheet" in text:
             self.state = BENT
-        elif "flat" in text or "Let go" in text:
+        elif "flat" in text or "free" in text or "Let go" in text:
             self.state = FLAT
         if self.state is not before:
             self.before, self.since = before, 0
@@ -119,6 +120,29 @@ def test_a_scan_that_cannot_be_read_is_asked_for_again():
     sheet = Sheet([("Name the scan", "none.npz"), ("name another", "bent.npz")])
     assert len(guided(sheet, load=load)["bent_V"]) == 1
     assert asked == ["none.npz", "bent.npz"]
+
+
+def test_a_sheet_that_is_never_flat_is_left_as_it_was_scanned_and_its_scan_is_kept():
+    sheet = Sheet([SCAN])
+    lying = 1.03 * flat_cloud()
+    found = guided(sheet, replace(PLAN, lying_mm=lying))
+    assert np.array_equal(found["reference_cloud_mm"], lying)
+    assert sheet.told[0].startswith("Leave the sheet as it was scanned and take your hands off")
+    assert any("the sheet as it was scanned first, and free" in one for one in sheet.told)
+    assert not any("flat" in one for one in sheet.told)
+
+
+def test_both_readings_of_a_full_scan_are_kept():
+    gain = np.where(np.arange(208) % 2, 1.01, 0.99)
+
+    class Full(Sheet):
+        def frames(self, most=20_000):
+            for frame in super().frames(most):
+                yield gain * frame[np.arange(208) % 104]
+
+    found = guided(Full([SCAN]))
+    assert found["press_V"].shape == (2, 208)
+    assert np.abs(found["reference_V"] / (gain * FLAT[np.arange(208) % 104]) - 1.0).max() < 5.0 * NOISE / np.sqrt(40)
 
 
 def test_without_a_stamp_nothing_is_pressed():

@@ -17,7 +17,9 @@ UNFIT: Final = 100
 
 
 def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
-    """Yield (104,) V of every whole frame that is fit; end when none comes.
+    """Yield the V of every whole frame that is fit, (208,) of a device that scans all rows, else (104,).
+
+    It ends when none comes.
 
     Args:
         device: It streams.
@@ -34,7 +36,7 @@ def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
     while came:
         came = False
         for view in whole_frames(device, time.perf_counter() + PATIENCE_S):
-            came, unfit = True, 0
+            came = True
             normaliser.load(view.counts)
             reason = "rows are cut off" if view.saturation else stuck(normaliser.counts)
             unfit = unfit + 1 if reason else 0
@@ -43,5 +45,5 @@ def frames_of(device: Any) -> Iterator[npt.NDArray[np.float64]]:
                     f"the last {unfit} frames cannot be used: {reason}; check the current and the gain of the "
                     "configuration with 'eitskin flash'"
                 )
-            if not reason:
-                yield normaliser.voltages().copy()
+            if not reason:  # not the normaliser's, which averages a row and its reciprocal
+                yield view.counts * device.hello.volts_per_count

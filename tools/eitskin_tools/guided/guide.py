@@ -43,7 +43,7 @@ class Dialogue(Protocol):
         """Return a line that was typed, without waiting; None where there is none."""
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Plan:
     """What is asked for."""
 
@@ -55,6 +55,8 @@ class Plan:
     reference_frames: int = 100
     frames: int = 40
     """That a moment is the mean of."""
+    lying_mm: Array | None = None
+    """(3, rows, columns) the scan of the sheet as it lies for reference and presses; None where it lies flat."""
 
     @property
     def stamp(self) -> str:
@@ -77,7 +79,7 @@ class Guide:
 
     Args:
         plan: What is asked for.
-        frames: (104,) V each, for as long as the device streams.
+        frames: (104,) or (208,) V each, for as long as the device streams.
         talk: The person.
         load_scan: Reads the scan of a bend.
     """
@@ -106,7 +108,8 @@ class Guide:
         return self._arrays()
 
     def _reference(self) -> str | None:
-        self._talk.tell(f"Lay the sheet flat and take your hands off. ({WORDS})")
+        how = "Lay the sheet flat" if self._plan.lying_mm is None else "Leave the sheet as it was scanned"
+        self._talk.tell(f"{how} and take your hands off. ({WORDS})")
         self._watch = Watch()
         frames, word = self._taken(self._plan.reference_frames, lambda: True)
         if word == SKIP:
@@ -115,7 +118,7 @@ class Guide:
             self._found.reference = frames.mean(axis=0)
             noise = step_noise(frames)
             self._watch.refer(self._found.reference, noise)
-            self._talk.tell(f"reference: mean of {len(frames)} frames")
+            self._talk.tell(f"reference: mean of {len(frames)} frames of {frames.shape[1]} rows")
         return word
 
     def _bend(self, number: int) -> str | None:
@@ -144,7 +147,8 @@ class Guide:
     def _press(self, number: int) -> str | None:
         x, y = self._plan.places_mm[number]
         of = f"Press {number + 1} of {len(self._plan.places_mm)}"
-        self._talk.tell(f"{of}: the sheet flat and free. ({WORDS})")
+        how = "flat" if self._plan.lying_mm is None else "as it was scanned first,"
+        self._talk.tell(f"{of}: the sheet {how} and free. ({WORDS})")
         word = self._until(lambda: self._watch.steady and self._watch.away <= self._watch.floor)
         if word:
             return word
@@ -162,7 +166,7 @@ class Guide:
         return word
 
     def _taken(self, count: int, holds: Callable[[], bool]) -> tuple[Array, str | None]:
-        """Return (count, 104) V of a sheet at rest for which something holds all the while; or a word."""
+        """Return (count, rows) V of a sheet at rest for which something holds all the while; or a word."""
         while True:
             word = self._until(lambda: self._watch.steady and holds())
             if word:
@@ -209,6 +213,8 @@ class Guide:
     def _arrays(self) -> dict[str, Any]:
         found, plan = self._found, self._plan
         arrays: dict[str, Any] = {"reference_V": found.reference, "reference_frames": np.array(plan.reference_frames)}
+        if plan.lying_mm is not None:
+            arrays["reference_cloud_mm"] = plan.lying_mm
         if found.bents:
             volts, clouds = zip(*(found.bents[k] for k in sorted(found.bents)), strict=True)
             arrays |= {"bent_V": np.array(volts), "bent_cloud_mm": np.array(clouds)}

@@ -10,8 +10,6 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.table import N_ROWS
-
 Array = npt.NDArray[np.float64]
 
 WINDOW: Final = 20
@@ -37,10 +35,10 @@ class Watch:
     def __init__(self) -> None:
         self._frames: list[Array] = []
         self._reference: Array | None = None
-        self._rows = np.ones(N_ROWS, dtype=np.bool_)
+        self._rows: npt.NDArray[np.bool_] = np.ones((), dtype=np.bool_)  # of any number
 
     def add(self, voltages_V: Array) -> None:
-        """Take a frame, (104,) V."""
+        """Take a frame, (104,) or (208,) V, of as many rows as the others."""
         self._frames.append(np.array(voltages_V))
         del self._frames[:-WINDOW]
 
@@ -52,14 +50,14 @@ class Watch:
         """Hold frames against a reference from now on.
 
         Args:
-            mean_V: (104,) of it.
-            noise_V: (104,) standard deviation of a frame.
+            mean_V: (rows,) of it.
+            noise_V: (rows,) standard deviation of a frame.
         """
         self._reference, self._rows = mean_V, noise_V < LOUD * np.abs(mean_V)
 
     @property
     def last(self) -> Array:
-        """The newest frame, (104,) V."""
+        """The newest frame, (rows,) V."""
         return self._frames[-1]
 
     @property

@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import ProtocolError
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.wire import hardware, messages
 from eitskin_proto.wire.codes import Code, EventCode, FrameFlag, HelloFlag, MessageType, Mode
@@ -24,7 +25,7 @@ from eitskin_proto.wire.config import Configuration
 from eitskin_proto.wire.frames import Frame, full_scale, quantise
 from eitskin_proto.wire.framing import Deframer, encode
 from eitskin_proto.wire.messages import Ack, Hello
-from eitskin_proto.wire.scan_rows import row_count, table_rows
+from eitskin_proto.wire.scan_rows import full_rows, row_count, table_rows
 from eitskin_tools.virtual_skin.identity import Identity, Source
 from eitskin_tools.virtual_skin.store import Answer, ConfigurationStore
 
@@ -93,6 +94,7 @@ class VirtualDevice:
         self.scan_ns = configuration.scan_us(self._drives) * 1000
         self.rate_mHz = configuration.idle_rate_mHz if self._idle else configuration.rate_mHz
         self._rows = table_rows(configuration.full, self._drives)
+        self._rows_in_full = full_rows(configuration.full, self._drives)
         self.volts_per_count = CONVERTER_V / configuration.gain / full_scale(configuration.sample_bytes)
 
     @property
@@ -161,7 +163,8 @@ class VirtualDevice:
         store = self.store
         configuration = store.configuration
         start_ns = self.script_start_ns if self.script_start_ns is not None else now_ns
-        voltages = self.source.voltages((now_ns - start_ns) * 1e-9)[self._rows]
+        volts = self.source.voltages((now_ns - start_ns) * 1e-9)
+        voltages = volts[self._rows if len(volts) == N_ROWS else self._rows_in_full]
         voltages[:overdriven_rows] = 2.0 * CONVERTER_V
         counts, saturation = quantise(voltages, self.volts_per_count, configuration.sample_bytes)
         if front_end == "stuck":

@@ -15,7 +15,10 @@ class Source(Protocol):
     """Where voltages come from."""
 
     def voltages(self, time_s: float) -> Array:
-        """Return the (104,) V at a time since the first START, noise included."""
+        """Return the V at a time since the first START, noise included.
+
+        They are (104,); or (208,) of the full table, where a pair of pairs reads otherwise the other way round.
+        """
         ...
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import numpy.typing as npt
 from scipy.stats import chi2
 
+from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.parts import Range
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import solved
@@ -28,8 +29,9 @@ from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.family import draw, scaled
 from eitskin_sim.scene.nominal import nominal_scene
+from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.surface.predict import fit_cloud
+from eitskin_sim.surface.predict import FittedSurface, fit_cloud, noise_tangents
 
 Array = npt.NDArray[np.float64]
 
@@ -63,14 +65,41 @@ class BendError:
     """Of all draws the largest squared distance a row by this covariance, at least 1: a bend may be as far off."""
 
 
-@lru_cache(maxsize=4)
-def bend_error(skin: Skin) -> BendError:
+@dataclass(frozen=True, slots=True)
+class Like:
+    """What is known of a scan whose model's error is asked for: bends are drawn that look as this one does."""
+
+    strain: float
+    """Rms of the strain that it shows; a drawn bend that is stretched more is scaled down to it."""
+    noise_mm: float
+    """Of its points."""
+
+
+@lru_cache(maxsize=8)
+def bend_error(skin: Skin, like: Like | None = None) -> BendError:
     """Return the error of a skin's scanned bends; 0.2 CPU-s a draw.
 
     Args:
         skin: Its deformations, and how it is scanned.
+        like: Of one scan; None is for any bend of the skin.
     """
-    return error_of(*drawn_errors(skin, DRAWS))
+    return error_of(*drawn_errors(skin, DRAWS, like=like))
+
+
+def like_scan(cloud_mm: Array, surface: FittedSurface, grid: Grid) -> Like:
+    """Return what a scan (3, rows, columns) and the surface through it tell of the scan's own error."""
+    xy = grid.pixel_centres_mm().reshape(-1, 2)
+    off = np.asarray(cloud_mm).reshape(3, -1).T - surface.points(xy)
+    noise_mm = float(np.sqrt(np.mean(off**2)))
+    # of the two lengths and, twice, of the shear: what the scan's noise adds to the square of a strain
+    added = 1.5 * sum(float(np.mean(np.sum((noise_mm * one) ** 2, axis=1))) for one in noise_tangents(xy, grid))
+    return Like(float(np.sqrt(max(strain_of(surface.metric(xy)) ** 2 - added, 0.0))), noise_mm)
+
+
+def strain_of(metric: Array) -> float:
+    """Return the rms strain of metrics (n, 3): 0 of the flat sheet."""
+    along, shear, across = (metric - [1.0, 0.0, 1.0]).T / 2.0
+    return float(np.sqrt(np.mean(along**2 + 2.0 * shear**2 + across**2)))
 
 
 def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
@@ -93,15 +122,15 @@ def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
     return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
 
 
-def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array, Array]:
+def drawn_errors(skin: Skin, draws: int, seed: int = SEED, like: Like | None = None) -> tuple[Array, Array, Array]:
     """Return (draws, 104) errors of the model of drawn bends, slopes by the gauge factor, and (draws,) its values."""
     generator, doubts = np.random.default_rng([seed, 1]), skin.may_be_off
     scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
     mesh = scene_mesh(scene)
     errors, slopes, gauges = [], [], []
-    for bend in draw("A", draws, seed, skin):
+    for bend in _bends(skin, draws, seed, scene.sheet, like):
         seen = scaled(bend, 1.0 - _within(generator, doubts.scan_stale))
-        noise = _within(generator, doubts.scan_noise_mm)
+        noise = _within(generator, doubts.scan_noise_mm) if like is None else like.noise_mm
         cloud = measured_cloud(seen, generator, noise, skin).astype(np.float64)
         cloud *= float(doubts.scan_scale.draw(generator, 1)[0])
         sheet = replace(scene.sheet, gauge_factor=float(skin.layer.gauge_factor.draw(generator, 1)[0]))
@@ -115,6 +144,15 @@ def drawn_errors(skin: Skin, draws: int, seed: int = SEED) -> tuple[Array, Array
         slopes.append(np.log(read[2] / read[1]))
         gauges.append(sheet.gauge_factor)
     return np.array(errors), np.array(slopes), np.array(gauges)
+
+
+def _bends(skin: Skin, draws: int, seed: int, sheet: Sheet, like: Like | None) -> tuple[Bend, ...]:
+    drawn = draw("A", draws, seed, skin)
+    if like is None:
+        return drawn
+    xy = skin.grid.pixel_centres_mm().reshape(-1, 2)
+    strains = [max(strain_of(bend_metric(one, sheet)(xy)), 1e-9) for one in drawn]
+    return tuple(scaled(one, min(1.0, like.strain / own)) for one, own in zip(drawn, strains, strict=True))
 
 
 def _within(generator: np.random.Generator, bounds: Range) -> float:

@@ -185,7 +185,10 @@ def _descend(
         far = float(np.sqrt(whole @ curvature @ whole / len(z)))
         z, damped = z + whole, damping > 1e-3
         damping = damping / 10.0 if damped else 0.0
-        residuals, jacobian = model.linearised(z)
+        try:
+            residuals, jacobian = model.linearised(z)
+        except (ValueError, RuntimeError) as error:  # there is such a sheet, but none beside it
+            raise UnsettledError(f"it ends at a sheet that cannot be ({error})", residuals) from error
         before, cost = cost, float(residuals @ residuals + z @ z)
         if rough and step > FREE and abs(before - cost) < SETTLED + SETTLED_SHARE * cost:
             return z, residuals, jacobian, step

@@ -1,22 +1,25 @@
-"""What a sheet should read for given parameters, with derivatives: flat and untouched, scanned, or pressed.
+"""What a sheet should read for given parameters, with derivatives: untouched, flat or scanned, or pressed.
 
-The residual of the flat, untouched reference is whitened by what is random about it: the noise of its frames, and the
+The residual of the untouched reference is whitened by what is random about it: the noise of its frames, and the
 model's error. Moments after it are held against it in :mod:`eitskin_sim.calibration.session`.
 """
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, TABLE
+from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
 from eitskin_sim.calibration.modes import SmoothModes
 from eitskin_sim.calibration.parameters import OWN_LAYER, Group, Parameters
 from eitskin_sim.calibration.recording import Recording
+from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
+from eitskin_sim.calibration.unseen import UNSEEN, unseen_of
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.measurement.front_end import FrontEnd, capacitance
@@ -26,6 +29,8 @@ Array = npt.NDArray[np.float64]
 
 MODEL_ERROR: Final = 5e-4
 """Of every row, relative: the mesh's 2e-4, and what of the layer is finer than its modes."""
+
+GAUGE: Final = "gauge_factor"
 
 FRONT_END: Final = ("gain", "offset_V", "stray_pF", "minus_gain", "sink_share")
 
@@ -56,9 +61,8 @@ class Lying:
     """z (count,) -> the touches."""
     touched_by: Sequence[int] = ()
     """Parameters that touches depend on."""
-
-
-FLAT: Final = Lying()
+    at_reference: bool = True
+    """Whether it lies as it did when the reference was taken."""
 
 
 def check_contacts(skin: Skin) -> None:
@@ -91,9 +95,17 @@ class Model:
         self.skin, self.size_mm = skin, skin.outline.size_mm
         self.recording, self.snr_db = recording, snr_db
         self.layer = SmoothModes(self.size_mm, doubts.layer_rms, doubts.layer_correlation_mm)
-        self.parameters = Parameters(skin, self.layer.count, more)
+        self.unseen = None if recording.cloud_mm is None else unseen_of(skin, recording.cloud_mm)
+        """Of a reference with its scan."""
+        self.base = Lying(None if self.unseen is None else self.unseen.metric)
+        """How the sheet lay when the reference was taken."""
+        own = [] if self.unseen is None else [self.unseen.group]
+        self.parameters = Parameters(skin, self.layer.count, [*own, *more])
         self.level = 10.0 ** (-(min(skin.front_end.snr_db) if snr_db is None else snr_db) / 20.0)
         self._whitener = self._whitening(0.0)
+        self._unseen_by_gauge = np.zeros(N_ROWS)
+        if self.unseen is not None:
+            self._unseen_by_gauge = self.unseen.steeper * self.slope(replace(self.base, at_reference=False))
 
     @property
     def count(self) -> int:
@@ -149,35 +161,38 @@ class Model:
             normalised=self.skin.front_end.normalised,
         )
 
-    def shape(self, z: Array, lying: Lying = FLAT) -> Shape:
+    def shape(self, z: Array, lying: Lying) -> Shape:
         """Return what changes the metric; a scan shows the true lengths."""
         parameters = self.parameters
-        gauge, thickness = parameters.one("gauge_factor", z), parameters.one("thickness_mm", z)
+        gauge, thickness = parameters.one(GAUGE, z), parameters.one("thickness_mm", z)
         if lying.scanned is not None:
             return Shape(gauge_factor=gauge, log_thickness=float(np.log(thickness)))
         stretch = 1.0 + parameters.values("reference_stretch", z)
         along, across = parameters.one("length_scale", z) * stretch[0], parameters.one("width_scale", z) * stretch[1]
         return Shape(float(np.log(along)), float(np.log(across)), 0.0, gauge, float(np.log(thickness)))
 
-    def solved(self, z: Array, lying: Lying = FLAT) -> Solved:
-        """Return the sheet."""
+    def solved(self, z: Array, lying: Lying | None = None) -> Solved:
+        """Return the sheet; as it lay when the reference was taken where nothing else is said."""
+        lying = self.base if lying is None else lying
         own = z[self.parameters.slices[OWN_LAYER]] if self.layer.count else np.zeros(0)
         metric, shape = lying.scanned or flat_metric, self.shape(z, lying)
         return Solved(self.size_mm, self.electrodes(z), metric, shape, self.layer.at, own, lying.touches(z))
 
-    def read(self, z: Array, lying: Lying = FLAT, *, derivatives: bool) -> Read:
-        """Return what should be read.
+    def read(self, z: Array, lying: Lying | None = None, *, derivatives: bool) -> Read:
+        """Return what should be read; as the sheet lay when the reference was taken where nothing else is said.
 
         Raises:
             ValueError: Electrodes overlap, or the sheet folds: parameters that no sheet has.
         """
+        lying = self.base if lying is None else lying
         sheet = self.solved(z, lying)
         scale = 1.0 / self.parameters.one("level", z)
         instrument, table = self.front_end(z), self.table
         differences = scale * sheet.differences
         volts = instrument.read(responses_of(differences), table)
+        factor = np.exp(self.unseen_log(z)) if lying.at_reference else np.ones(len(volts))
         if not derivatives:
-            return Read(volts, None)
+            return Read(factor * volts, None)
         names, rates = self._rates(z, sheet, lying)
         norm = np.linalg.norm(differences)
         size = np.linalg.norm(scale * rates, axis=(1, 2)) + 1e-300
@@ -187,7 +202,39 @@ class Model:
         for at, change, much in zip(names, moved, size, strict=True):
             jacobian[:, at] += change * much / (TINY * norm)
         self._by_front_end(z, responses_of(differences), table, jacobian)
-        return Read(volts, jacobian)
+        jacobian *= factor[:, None]
+        if self.unseen is not None and lying.at_reference:
+            rows, slices = self._table_row, self.parameters.slices
+            jacobian[:, slices[UNSEEN]] += (factor * volts)[:, None] * self.unseen.root[rows]
+            if GAUGE in slices:
+                by_z = self.parameters.groups[GAUGE].spread * self._unseen_by_gauge
+                jacobian[:, slices[GAUGE]] += (factor * volts * by_z[rows])[:, None]
+        return Read(factor * volts, jacobian)
+
+    def unseen_log(self, z: Array) -> Array:
+        """Return (rows,) logarithms of what the reference is off by, of what its scan does not show; 0 of a flat one.
+
+        Args:
+            z: (count,)
+        """
+        if self.unseen is None:
+            return np.zeros(len(self.table))
+        own = self.unseen.root @ z[self.parameters.slices[UNSEEN]]
+        found = self.unseen.mean + own + self.parameters.one(GAUGE, z) * self._unseen_by_gauge
+        return np.asarray(found[self._table_row])
+
+    def slope(self, lying: Lying) -> Array:
+        """Return (104,) how the logarithms of a sheet's voltages follow the gauge factor, as it is stated.
+
+        Args:
+            lying: As something scanned.
+        """
+        if GAUGE not in self.parameters.slices:
+            return np.zeros(N_ROWS)
+        read = self.read(np.zeros(self.count), lying, derivatives=True)
+        assert read.jacobian is not None
+        by_z = read.jacobian[:, self.parameters.slices[GAUGE]][:, 0] / read.voltages_V
+        return np.asarray(of_table(by_z) / self.parameters.groups[GAUGE].spread)
 
     def _rates(self, z: Array, sheet: Solved, lying: Lying) -> tuple[list[int], Array]:
         """Return the parameters that the sheet's differences (16, 16) depend on, and their derivatives by each z."""
@@ -215,8 +262,8 @@ class Model:
         if "thickness_mm" in slices:
             by_value = by_z("thickness_mm") / parameters.one("thickness_mm", z)
             add("thickness_mm", sheet.by_shape("log_thickness")[None], by_value)
-        if "gauge_factor" in slices:
-            add("gauge_factor", sheet.by_shape("gauge_factor")[None], by_z("gauge_factor"))
+        if GAUGE in slices:
+            add(GAUGE, sheet.by_shape(GAUGE)[None], by_z(GAUGE))
         if lying.scanned is None and {"length_scale", "width_scale", "reference_stretch"} & set(slices):
             both = np.stack([sheet.by_shape("log_along"), sheet.by_shape("log_across")])
             for axis, name in enumerate(("length_scale", "width_scale")):
@@ -255,8 +302,7 @@ class Model:
         """(rows, 2) drives and measures of the rows."""
         return FULL_TABLE if len(self.recording.reference_V) == N_FULL_ROWS else TABLE
 
-
-def noise_V(skin: Skin, volts: Array, level: float, frames: int) -> Array:
-    """Return (rows,) standard deviations of what noise does to the mean of some frames."""
-    size = np.sqrt(np.mean(volts**2)) * np.ones(len(volts)) if skin.front_end.noise == "N3" else np.abs(volts)
-    return np.asarray(level * size / np.sqrt(frames))
+    @property
+    def _table_row(self) -> npt.NDArray[np.intp]:
+        """(rows,) which of the 104 each row is, or is the reciprocal of."""
+        return TABLE_ROW_OF_FULL if len(self.recording.reference_V) == N_FULL_ROWS else np.arange(N_ROWS)

@@ -2,11 +2,12 @@
 
 ::
 
-    FILE.npz  reference_V (104,) or (208,) V      flat and untouched; (208,) of a full scan has what reciprocity tells
+    FILE.npz  reference_V (104,) or (208,) V      untouched; (208,) of a full scan has what reciprocity tells
+              reference_cloud_mm (3, rows, columns) mm    the scan of the sheet at that moment; without it, it lay flat
               reference_frames                    how many frames it is the mean of (default 1)
               bent_V (k, 104) or (k, 208) V       untouched and bent, a row a moment (optional)
               bent_cloud_mm (k, 3, rows, columns) mm    the scan of each
-              press_V (p, 104) or (p, 208) V      flat again, pressed by the stamp (optional)
+              press_V (p, 104) or (p, 208) V      lying as for the reference, pressed by the stamp (optional)
               press_xy_mm (p, 2) mm               where its middle was
               stamp_mm (1,) or (2,) mm            a disc's diameter, or length along x and width along y
               bent_frames, press_frames           how many frames each is the mean of (default 1)
@@ -27,6 +28,7 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import Skin
 
 Array = npt.NDArray[np.float64]
@@ -59,7 +61,7 @@ class Later:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """What a flat, untouched sheet read, and what came after that."""
+    """What an untouched sheet read, and what came after that."""
 
     reference_V: Array
     """(104,) or (208,)"""
@@ -67,6 +69,8 @@ class Recording:
     """How many it is the mean of."""
     bents: tuple[Later, ...] = ()
     presses: tuple[Later, ...] = ()
+    cloud_mm: Array | None = None
+    """(3, rows, columns) the scan of the sheet when the reference was taken; None where it lay flat."""
 
 
 def load_recording(path: str | Path, skin: Skin) -> Recording:
@@ -96,11 +100,15 @@ def load_recording(path: str | Path, skin: Skin) -> Recording:
 
 
 def _recording(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Recording:
-    if "reference_cloud_mm" in arrays:
-        raise ValueError("has reference_cloud_mm: the sheet did not lie flat; calibrate from a reference taken flat")
     reference = _rows(_numbers(arrays, "reference_V"), "reference_V")
-    frames = _frames(arrays, "reference_frames")
-    return Recording(reference, frames, _bents(arrays, skin), _presses(arrays, skin))
+    frames, cloud = _frames(arrays, "reference_frames"), None
+    if "reference_cloud_mm" in arrays:
+        cloud = _shaped(arrays, "reference_cloud_mm", skin.grid.cloud_shape)
+        try:
+            cloud, _ = check_sheet(cloud, skin)
+        except ValueError as error:
+            raise ValueError(f"reference_cloud_mm: {error}; without it the sheet lay flat") from error
+    return Recording(reference, frames, _bents(arrays, skin), _presses(arrays, skin), cloud)
 
 
 def _frames(arrays: dict[str, npt.NDArray[Any]], name: str) -> int:

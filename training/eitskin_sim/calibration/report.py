@@ -1,4 +1,4 @@
-"""What calibration found, as numbers and as a table: each parameter with its error, each row with its residual."""
+"""What calibration found, as numbers: each parameter with its error, each row with its residual."""
 
 from collections.abc import Callable
 from dataclasses import replace
@@ -7,15 +7,15 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import chi2
 
-from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
+from eitskin_proto.sensor.table import N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import CHANCE, FAR, REMEDY, CalibrationError, Fit, UnsettledError, fit
 from eitskin_sim.calibration.model import Model
-from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.session import Progress, Session
 from eitskin_sim.calibration.stamp import BORDER, GROWTH, OWN, PLACE, STRENGTH, ways
 from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
+from eitskin_sim.calibration.unseen import UNSEEN
 
 LATER: Final = (0.01, 0.0)
 """Relative errors that are added to the rows of moments, one after the other, once the reference is fitted."""
@@ -75,8 +75,8 @@ def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
     def scaled(moments: tuple[Later, ...]) -> tuple[Later, ...]:
         return tuple(replace(one, voltages_V=one.voltages_V / current_A) for one in moments)
 
-    volts = recording.reference_V / current_A
-    return Recording(volts, recording.frames, scaled(recording.bents), scaled(recording.presses)), current_A
+    volts, bents, presses = recording.reference_V / current_A, scaled(recording.bents), scaled(recording.presses)
+    return replace(recording, reference_V=volts, bents=bents, presses=presses), current_A
 
 
 def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tuple[Session, Fit]:
@@ -158,13 +158,17 @@ def check_rows(model: Model, found: Fit, block: slice) -> None:
     residuals = found.residuals[block]
     misfit = float((residuals @ residuals + found.z @ found.z) / len(residuals))
     limit = float(chi2.isf(CHANCE, len(residuals))) / len(residuals)
+    scan = ""
+    if model.unseen is not None:
+        limit += (model.unseen.largest - 1.0) * N_ROWS / len(residuals)
+        scan = "at the reference's scan, "
     if misfit <= limit:
         return
     named = _worst(found.far[block], row_names(model))
     raise CalibrationError(
         f"the residual stays above noise: misfit {misfit:.3g}, expected at most {limit:.3g}; rows that are "
-        f"off by so many times their noise: {named}; look at these electrodes ('eitskin doctor --electrodes'), at the "
-        "noise ([front_end] snr_db, --snr-db), and at the uncertainties that the skin states"
+        f"off by so many times their noise: {named}; look at these electrodes ('eitskin doctor --electrodes'), {scan}"
+        "at the noise ([front_end] snr_db, --snr-db), and at the uncertainties that the skin states"
     )
 
 
@@ -186,6 +190,8 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
     model, block = session.flat, session.blocks[0]
     parameters = {}
     for name, group in model.parameters.groups.items():
+        if name == UNSEEN:
+            continue
         z, sd = (one[model.parameters.slices[name]] for one in (found.z, found.sd))
         values, errors = group.values(z), group.errors(z, sd)
         parameters[name] = {
@@ -212,11 +218,22 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
         "misfit": found.misfit,
         "misfit_limit": found.limit,
         "parameters": parameters,
+        "reference_scan": scan_fields(model, found),
         "residuals": dict(zip(rows, found.far[block].tolist(), strict=True)),
         "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > FAR],
         "moments": moments,
         "press": press_fields(session, found),
         "unknown": [name for name, one in parameters.items() if one["unknown"]],
+    }
+
+
+def scan_fields(model: Model, found: Fit) -> dict[str, float] | None:
+    """Return what the reference's scan does not show of it, rms of logarithms; None where the sheet lay flat."""
+    if model.unseen is None:
+        return None
+    return {
+        "unseen_rms": float(np.sqrt(np.mean(model.unseen_log(found.z) ** 2))),
+        "expected_rms": model.unseen.expected_rms,
     }
 
 
@@ -243,51 +260,3 @@ def press_fields(session: Session, found: Fit) -> dict[str, Any] | None:
         "border_mm": border,
         "border_error_mm": errors[2],
     }
-
-
-def _by_pairs(residuals: dict[str, float]) -> list[str]:
-    """Return the residual of every row over its noise: a line a drive, a column a measured pair."""
-    found = {tuple(int(word) for word in name.split()[1::2]): value for name, value in residuals.items()}
-    lines = [f"{'drive / measure':15}" + "".join(f"{pair:6d}" for pair in range(N_ELECTRODES))]
-    for drive in range(N_ELECTRODES):
-        row = "".join(
-            f"{found[drive, pair]:6.1f}" if (drive, pair) in found else f"{'':6}" for pair in range(N_ELECTRODES)
-        )
-        lines.append(f"{drive:15d}{row}".rstrip())
-    return lines
-
-
-def table(report: dict[str, Any]) -> str:
-    """Return the report as people read it."""
-    lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
-    for name, one in report["parameters"].items():
-        if name in (OWN_LAYER, OWN, PLACE):
-            continue
-        several = len(one["values"]) > 1
-        for k, (value, error, prior) in enumerate(
-            zip(one["values"], one["standard_errors"], one["prior_errors"], strict=True)
-        ):
-            shown = f"{name}[{k}]" if several else name
-            lines.append(f"{shown:28}{value:12.5g}{error:11.2g}{prior:11.2g} {one['unit']}".rstrip())
-    if report["current_A"] != 1.0:
-        lines.append(f"read under about {report['current_A']:.2g} A, if the layer conducts as stated; level is for 1 A")
-    far = np.abs(list(report["residuals"].values()))
-    lines.append(
-        f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "
-        f"{report['misfit']:.2f}, chance allows {report['misfit_limit']:.2f}"
-    )
-    lines += _by_pairs(report["residuals"])
-    if report["far"]:
-        lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
-    for name, moment in report["moments"].items():
-        beyond = f"; rows beyond {FAR:g}: {', '.join(moment['far'])}" if moment["far"] else ""
-        lines.append(f"{name}: misfit {moment['misfit']:.2f}{beyond}")
-    press = report["press"]
-    if press is not None:
-        size = " x ".join(f"{one:.1f}" for one in press["size_mm"])
-        lines.append(
-            f"a press: contrast {press['contrast']:.3g} +- {press['contrast_error']:.2g}, {size} mm "
-            f"+- {press['size_error_mm']:.2g}, border {press['border_mm']:.2g} +- {press['border_error_mm']:.2g} mm"
-        )
-    lines.append(f"still unknown: {', '.join(report['unknown']) or 'nothing'}")
-    return "\n".join(lines)

@@ -1,4 +1,4 @@
-"""A whole recording: the flat reference, bent moments with their scans, presses of a stamp; all in units of noise.
+"""A whole recording: the reference, bent moments with their scans, presses of a stamp; all in units of noise.
 
 What comes after the reference is held against it, dV = V / V0 - 1, so that whatever is static drops out. Beside noise a
 moment may be off by a drift of ``DRIFT`` since the reference, common to its rows, a tenth of it uneven; a bent one by
@@ -6,26 +6,25 @@ what no scan shows (:mod:`eitskin_sim.calibration.bends`), a press by ``PRESS_ER
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
+from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
-from eitskin_sim.calibration.model import FLAT, Lying, Model, Read, noise_V
+from eitskin_sim.calibration.model import GAUGE, Lying, Model, Read
 from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.surface.predict import fit_cloud
 
 Array = npt.NDArray[np.float64]
 
 DRIFT: Final = 0.01
 """Of real skins within a hundred presses."""
-
-GAUGE: Final = "gauge_factor"
 
 UNEVEN: Final = 0.1
 """Share of a drift that is not common to all rows."""
@@ -78,7 +77,7 @@ class Session:
     @property
     def blocks(self) -> list[slice]:
         """Which residuals belong to the reference, and to every moment."""
-        stops = np.cumsum([len(self.flat.recording.reference_V), *([len(ROW_IN_FULL)] * len(self.moments))])
+        stops = np.cumsum([len(self.flat.recording.reference_V), *([N_ROWS] * len(self.moments))])
         starts = np.concatenate([[0], stops[:-1]])
         return [slice(int(low), int(high)) for low, high in zip(starts, stops, strict=True)]
 
@@ -89,7 +88,7 @@ class Session:
 
     def residuals(self, z: Array) -> Array:
         """Return the (rows,) whitened residuals."""
-        flat = self.flat.read(z, FLAT, derivatives=False)
+        flat = self.flat.read(z, derivatives=False)
         parts = [self.flat.whitened(flat.voltages_V)]
         for moment in self.moments:
             factor, should = self._whitening(moment, flat, self.flat.read(z, moment.lying, derivatives=False))
@@ -98,7 +97,7 @@ class Session:
 
     def linearised(self, z: Array) -> tuple[Array, Array]:
         """Return them, and the (rows, count) Jacobian of what should be read."""
-        flat = self.flat.read(z, FLAT, derivatives=True)
+        flat = self.flat.read(z, derivatives=True)
         first, rates = self.flat.whitened_with(flat)
         parts, jacobians = [first], [rates]
         for moment in self.moments:
@@ -106,8 +105,8 @@ class Session:
             factor, should = self._whitening(moment, flat, read)
             assert flat.jacobian is not None
             assert read.jacobian is not None
-            base = self._rows(flat.voltages_V)[:, None]
-            rate = (self._rows(read.jacobian) - (1.0 + should)[:, None] * self._rows(flat.jacobian)) / base
+            base = of_table(flat.voltages_V)[:, None]
+            rate = (of_table(read.jacobian) - (1.0 + should)[:, None] * of_table(flat.jacobian)) / base
             if (gauge := self.flat.parameters.slices.get(GAUGE)) is not None:
                 rate[:, gauge] += self.flat.parameters.groups[GAUGE].spread * moment.by_gauge[:, None]
             parts.append(self._left(moment, z, factor, should))
@@ -116,9 +115,9 @@ class Session:
 
     def _whitening(self, moment: Moment, flat: Read, read: Read) -> tuple[Array, Array]:
         """Return the (104, 104) factor of what dV may be off by, and (104,) what it should be."""
-        should = self._rows(read.voltages_V) / self._rows(flat.voltages_V) - 1.0
+        should = of_table(read.voltages_V) / of_table(flat.voltages_V) - 1.0
         covariance = moment.covariance
-        own = self._softness**2 + (0.0 if moment.lying.scanned else PRESS_ERROR**2 * self._change(moment) ** 2)
+        own = self._softness**2 + float(moment.lying.at_reference) * PRESS_ERROR**2 * self._change(moment) ** 2
         return np.asarray(np.linalg.cholesky(covariance + np.diag(own * np.ones(len(should))))), np.asarray(should)
 
     def _left(self, moment: Moment, z: Array, factor: Array, should: Array) -> Array:
@@ -127,11 +126,11 @@ class Session:
         return np.asarray(np.linalg.solve(factor, self._change(moment) - expected), dtype=np.float64)
 
     def _change(self, moment: Moment) -> Array:
-        return np.asarray(moment.read.voltages_V / self._rows(self.flat.recording.reference_V) - 1.0)
+        return np.asarray(moment.read.voltages_V / of_table(self.flat.recording.reference_V) - 1.0)
 
     def _covariance(self, read: Later) -> Array:
         """Return (104, 104) what noise and drift do to dV."""
-        reference, frames = self._rows(self.flat.recording.reference_V), self.flat.recording.frames
+        reference, frames = of_table(self.flat.recording.reference_V), self.flat.recording.frames
         skin, level = self.flat.skin, self.flat.level
         ratio = read.voltages_V / reference
         noise = (noise_V(skin, read.voltages_V, level, read.frames) / reference) ** 2
@@ -143,23 +142,14 @@ class Session:
         for number, one in enumerate(self.flat.recording.bents):
             assert one.cloud_mm is not None
             error = bend_error(self.flat.skin)
-            ratio = one.voltages_V / self._rows(self.flat.recording.reference_V)
+            ratio = one.voltages_V / of_table(self.flat.recording.reference_V)
             covariance = self._covariance(one) + ratio[:, None] * error.covariance * ratio
-            lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric)
-            more = ratio * error.steeper * self._slope(lying)
+            lying = Lying(fit_cloud(one.cloud_mm, self.flat.skin.grid).metric, at_reference=False)
+            more = ratio * error.steeper * self.flat.slope(lying)
             found.append(
                 Moment(f"bent moment {number}", one, lying, covariance, ratio * error.mean, more, error.largest)
             )
         return found
-
-    def _slope(self, lying: Lying) -> Array:
-        """Return (104,) how the logarithms of a bend's voltages follow the gauge factor, of the stated sheet."""
-        if GAUGE not in self.flat.parameters.slices:
-            return np.zeros(len(ROW_IN_FULL))
-        read = self.flat.read(np.zeros(self.count), lying, derivatives=True)
-        assert read.jacobian is not None
-        by_z = read.jacobian[:, self.flat.parameters.slices[GAUGE]][:, 0] / read.voltages_V
-        return np.asarray(self._rows(by_z) / self.flat.parameters.groups[GAUGE].spread)
 
     def _presses(self) -> list[Moment]:
         found = []
@@ -168,15 +158,12 @@ class Session:
             assert one.xy_mm is not None
             assert one.stamp_mm is not None
             touches = stamps.press(stamps.Stamp(one.stamp_mm), one.xy_mm, self.way, number, parameters)
-            lying = Lying(None, touches, stamps.own_parameters(parameters, number))
+            touched_by = stamps.own_parameters(parameters, number)
+            lying = replace(self.flat.base, touches=touches, touched_by=touched_by)
             x, y = one.xy_mm
             name = f"press {number} at ({x:g}, {y:g}) mm"
-            found.append(Moment(name, one, lying, self._covariance(one), *np.zeros((2, len(ROW_IN_FULL)))))
+            found.append(Moment(name, one, lying, self._covariance(one), *np.zeros((2, N_ROWS))))
         return found
-
-    def _rows(self, values: Array) -> Array:
-        """Return the 104 of (rows, ...)."""
-        return values[ROW_IN_FULL] if len(values) == N_FULL_ROWS else values
 
 
 Progress = Callable[[int, float], None]

@@ -12,6 +12,7 @@ from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.session import Session
 from eitskin_sim.calibration.stamp import BORDER, PRESSES, STRENGTH
+from eitskin_sim.calibration.unseen import UNSEEN
 
 DIGITS: Final = 7
 """Of what is written: far below any standard error."""
@@ -45,7 +46,7 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
             rms = float(np.sqrt(np.mean((model.layer.at(middle) @ z) ** 2)))
             parts.setdefault("may_be_off", {})["layer_rms"] = (_round(0.8 * rms), _round(1.2 * rms))
             continue
-        if name in PRESSES:
+        if name in PRESSES or name == UNSEEN:
             continue
         stated = "conductivity_S_per_m" if name == "level" else name
         value = tuple(_round(one) for one in group.values(z))

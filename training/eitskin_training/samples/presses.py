@@ -1,6 +1,7 @@
 """Recorded presses of a known stamp as samples to learn from, next to those of a twin.
 
 A network sees dV alone, so what a real sheet read is told of the twin's own reference, V = V0_twin V_press / V0_real.
+Where the sheet was scanned instead of flat, V0_twin is what the forward model makes of the flat one's for that scan.
 A few presses among many simulated samples would hardly count: they are repeated until they make up ``SHARE`` of them,
 under noise of their own each time. Every ``KEPT``-th press is kept apart, and says what the others were worth.
 """
@@ -22,6 +23,7 @@ from eitskin_proto.skin.toml import parse, to_toml
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.scene.touch_table import DISC, RECTANGLE, gather
+from eitskin_sim.surface.predict import predicted_log
 from eitskin_training.samples.batches import TrainingData
 
 NAME: Final = "presses.npz"
@@ -90,8 +92,14 @@ def write(folder: Path, recording: Recording, data: TrainingData) -> None:
     count = len(recording.presses)
     learned = count - len(_kept(count))
     repeats = max(round(SHARE / (1.0 - SHARE) * len(data.train) / learned), 1)
+    cloud = flat_cloud(data.skin.grid) if recording.cloud_mm is None else recording.cloud_mm
+    lies = np.zeros((1, len(data.reference)), np.float32)
+    if recording.cloud_mm is not None:
+        lies = predicted_log([cloud], data.skin)
     arrays: dict[str, npt.NDArray[np.generic]] = {
-        "voltages_V": data.reference * _ratios(recording),
+        "voltages_V": data.reference * np.exp(lies.astype(np.float64)) * _ratios(recording),
+        "clouds": network_input(cloud, data.skin.grid)[None],
+        "log_predicted": lies,
         "labels": _labels(recording, data.skin.grid),
         "places_mm": np.array([one.xy_mm for one in recording.presses]),
         "reference_V": data.reference,
@@ -115,6 +123,7 @@ def load(folder: str | Path) -> TrainingData:
     arrays = read_npz(path, LARGEST_FILE)
     try:
         skin, reference = parse(str(arrays["skin"])), arrays["reference_V"].astype(np.float64)
+        lies = arrays["log_predicted"].astype(np.float64)
         kind: Any = str(arrays["touch_kind"])
         if kind not in get_args(TouchKind):
             raise ValueError(f"touch_kind is {kind!r}")
@@ -125,9 +134,9 @@ def load(folder: str | Path) -> TrainingData:
             deformation=np.zeros(count, dtype=np.intp),
             touch_set=np.arange(count),
             reference=reference,
-            untouched=reference[None],
-            clouds=network_input(flat_cloud(skin.grid), skin.grid)[None],
-            log_predicted=np.zeros((1, len(reference)), dtype=np.float32),
+            untouched=reference * np.exp(lies),
+            clouds=arrays["clouds"].astype(np.float32),
+            log_predicted=lies.astype(np.float32),
             labels_kind="area",
             labels=arrays["labels"].astype(np.uint8),
             train=np.repeat(rows, int(arrays["repeats"])),

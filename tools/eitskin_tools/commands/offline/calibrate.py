@@ -32,6 +32,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guided.add_argument("--guided", action="store_true", help="record now: says what to do, and waits for the sheet")
     guided.add_argument("--port", help="of the skin (or usb:SERIAL)")
     guided.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
+    guided.add_argument(
+        "--full-scan",
+        action="store_true",
+        help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then tells the "
+        "front end",
+    )
+    guided.add_argument(
+        "--surface",
+        type=Path,
+        metavar="CLOUD.npz",
+        help="scan of the sheet as it lies for reference and presses, by 'eitskin surface' (default: it lies flat)",
+    )
     guided.add_argument("--bends", type=int, default=3, metavar="N", help="bends to ask for (default 3)")
     guided.add_argument("--presses", type=int, default=6, metavar="N", help="presses to ask for (default 6)")
     guided.add_argument("--stamp", metavar="MM", help="a disc's diameter, as 16, or length x width, as 20x10")
@@ -43,8 +55,9 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import to_toml
     from eitskin_sim.calibration.model import check_contacts
+    from eitskin_sim.calibration.printed import table
     from eitskin_sim.calibration.recording import load_recording
-    from eitskin_sim.calibration.report import calibrate, table
+    from eitskin_sim.calibration.report import calibrate
     from eitskin_sim.devices.draws import check_outline
 
     if arguments.snr_db is not None and not 10.0 <= arguments.snr_db <= 120.0:
@@ -55,8 +68,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_contacts(skin)
     if arguments.guided:
         _record(arguments, skin)
-    elif arguments.port or arguments.stamp:
-        raise UsageError("--port and --stamp belong to --guided")
+    elif arguments.port or arguments.stamp or arguments.full_scan or arguments.surface:
+        raise UsageError("--port, --stamp, --surface and --full-scan belong to --guided")
     recording = load_recording(files.find(arguments.recording, files.MEASURED), skin)
 
     def tell(step: int, misfit: float) -> None:
@@ -75,14 +88,19 @@ def run(arguments: argparse.Namespace) -> int:
 
 def _record(arguments: argparse.Namespace, skin: Any) -> None:
     """Lead through a recording, and write it."""
+    from contextlib import nullcontext
+
     import numpy as np
 
     from eitskin.acquisition.device import Device
     from eitskin.acquisition.ports import open_line
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
+    from eitskin.acquisition.transport import Transport
     from eitskin_proto.files.writing import replacing
     from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.sensor.table import N_ROWS
     from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_tools.flash.full_scan import scanning_all_rows
     from eitskin_tools.guided.frames import frames_of
     from eitskin_tools.guided.guide import Guide, Plan, places
     from eitskin_tools.guided.terminal import Terminal
@@ -92,25 +110,47 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         stamp_mm=_stamp(arguments.stamp),
         bends=_at_least(arguments, "bends", 0),
         frames=_at_least(arguments, "frames", 4),
+        lying_mm=_lying(arguments.surface, skin),
     )
     if not arguments.port:
         raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
     if arguments.json:
         raise UsageError("--guided talks on standard output; leave --json out, and calibrate FILE once more with it")
     files.writable(Path(arguments.recording))
-    line = open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
-    talk = Terminal()
-    try:
-        device = Device(line, skin)
-        device.start()
-        arrays = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm)).run()
-        device.stop()
-    finally:
-        talk.end()
-        line.close()
     ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
-    with replacing(arguments.recording) as file:
-        np.savez(file, allow_pickle=False, **arrays, **{name: np.array(value) for name, value in ids.items()})
+
+    def opened() -> Transport:
+        return open_line(arguments.port, arguments.baud or DEFAULT_BAUD)
+
+    talk = Terminal()
+    with scanning_all_rows(opened, talk.tell) if arguments.full_scan else nullcontext():
+        line = opened()
+        try:
+            device = Device(line, skin)
+            if device.hello.rows == N_ROWS:
+                talk.tell(f"the device scans {N_ROWS} rows: --full-scan would tell more of its front end")
+            device.start()
+            guide = Guide(plan, frames_of(device), talk, lambda name: np.array(load_surface(name, skin).cloud_mm))
+            arrays = guide.run()
+            device.stop()
+        finally:
+            talk.end()
+            line.close()
+        with replacing(arguments.recording) as file:  # before anything else can go wrong
+            np.savez(file, allow_pickle=False, **arrays, **{name: np.array(value) for name, value in ids.items()})
+
+
+def _lying(path: Path | None, skin: Any) -> Any:
+    """Return the scan (3, rows, columns) of the sheet as it lies for the reference; None where it lies flat."""
+    if path is None:
+        return None
+    from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_proto.skin.sheet_cloud import check_sheet
+
+    try:
+        return check_sheet(load_surface(path, skin).cloud_mm, skin)[0]
+    except ValueError as error:
+        raise UsageError(f"--surface {path}: {error}") from error
 
 
 def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:

@@ -1,0 +1,168 @@
+"""A reference with its scan: what is found of a sheet that was never flat, on a mesh of its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.skin.parts import Instrument, Layer, Ring, Touches
+from eitskin_proto.skin.quantity import Quantity
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.calibration import bends, model, session, solved, unseen
+from eitskin_sim.calibration.bends import BendError, Like
+from eitskin_sim.calibration.fit import CalibrationError
+from eitskin_sim.calibration.printed import table
+from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.calibration.report import calibrate
+from eitskin_sim.calibration.session import Session
+from eitskin_sim.devices.readings import responses_of
+from eitskin_sim.fem.solve import factorise_scene
+from eitskin_sim.measurement.front_end import FrontEnd
+from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
+from eitskin_sim.scene.shapes import Disc
+from eitskin_sim.surface.measured_cloud import measured_cloud
+from eitskin_sim.surface.predict import fit_cloud
+
+FRAMES, GAIN, SPREAD_MM = 100, 0.01, 1.0
+CONTRAST, DIAMETER_MM, STAMP_MM = 0.45, 18.0, (16.0,)
+STATED = replace(
+    PAPER,
+    name="ours",
+    electrodes=Ring(arc_length_mm=Quantity(tuple(PAPER.arc_length_mm.tolist()), "normal", SPREAD_MM)),
+    front_end=Instrument(gain=Quantity(1.0, "normal", GAIN), snr_db=(50.0, 50.0)),
+    touches=Touches(lower=True, higher=False, border_mm=(0.0, 8.0)),
+)
+LYING = Bend(angle_deg=40.0, stretch_along=1.03, stretch_across=0.99, nonuniformity=0.012)
+PLACES = [(50.0, 40.0), (100.0, 55.0)]
+
+
+class Skin:
+    """A device that nobody knows, on elements that no fit uses."""
+
+    def __init__(self, seed, element_size_mm=2.3, gauge=0.0):
+        self.rng, self.element_size_mm = np.random.default_rng(seed), element_size_mm
+        self.places = PAPER.arc_length_mm + SPREAD_MM * np.clip(self.rng.standard_normal(16), -2.0, 2.0)
+        self.gain = 1.0 + GAIN * self.rng.standard_normal(16)
+        self.sheet = Sheet(gauge_factor=gauge)
+        self.cloud = measured_cloud(LYING, self.rng).astype(np.float64)
+
+    def read(self, bend=LYING, touches=(), drift=0.0):
+        electrodes = Electrodes(arc_length_mm=tuple(self.places))
+        scene = Scene(self.sheet, electrodes, bend=bend, touches=touches, element_size_mm=self.element_size_mm)
+        front_end = FrontEnd(gain=tuple(self.gain))
+        volts = front_end.read(responses_of(factorise_scene(scene).differences()), FULL_TABLE) * np.exp(drift)
+        return volts * (1.0 + 10**-2.5 / np.sqrt(FRAMES) * self.rng.standard_normal(N_FULL_ROWS))
+
+    def press(self, xy):
+        touch = Touch((Disc(*xy, DIAMETER_MM / 2.0),), contrast=CONTRAST, border_mm=4.0)
+        return Later(self.read(touches=(touch,), drift=0.005)[ROW_IN_FULL], FRAMES, None, np.array(xy), STAMP_MM)
+
+
+@pytest.fixture
+def coarse(monkeypatch):
+    """A coarse mesh, and a stated error of scans: for derivatives, which need no more."""
+    root = 0.02 * np.eye(N_ROWS) + 0.01
+    error = BendError(np.full(N_ROWS, 0.003), root @ root.T, -0.1)
+    monkeypatch.setattr(solved, "ELEMENT_MM", 8.0)
+    monkeypatch.setattr(model, "MODEL_ERROR", 2e-3)
+    monkeypatch.setattr(unseen, "bend_error", lambda skin, like: error)
+    monkeypatch.setattr(session, "bend_error", lambda skin: error)
+
+
+def scores(found, truth):
+    return (np.array(found["values"]) - truth) / np.array(found["standard_errors"])
+
+
+def test_derivatives_are_those_of_solving_again(coarse):
+    skin = Skin(1, 8.0)
+    bend = Bend(angle_deg=60.0, stretch_along=1.1)
+    bent = Later(skin.read(bend)[ROW_IN_FULL], FRAMES, measured_cloud(bend).astype(np.float64))
+    recording = Recording(skin.read(), FRAMES, (bent,), (skin.press(PLACES[0]),), skin.cloud)
+    stated = replace(STATED, layer=replace(Layer(), gauge_factor=Quantity(0.3, "normal", 1.0)))
+    found = Session(stated, recording)
+    z = 0.3 * np.random.default_rng(1).standard_normal(found.count)
+    residuals, jacobian = found.linearised(z)
+    assert np.allclose(residuals, found.residuals(z))
+    slices = found.flat.parameters.slices
+    some = [slices[name].start for name in ("gain", "gauge_factor", unseen.UNSEEN)]
+    for at in [*some, slices[unseen.UNSEEN].stop - 1]:
+        step = 0.02 * np.eye(found.count)[at]
+        again = (found.residuals(z - step) - found.residuals(z + step)) / 0.04
+        scale = np.sqrt(np.mean(again**2))
+        assert np.sqrt(np.mean((jacobian[:, at] - again) ** 2)) < 0.05 * scale + 1e-3, at
+
+
+def test_what_no_scan_shows_moves_a_row_and_its_reciprocal_alike_and_no_press(coarse):
+    skin = Skin(1, 8.0)
+    recording = Recording(skin.read(), FRAMES, (), (skin.press(PLACES[0]),), skin.cloud)
+    found = Session(STATED, recording)
+    flat, lying = found.flat, found.moments[0].lying
+    z = np.zeros(found.count)
+    moved = z.copy()
+    moved[flat.parameters.slices[unseen.UNSEEN]] = np.random.default_rng(2).standard_normal(N_ROWS)
+    before, after = (flat.read(one, derivatives=False).voltages_V for one in (z, moved))
+    factor = after / before
+    assert np.ptp(factor) > 0.01
+    assert np.allclose(factor[ROW_IN_FULL], factor[RECIPROCAL_IN_FULL])
+    pressed = [flat.read(one, lying, derivatives=False).voltages_V for one in (z, moved)]
+    assert np.allclose(pressed[0] / before, pressed[1] / after), "what is held against the reference is off alike"
+
+
+def test_a_scan_says_how_far_it_is_stretched_and_how_noisy_it_is():
+    bend = Bend(angle_deg=70.0, stretch_along=1.03)  # rolling stretches nothing
+    cloud = measured_cloud(bend, np.random.default_rng(3), 0.2).astype(np.float64)
+    like = bends.like_scan(cloud, fit_cloud(cloud, PAPER.grid), PAPER.grid)
+    assert like.strain == pytest.approx((1.03**2 - 1.0) / 2.0, rel=0.1)
+    assert like.noise_mm == pytest.approx(0.2, rel=0.05)
+    xy = PAPER.grid.pixel_centres_mm().reshape(-1, 2)
+    assert bends.strain_of(bend_metric(Bend(angle_deg=70.0), Sheet())(xy)) == 0.0
+
+
+@pytest.mark.slow  # twice six bends on the usual mesh
+def test_a_model_of_a_scan_that_is_hardly_stretched_is_off_by_less():
+    near = bends.drawn_errors(PAPER, 6, like=Like(0.03, 0.1))[0]
+    assert np.sqrt(np.mean(near**2)) < 0.5 * np.sqrt(np.mean(bends.drawn_errors(PAPER, 6)[0] ** 2))
+
+
+@pytest.mark.slow  # 120 bends that look like the scan, and fits on the usual mesh
+@pytest.mark.parametrize("seed", [3, 4])
+def test_electrodes_and_gain_of_a_sheet_that_never_lay_flat_are_within_their_errors(seed):
+    skin = Skin(seed)
+    full = skin.read()
+    errors = {}
+    for rows, volts in ((N_FULL_ROWS, full), (N_ROWS, full[ROW_IN_FULL])):
+        twin, report = calibrate(STATED, Recording(volts, FRAMES, cloud_mm=skin.cloud))
+        places, gain = report["parameters"]["arc_length_mm"], report["parameters"]["gain"]
+        for one, truth in ((places, skin.places), (gain, skin.gain)):
+            assert np.sum(scores(one, truth) ** 2) < 45.9  # chi-square of 16: 1 in 10,000
+        assert np.mean(places["standard_errors"]) < 0.5 * SPREAD_MM
+        assert report["misfit"] < report["misfit_limit"]
+        assert report["reference_scan"]["unseen_rms"] < 2.0 * report["reference_scan"]["expected_rms"]
+        assert unseen.UNSEEN not in report["parameters"]
+        assert "reference: as it was scanned; what the scan does not show moves its rows by" in table(report)
+        assert twin.grid_id == PAPER.grid_id
+        errors[rows] = np.mean(gain["standard_errors"])
+    assert errors[N_FULL_ROWS] < 0.5 * errors[N_ROWS], "reciprocity tells the front end whatever the scan leaves open"
+    with pytest.raises(CalibrationError, match=r"rows that are off by so many times their noise: drive \d+ measure"):
+        calibrate(STATED, Recording(full, FRAMES))  # as if it had lain flat
+
+
+@pytest.mark.slow  # the same, and two presses
+def test_presses_of_a_sheet_that_lies_as_scanned_are_found():
+    skin = Skin(5)
+    recording = Recording(skin.read(), FRAMES, (), tuple(skin.press(xy) for xy in PLACES), skin.cloud)
+    _, report = calibrate(STATED, recording)
+    found = report["press"]
+    assert abs(found["contrast"] - CONTRAST) < 4.0 * found["contrast_error"]
+    assert found["contrast_error"] < 0.15
+    assert abs(found["size_mm"][0] - DIAMETER_MM) < 4.0 * found["size_error_mm"]
+
+
+@pytest.mark.slow  # the same
+def test_the_scan_of_another_bend_is_refused_with_rows():
+    skin = Skin(6)
+    other = measured_cloud(Bend(angle_deg=20.0, stretch_along=0.95, stretch_across=1.08)).astype(np.float64)
+    with pytest.raises(CalibrationError, match=r"rows that are off by so many times their noise: drive \d+ measure"):
+        calibrate(STATED, Recording(skin.read(), FRAMES, cloud_mm=other))

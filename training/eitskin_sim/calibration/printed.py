@@ -1,0 +1,64 @@
+"""What calibration found, as people read it."""
+
+from typing import Any
+
+import numpy as np
+
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_sim.calibration.fit import FAR
+from eitskin_sim.calibration.parameters import OWN_LAYER
+from eitskin_sim.calibration.stamp import OWN, PLACE
+
+
+def table(report: dict[str, Any]) -> str:
+    """Return the report as people read it."""
+    lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
+    for name, one in report["parameters"].items():
+        if name in (OWN_LAYER, OWN, PLACE):
+            continue
+        several = len(one["values"]) > 1
+        for k, (value, error, prior) in enumerate(
+            zip(one["values"], one["standard_errors"], one["prior_errors"], strict=True)
+        ):
+            shown = f"{name}[{k}]" if several else name
+            lines.append(f"{shown:28}{value:12.5g}{error:11.2g}{prior:11.2g} {one['unit']}".rstrip())
+    if report["current_A"] != 1.0:
+        lines.append(f"read under about {report['current_A']:.2g} A, if the layer conducts as stated; level is for 1 A")
+    far = np.abs(list(report["residuals"].values()))
+    lines.append(
+        f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "
+        f"{report['misfit']:.2f}, chance allows {report['misfit_limit']:.2f}"
+    )
+    lines += _by_pairs(report["residuals"])
+    if report["far"]:
+        lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
+    for name, moment in report["moments"].items():
+        beyond = f"; rows beyond {FAR:g}: {', '.join(moment['far'])}" if moment["far"] else ""
+        lines.append(f"{name}: misfit {moment['misfit']:.2f}{beyond}")
+    if report["reference_scan"] is not None:
+        scan = report["reference_scan"]
+        lines.append(
+            f"reference: as it was scanned; what the scan does not show moves its rows by {scan['unseen_rms']:.2%} "
+            f"(rms), expected {scan['expected_rms']:.2%}"
+        )
+    press = report["press"]
+    if press is not None:
+        size = " x ".join(f"{one:.1f}" for one in press["size_mm"])
+        lines.append(
+            f"a press: contrast {press['contrast']:.3g} +- {press['contrast_error']:.2g}, {size} mm "
+            f"+- {press['size_error_mm']:.2g}, border {press['border_mm']:.2g} +- {press['border_error_mm']:.2g} mm"
+        )
+    lines.append(f"still unknown: {', '.join(report['unknown']) or 'nothing'}")
+    return "\n".join(lines)
+
+
+def _by_pairs(residuals: dict[str, float]) -> list[str]:
+    """Return the residual of every row over its noise: a line a drive, a column a measured pair."""
+    found = {tuple(int(word) for word in name.split()[1::2]): value for name, value in residuals.items()}
+    lines = [f"{'drive / measure':15}" + "".join(f"{pair:6d}" for pair in range(N_ELECTRODES))]
+    for drive in range(N_ELECTRODES):
+        row = "".join(
+            f"{found[drive, pair]:6.1f}" if (drive, pair) in found else f"{'':6}" for pair in range(N_ELECTRODES)
+        )
+        lines.append(f"{drive:15d}{row}".rstrip())
+    return lines

@@ -1,0 +1,20 @@
+"""Rows of a recording: those of the table among all 208, and what noise does to them."""
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
+from eitskin_proto.skin.skin import Skin
+
+Array = npt.NDArray[np.float64]
+
+
+def of_table(values: Array) -> Array:
+    """Return the (104, ...) of the table, of (104, ...) or of (208, ...)."""
+    return values[ROW_IN_FULL] if len(values) == N_FULL_ROWS else values
+
+
+def noise_V(skin: Skin, volts: Array, level: float, frames: int) -> Array:
+    """Return (rows,) standard deviations of what noise does to the mean of some frames."""
+    size = np.sqrt(np.mean(volts**2)) * np.ones(len(volts)) if skin.front_end.noise == "N3" else np.abs(volts)
+    return np.asarray(level * size / np.sqrt(frames))

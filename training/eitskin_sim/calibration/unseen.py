@@ -1,0 +1,67 @@
+"""A reference with its scan: the sheet lay bent or stretched, and what the scan does not show of that.
+
+The model of such a reference is the sheet as it was scanned. It is off by what no scan shows
+(:mod:`eitskin_sim.calibration.bends`), drawn for scans that look like this one. Whatever was held against the reference
+is off by the same, so that error is no noise but parameters ::
+
+    log V0 = log V_model(scan) + mean + gauge steeper + root u        u (104,), each of prior standard deviation 1
+
+A row and its reciprocal are off by the same: of 208 rows the front end is found as of a flat sheet.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_proto.skin.skin import Skin
+from eitskin_sim.calibration.bends import bend_error, like_scan
+from eitskin_sim.calibration.parameters import Group
+from eitskin_sim.calibration.solved import Metric
+from eitskin_sim.surface.predict import fit_cloud
+
+Array = npt.NDArray[np.float64]
+
+UNSEEN: Final = "reference_unseen"
+"""Group of the parameters u, which are no numbers of the skin's file."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unseen:
+    """A scanned reference's surface, and what its model is off by."""
+
+    metric: Metric
+    """Of the surface through the scan."""
+    mean: Array
+    """(104,) of the logarithm."""
+    root: Array
+    """(104, 104) its covariance is root root^T."""
+    steeper: float
+    """By which share voltages follow a gauge factor more than the scan's model says."""
+    largest: float
+    """Squared distances a row of up to so many times the covariance's are honest."""
+
+    @property
+    def group(self) -> Group:
+        """The parameters."""
+        return Group(UNSEEN, "", np.zeros(N_ROWS), 1.0)
+
+    @property
+    def expected_rms(self) -> float:
+        """What the logarithms of voltages are expected to be off by."""
+        return float(np.sqrt(np.mean(np.sum(self.root**2, axis=1))))
+
+
+def unseen_of(skin: Skin, cloud_mm: Array) -> Unseen:
+    """Return what is unseen of a reference; half a minute for each scan that is new.
+
+    Args:
+        skin: Its deformations, and how it is scanned.
+        cloud_mm: (3, rows, columns) the scan.
+    """
+    surface = fit_cloud(cloud_mm, skin.grid)
+    error = bend_error(skin, like_scan(cloud_mm, surface, skin.grid))
+    root = np.asarray(np.linalg.cholesky(error.covariance), dtype=np.float64)
+    return Unseen(surface.metric, error.mean, root, error.steeper, error.largest)
