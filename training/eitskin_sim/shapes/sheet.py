@@ -95,9 +95,7 @@ class TouchedSheet:
         change = np.bincount(where, added, len(dofs) ** 2).reshape(len(dofs), len(dofs))
         dofs, change = dofs[hidden:], change[hidden:, hidden:]
         seen = sheet.to_terminals[dofs]
-        matrix = change @ between(
-            sheet.inverse, dofs, dofs
-        )  # symmetric both: its transpose is wanted
+        matrix = change @ between(sheet.inverse, dofs, dofs)  # symmetric both: its transpose is wanted
         matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
         _, _, fields, failed = lapack.dgesv(matrix.T, seen, overwrite_a=1)
         if failed:
