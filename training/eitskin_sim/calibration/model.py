@@ -15,7 +15,7 @@ from eitskin_proto.sensor.table import FULL_TABLE, N_FULL_ROWS, N_ROWS, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire.scan_rows import TABLE_ROW_OF_FULL
 from eitskin_sim.calibration.modes import SmoothModes
-from eitskin_sim.calibration.parameters import OWN_LAYER, Group, Parameters
+from eitskin_sim.calibration.parameters import OWN_LAYER, Group, Parameters, check_contacts
 from eitskin_sim.calibration.recording import Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
 from eitskin_sim.calibration.solved import Metric, Shape, Solved
@@ -63,15 +63,6 @@ class Lying:
     """Parameters that touches depend on."""
     at_reference: bool = True
     """Whether it lies as it did when the reference was taken."""
-
-
-def check_contacts(skin: Skin) -> None:
-    """Raise ValueError if a skin's contacts are no patches: by those the model moves electrodes."""
-    if skin.electrodes.contact != "patch":
-        raise ValueError(
-            f"skin {skin.name!r}: [electrodes] contact is {skin.electrodes.contact!r}, expected 'patch': contacts on "
-            "the edge are not calibrated; state in its file where they are, as measured by hand"
-        )
 
 
 class Model:

@@ -133,3 +133,12 @@ def _group(name: str, unit: str, quantity: Quantity, count: int, *, above_0: boo
     if above_0 and (stated > 0.0).all():
         return [Group(name, unit, stated, float(spread / stated.mean()), logarithmic=True)]
     return [Group(name, unit, stated, float(spread))]
+
+
+def check_contacts(skin: Skin) -> None:
+    """Raise ValueError if a skin's contacts are no patches: by those the model moves electrodes."""
+    if skin.electrodes.contact != "patch":
+        raise ValueError(
+            f"skin {skin.name!r}: [electrodes] contact is {skin.electrodes.contact!r}, expected 'patch': contacts on "
+            "the edge are not calibrated; state in its file where they are, as measured by hand"
+        )

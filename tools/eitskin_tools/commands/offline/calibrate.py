@@ -54,7 +54,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Calibrate, report and write the skin."""
     from eitskin_proto.files.writing import write_bytes
     from eitskin_proto.skin.toml import to_toml
-    from eitskin_sim.calibration.model import check_contacts
+    from eitskin_sim.calibration.parameters import check_contacts
     from eitskin_sim.calibration.printed import table
     from eitskin_sim.calibration.recording import load_recording
     from eitskin_sim.calibration.report import calibrate
