@@ -58,7 +58,9 @@ def coupled(sheet: ExactSheet, scaled: Sequence[Array], skin: Skin, cloud_digest
         tall[:, number * rank : (number + 1) * rank] = (own.T @ sheet.inverse[unit.dofs]).T
     coupling = np.empty((size, size), dtype=np.float32)
     for number, (own, unit) in enumerate(zip(scaled, sheet.units, strict=True)):
-        coupling[number * rank : (number + 1) * rank] = own.T @ tall[unit.dofs]
+        at = number * rank
+        coupling[at : at + rank, at:] = own.T @ tall[unit.dofs, at:]
+        coupling[at + rank :, at : at + rank] = coupling[at : at + rank, at + rank :].T
     contacts = sheet.under_contacts
     return ReducedModel(
         coupling=coupling,

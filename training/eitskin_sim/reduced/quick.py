@@ -30,6 +30,9 @@ from eitskin_sim.unit_grid.unit_nodes import nodes_of_units
 LEAST_ENERGY: Final = 0.03
 """Of a pattern on the coarse mesh, beside 1 on the fine one: added, so that none counts as less."""
 
+NEAR: Final = 2
+"""Units from each other, along or across, up to which coupling is corrected."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Correction:
@@ -41,8 +44,10 @@ class Correction:
     """(units, r, r)"""
     unturned: Array
     """(units, r, r) inverse roots of the coarse mesh's energies."""
+    pairs: tuple[Index, Index]
+    """(p,) units near each other, and themselves; what the mesh lacks between others is a thousandth of that."""
     coupling: Single
-    """(units, r, units, r)"""
+    """(p, r, r) between them."""
     loads: Array
     """(units, r, 16)"""
     untouched: Array
@@ -68,14 +73,12 @@ def quick_model(metric: Metric, skin: Skin = PAPER, cloud_digest: str = "") -> R
     roots = np.linalg.cholesky(own + turned @ lacking.energies @ turned.transpose(0, 2, 1))
     found = coupled(sheet, scaled(lacking.patterns, roots), skin, cloud_digest)
     undo = np.linalg.inv(roots) @ turned
-    single, size = undo.astype(np.float32), len(found.coupling)
-    left = np.matmul(single, lacking.coupling.reshape(*single.shape[:2], size)).reshape(size, *single.shape[:2])
-    both = np.matmul(left.transpose(1, 0, 2), single.transpose(0, 2, 1)).transpose(1, 0, 2)
-    under = undo[found.contacts][:, None]
+    (first, second), single, under = lacking.pairs, undo.astype(np.float32), undo[found.contacts][:, None]
+    blocks = found.coupling.reshape(found.n_units, RANK, found.n_units, RANK)
+    blocks[first, :, second, :] += single[first] @ lacking.coupling @ single[second].transpose(0, 2, 1)
     return replace(
         found,
-        coupling=found.coupling + both.reshape(size, size),
-        loads=found.loads + np.matmul(undo, lacking.loads).reshape(size, -1),
+        loads=found.loads + np.matmul(undo, lacking.loads).reshape(len(found.loads), -1),
         untouched=found.untouched + lacking.untouched,
         polynomials=found.polynomials + under @ lacking.polynomials @ under.transpose(0, 1, 3, 2),
     )
@@ -90,11 +93,16 @@ def _correction(skin: Skin) -> Correction:
     there = _on_the_coarse(own, fine, coarse)
     true, rough = coupled(fine, own, skin), coupled(coarse, there, skin)
     n, r = true.n_units, true.rank
+    row, column = np.divmod(np.arange(n), skin.grid.units[1])
+    apart = np.maximum(np.abs(row[:, None] - row), np.abs(column[:, None] - column))
+    first, second = np.nonzero(apart <= NEAR)
+    lacking = (true.coupling - rough.coupling).reshape(n, r, n, r)
     return Correction(
         patterns=there,
         energies=np.eye(r) - energies(coarse, there),
         unturned=np.linalg.inv(np.linalg.cholesky(energies(coarse, there) + LEAST_ENERGY * np.eye(r))),
-        coupling=(true.coupling - rough.coupling).reshape(n, r, n, r),
+        pairs=(first, second),
+        coupling=lacking[first, :, second, :],
         loads=(true.loads - rough.loads).reshape(n, r, -1),
         untouched=true.untouched - rough.untouched,
         polynomials=true.polynomials - rough.polynomials,

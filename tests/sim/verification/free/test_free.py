@@ -112,6 +112,13 @@ def test_touches_are_followed_to_where_the_map_shows_as_many_and_else_stay_where
     assert followed(none, none).shape == (0, 8)
 
 
+def test_where_the_map_is_off_it_still_is_so_a_followed_touch_moves_as_the_map_does() -> None:
+    last = moved([0, 0.4, -0.3, 0, 0, 0, 0, 0])
+    before, now = moved([0, 0, 0, 1, 1, 0, 0, 0]), moved([0, 3.0, 2.0, 1, 1, 0, 0, 0])
+    assert followed(last, now, before)[0, 1:3] == pytest.approx(last[0, 1:3] + [3.0, 2.0])
+    assert followed(last, now, now[:0])[0, 1:3] == pytest.approx(now[0, 1:3])
+
+
 def test_a_fit_ends_where_a_step_would_gain_nothing_and_its_derivatives_serve_its_errors() -> None:
     frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
     done = refine(frame, refine(frame, frame.at(SQUARE), 20), 20)

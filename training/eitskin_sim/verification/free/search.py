@@ -103,6 +103,7 @@ class FreeVerifier:
         self._skin, self._spreads = skin, spreads
         self._model: Model | None = None
         self._anew = self._shown = 0
+        self._seen = (np.zeros((0, 8)), np.zeros((0, 8)))
         self.setup_s = 0.0
         """What the present deformation's models took so far, by the verifier's clock."""
         self.setup_cpu_s = 0.0
@@ -163,6 +164,7 @@ class FreeVerifier:
             fit = fewer(frame, fit, effort)
         fit, confirmed_all = confirmed(frame, fit, shares, effort)
         every = likely(frame, fit, effort)
+        self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
         freedom = max(degrees_of_freedom(fit), 1)
         p = p_value(fit.chi_squared, freedom)
@@ -194,7 +196,7 @@ class FreeVerifier:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
         if self._usual.sign < 0:
             rectangles = presses_of(rectangles, self._usual.border_mm)
-        tries: list[Array] = [] if last is None else [followed(last, rectangles)]
+        tries: list[Array] = [] if last is None else [followed(last, rectangles, self._before(last))]
         for log in _contrasts(self._usual.log_contrast) if len(rectangles) else ():
             tries.append(rectangles.copy())
             tries[-1][:, 6] = np.exp(log)
@@ -210,6 +212,11 @@ class FreeVerifier:
                 break
         assert best is not None
         return frame, best
+
+    def _before(self, last: Array) -> Array | None:
+        """Return what the network showed of the last frame, if these are its touches."""
+        pieces, rectangles = self._seen
+        return rectangles if np.array_equal(pieces, last) else None
 
     def _settled(self, frame: Frame, fit: Fit, effort: Effort) -> tuple[Frame, Fit]:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""

@@ -63,17 +63,34 @@ def presses_of(rectangles: Array, border_mm: float) -> Array:
     return found
 
 
-def followed(last: Array, rectangles: Array) -> Array:
-    """Return the last frame's (n, 8) touches where the network shows them now, if it shows as many near them."""
-    if len(last) != len(rectangles) or not len(last):
+def followed(last: Array, rectangles: Array, before: Array | None = None) -> Array:
+    """Return the last frame's (n, 8) touches, moved as the network shows that they moved.
+
+    Args:
+        last: Touches as they were found.
+        rectangles: (m, 8) what the network shows now.
+        before: (k, 8) what it showed then: where it is off it still is, so its own move counts. None takes its places.
+    """
+    now = _nearest(last, rectangles)
+    if now is None:
         return last
+    found = last.copy()
+    then = None if before is None else _nearest(last, before)
+    found[:, 1:3] = rectangles[now, 1:3]
+    if before is not None and then is not None:
+        found[:, 1:3] += last[:, 1:3] - before[then, 1:3]
+    return found
+
+
+def _nearest(last: Array, rectangles: Array) -> Index | None:
+    """Return which rectangle is nearest to each touch; None if there are not as many, each near one."""
+    if len(last) != len(rectangles) or not len(last):
+        return None
     apart = np.hypot(*(last[:, None, 1:3] - rectangles[None, :, 1:3]).transpose(2, 0, 1))
     nearest = apart.argmin(axis=1)
     if len(np.unique(nearest)) < len(last) or (apart.min(axis=1) > MOVED_MM).any():
-        return last
-    found = last.copy()
-    found[:, 1:3] = rectangles[nearest, 1:3]
-    return found
+        return None
+    return np.asarray(nearest, dtype=np.intp)
 
 
 def rectangle(share: Array, grid: Grid) -> Array:
