@@ -25,9 +25,9 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import Fit, Frame
+from eitskin_sim.verification.free.fit import Fit, Frame, refine
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
-from eitskin_sim.verification.free.improve import confirmed, fewer, fitted, moved, parted, usually
+from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, moved, parted, usually
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.starts import followed, presses_of, starts_of
@@ -48,6 +48,9 @@ ANEW: Final = 4
 
 BUDGET_S: Final = 2.0
 """What a frame may take; most take a thirtieth of it."""
+
+FEW: Final = 5
+"""Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
 
 LIKELY: Final = 2.0
 """Standard deviations, by root mean square, up to which a frame is believed on how the sheet is stretched."""
@@ -203,7 +206,8 @@ class FreeVerifier:
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
-            frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched), effort)
+            steps = STEPS if self._anew else FEW
+            frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched, steps), effort)
             if best is not None and best.frame is not frame:
                 best = frame.at(best.pieces, False)
             if best is None or fit.cost < best.cost:
@@ -220,6 +224,7 @@ class FreeVerifier:
 
     def _settled(self, frame: Frame, fit: Fit, effort: Effort) -> tuple[Frame, Fit]:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
+        whole = self._anew > 0
         while self._anew < ANEW and not (effort.searched() or (effort.setup_s and effort.over_with_models())):
             model = frame.model
             residual = frame.change - frame.expected - model.solve(fit.pieces)[1]
@@ -233,8 +238,9 @@ class FreeVerifier:
             effort.setup_s += self.setup_s - before
             self._anew += 1
             frame = self._frame(frame.change)
-            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched)
-        return frame, fit
+            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW)
+            whole = False
+        return frame, fit if whole else refine(frame, fit, STEPS, effort.searched)
 
 
 def _check(voltages_V: Array, shares: Array, reference_V: Array) -> None:
