@@ -16,6 +16,7 @@
 
     [gate]                         untouched sheets that are solved for it (0: the data's own), and steps of its fit
     [card]                         how much is tried for the card: deformations, each, draws
+    [missing_electrodes]           teaches it in the end to go on without electrodes: fitting_steps, steps, seed
 """
 
 from dataclasses import asdict, dataclass
@@ -27,11 +28,15 @@ from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import to_toml, unknown
+from eitskin_tools.build.missing_lesson import MissingElectrodesWork
 from eitskin_tools.build.tables import table
 from eitskin_tools.command_line import files, skins
 
 FORMAT: Final = "eitskin-recipe"
 VERSION: Final = 1
+
+MISSING: Final = "missing_electrodes"
+"""The table of the last lesson."""
 
 SKIN: Final = "skin"
 """What follows the skin's file: touches of data, noise of training."""
@@ -118,12 +123,14 @@ class BuildRecipe:
     """Id of the recorded presses that it learns from besides, where there are any."""
     small: str = ""
     """Recipe of the smaller network that goes into the bundle; empty for none."""
+    missing_electrodes: MissingElectrodesWork | None = None
+    """The last lesson, for a network that is to learn to go on without electrodes; None for none."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
-        for name in ("presses", "small"):
+        for name in ("presses", "small", "missing_electrodes"):
             if not found[name]:
                 del found[name]
         return found
@@ -235,7 +242,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     from eitskin_training.recipes import recipe as network_named
 
     keys = ["format", "version", "name", "skin", "network", "small", "data", "training", "gate", "card"]
-    unknown(content, keys, "the head of the file")
+    unknown(content, [*keys, MISSING], "the head of the file")
     if content.get("version") != VERSION:
         raise ValueError(f"version is {quoted(content.get('version'))}, expected {VERSION}")
     texts = {key: _text(content, key) for key in ("name", "skin", "network")}
@@ -260,6 +267,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         if (one.set == "free") != (network.labels == "area"):
             kind = "free" if network.labels == "area" else "units"
             raise ValueError(f"[data.{name}] set is {quoted(one.set)}, network {network.name} learns from {kind!r}")
+    lesson = table(MissingElectrodesWork, content[MISSING], f"[{MISSING}]") if MISSING in content else None
     return BuildRecipe(
         plain(texts["name"]),
         _skin(texts["skin"], beside),
@@ -270,6 +278,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         table(CardWork, content.get("card", {}), "[card]"),
         beside,
         small=_text(content, "small") if "small" in content else "",
+        missing_electrodes=lesson,
     )
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.build import press_lesson
+from eitskin_tools.build import missing_lesson, press_lesson
 from eitskin_tools.build.folder import keep, stored
 from eitskin_tools.build.recipe import BuildRecipe, Data, Leg
 from eitskin_tools.command_line import files
@@ -107,7 +107,9 @@ def train_legs(
         run, data = press_lesson.learned(recipe, folder, run, data, presses, tell, epoch)
     bends, steps = _gate(recipe)
     gate_of_run(run, data, recipe.training[-1].seed, tell=tell, bends=bends, steps=steps)
-    return run
+    if recipe.missing_electrodes is None:
+        return run
+    return missing_lesson.learned(recipe.missing_electrodes, folder, run, tell)
 
 
 def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tuple[Path, dict[str, Any]]:

@@ -12,7 +12,7 @@ KINDS: Final[dict[str, tuple[type, ...]]] = {
 }  # fmt: skip
 """Of the keys of tables; all others are whole numbers."""
 
-LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "steps": 1}
+LEAST: Final = {"seed": 0, "kept": 0, "untouched": 0, "steps": 1, "fitting_steps": 0}
 """Of whole numbers; all others are at least 1."""
 
 
