@@ -14,6 +14,9 @@ from eitskin_tools.bench.tradeoff.point_names import beside
 SMALLEST_ERROR: Final = 1e-4
 """Where the axis ends."""
 
+BESIDE: Final = 2
+"""Panels side by side; more stand below each other."""
+
 MEANINGS: Final = (
     (True, True, "not beaten in both"),
     (True, False, "beaten"),
@@ -44,10 +47,14 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
     matplotlib.use("Agg")
     from matplotlib import pyplot
 
+    columns = min(len(found), BESIDE)
+    lines = -(-len(found) // columns)
     figure, panels = pyplot.subplots(
-        1, len(found), figsize=(7.0 * len(found), 5.2), layout="constrained", squeeze=False
+        lines, columns, figsize=(7.0 * columns, 5.2 * lines), layout="constrained", squeeze=False
     )
-    for axes, (name, rows) in zip(panels[0], found.items(), strict=True):
+    for empty in panels.ravel()[len(found) :]:
+        empty.set_axis_off()
+    for axes, (name, rows) in zip(panels.ravel(), found.items(), strict=False):
         shown = _shown(rows)
         front = sorted((row for row in shown if row["pareto"] and row["whole"]), key=lambda row: row["p50"])
         axes.plot(*zip(*map(_point, front), strict=True), color="tab:red", zorder=1)
@@ -60,7 +67,7 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
     figure.legend(handles=_legend(), loc="outside lower center", ncols=len(MEANINGS), fontsize=8, frameon=False)
     figure.canvas.draw()  # gives the panels their places
     figure.set_layout_engine("none")
-    for axes, rows in zip(panels[0], found.values(), strict=True):
+    for axes, rows in zip(panels.ravel(), found.values(), strict=False):
         shown = _shown(rows)
         beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
     try:
