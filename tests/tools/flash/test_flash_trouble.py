@@ -1,7 +1,6 @@
 """Flashing when something else goes on: two flashers, a port in use, a device that answers late, twice or never."""
 
 import itertools
-import threading
 import time
 from contextlib import contextmanager
 
@@ -13,28 +12,16 @@ from eitskin.errors import PortBusy
 from eitskin_proto.wire import config_toml, framing, messages
 from eitskin_proto.wire.codes import Code
 from eitskin_tools import cli
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.firmware import missing_tools
 from eitskin_tools.emulator.patience import patient
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange, Refused, Silent
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
 from eitskin_tools.virtual_skin.faults import FaultPlayer, parse
-from eitskin_tools.virtual_skin.pty import PtyPort
-from eitskin_tools.virtual_skin.server import SkinServer
+
+from .conftest import served
 
 FAST, FULL = config_toml.named("fast"), config_toml.named("full208")
-
-
-@pytest.fixture
-def device():
-    missing = missing_tools("host")
-    if missing:
-        pytest.skip(f"the C core needs {', '.join(missing)}: apt-get install build-essential")
-    made = HostDevice()
-    made.run(1000)
-    return made
 
 
 def test_a_second_flasher_is_refused_at_every_step_and_the_first_one_is_not_disturbed(device):
@@ -83,16 +70,8 @@ class Steady:
 def skin(*faults):
     """Serve a virtual skin on a pseudo-terminal in a thread."""
     made = VirtualDevice(Steady(), configuration_for(200.0), time.perf_counter_ns())
-    with PtyPort() as port:
-        server = SkinServer(made, port, FaultPlayer([parse(text) for text in faults]))
-        thread = threading.Thread(target=server.run)
-        thread.start()
-        try:
-            yield made, str(port.path)
-        finally:
-            server.stop()
-            thread.join(60.0)
-            assert not thread.is_alive()
+    with served(made, FaultPlayer([parse(text) for text in faults])) as path:
+        yield made, path
 
 
 @pytest.mark.process

@@ -2,7 +2,6 @@
 
 import os
 import signal
-import threading
 import time
 from contextlib import contextmanager
 from dataclasses import replace
@@ -15,8 +14,6 @@ from eitskin.acquisition.serial_port import SerialPort
 from eitskin.errors import SkinError, TransportError
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.wire import config_toml
-from eitskin_tools.emulator.device_core import HostDevice
-from eitskin_tools.emulator.firmware import missing_tools
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 from eitskin_tools.flash.full_scan import NAME, full_scan, scanning_all_rows
@@ -25,8 +22,8 @@ from eitskin_tools.guided.frames import frames_of
 from eitskin_tools.guided.guide import GuideError
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import VirtualDevice
-from eitskin_tools.virtual_skin.pty import PtyPort
-from eitskin_tools.virtual_skin.server import SkinServer
+
+from .conftest import served
 
 PAPER, FAST = config_toml.named("paper"), config_toml.named("fast")
 VOLTS = -0.1 * np.random.default_rng(1).uniform(0.01, 1.0, N_FULL_ROWS)
@@ -41,30 +38,12 @@ class Full:
         return self.volts.copy()
 
 
-@pytest.fixture
-def device():
-    missing = missing_tools("host")
-    if missing:
-        pytest.skip(f"the C core needs {', '.join(missing)}: apt-get install build-essential")
-    made = HostDevice()
-    made.run(1000)
-    return made
-
-
 @contextmanager
 def skin(volts=VOLTS):
     """Serve a virtual skin on a pseudo-terminal in a thread."""
     made = VirtualDevice(Full(volts), configuration_for(200.0), time.perf_counter_ns())
-    with PtyPort() as port:
-        server = SkinServer(made, port)
-        thread = threading.Thread(target=server.run)
-        thread.start()
-        try:
-            yield made, str(port.path)
-        finally:
-            server.stop()
-            thread.join(60.0)
-            assert not thread.is_alive()
+    with served(made) as path:
+        yield made, path
 
 
 @pytest.mark.parametrize("own", [PAPER, FAST, replace(PAPER, name="ours", skin="0123456789abcdef", revision=7)])

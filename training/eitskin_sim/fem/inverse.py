@@ -1,7 +1,7 @@
 """The dense inverse of a sheet's stiffness, line of nodes by line of nodes: a thirtieth of a general inverse's work.
 
-Unknowns are numbered along upright lines, electrodes among the nodes that they lie on, so the stiffness is block
-tridiagonal:
+Unknowns are numbered along upright lines, or strips of units (:mod:`eitskin_sim.unit_grid.strips`), electrodes among
+the nodes that they lie on, so the stiffness is block tridiagonal:
 
     D_i = A_ii - A_i,i-1 D_i-1^-1 A_i-1,i       U_i = D_i^-1 A_i,i+1
     B_ii = D_i^-1 + U_i B_i+1,i+1 U_i^T         B_ij = -U_i B_i+1,j      for j > i
@@ -17,12 +17,12 @@ from eitskin_sim.fem.mesh import Array, Index
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """How the unknowns of a mesh divide into lines, and where the numbers of its elements go.
+    """How unknowns divide into lines, and where the numbers of parts go: elements of a mesh, or units of a skeleton.
 
     Args:
         first: (l + 1,) where each line begins, and the number of unknowns.
         begin: (2 l,) where A_ii of each line begins in a long buffer, then where each A_i,i+1 does, and the end.
-        slot: (n_elements * 81,) where each number of the elements' blocks goes there; its last place is for the rest.
+        slot: (parts * b * b,) where each number of the parts' blocks goes there; its last place is for the rest.
     """
 
     first: Index
@@ -31,14 +31,14 @@ class Lines:
 
 
 def make_lines(first: Index, dofs: Index) -> Lines:
-    """Return how blocks of elements make up the lines' blocks.
+    """Return how blocks of parts make up the lines' blocks.
 
     Args:
         first: (l + 1,) where each line begins, and the number of unknowns.
-        dofs: (n_elements, 9) unknowns of each element, -1 for none.
+        dofs: (parts, b) unknowns of each element or unit, -1 for none.
 
     Raises:
-        ValueError: An element joins lines that are no neighbours.
+        ValueError: A part joins lines that are no neighbours.
     """
     width = np.diff(first)
     begin = np.concatenate([[0], np.cumsum(np.concatenate([width**2, width[:-1] * width[1:]]))])
@@ -60,7 +60,7 @@ def dense_inverse(lines: Lines, blocks: Array, ground: tuple[int, float], into: 
 
     Args:
         lines: Of the mesh.
-        blocks: (n_elements, 9, 9) S.
+        blocks: (parts, b, b) S.
         ground: An unknown, and the S that tie it to the ground, which fixes the potential and carries no current.
         into: (n, n) where to write it: a buffer that was used before needs no pages of memory.
 
@@ -108,7 +108,7 @@ def solve_lines(lines: Lines, blocks: Array, ground: tuple[int, float], right: A
 
     Args:
         lines: Of the mesh.
-        blocks: (n_elements, 9, 9) S.
+        blocks: (parts, b, b) S.
         ground: As :func:`dense_inverse` has it.
         right: (n, k) A.
 

@@ -125,10 +125,9 @@ class Fit:
     def linear(self) -> "Linear":
         """Return the (rows + p,) residuals, their (rows + p, r) derivatives by what is free, and what that is."""
         if not self._linear:
-            own = _free(self.pieces, self.turning)
+            residual, rate, own = self.residuals()
             by = -self.frame.white.whiten(self.frame.model.jacobian(self.solved, own).T).T
-            cost, rate = _prior(self.pieces, own, self.frame.usual)
-            self._linear.append((np.concatenate([self.residual, cost]), np.concatenate([by, rate]), own))
+            self._linear.append((residual, np.concatenate([by, rate]), own))
         return self._linear[0]
 
     def residuals(self) -> "Linear":
