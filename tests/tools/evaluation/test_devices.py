@@ -1,14 +1,18 @@
 """``eitskin evaluate --devices``: a table by mismatch, and one line for whatever is wrong."""
 
 import json
+from dataclasses import replace
+from pathlib import Path
 
 import pytest
 
+from eitskin_proto.skin import toml
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.devices import runs
 from eitskin_sim.evaluation.devices.mismatch import load_rows
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
-from eitskin_tools.evaluation.devices import KINDS, table
+from eitskin_tools.evaluation.devices import KINDS, meant, table, trials_of
 
 
 @pytest.fixture(autouse=True)
@@ -32,9 +36,52 @@ def test_the_command_prints_one_object(tmp_path, capsys):
     assert found["rows"][0]["press04"]["gate_missed"] == 0.0
 
 
-def test_a_skin_of_another_size_is_refused(tmp_path, capsys):
-    assert cli.main(words(tmp_path, "--skin", str(files.find("docs/examples/skin.toml", files.SKIN)))) == 2
-    assert "--devices are of the paper's size and map" in capsys.readouterr().err
+FOREARM = str(Path(__file__).parents[3] / "docs" / "examples" / "skin.toml")
+
+
+def test_devices_of_another_sheet_are_drawn_around_that(tmp_path, capsys):
+    more = ("--skin", FOREARM, "--solver", "tikhonov", "--trials", "single,press04", "--json")
+    assert cli.main(words(tmp_path, *more)) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["skin"], found["phantoms"]) == ("forearm", "drawn")
+    assert found["bundles"] == {"single": None, "press04": None}, "none is shipped: nothing judges, all is touched"
+    for row in found["rows"]:
+        for trial in ("single", "press04"):
+            assert (row[trial]["missed"], row[trial]["gate_missed"]) == (0.0, 0.0)
+    assert table(found).startswith("| mismatch | single, CC, rms mm |")
+
+
+def test_sets_of_touches_stand_for_the_paper_s_phantoms_on_another_sheet():
+    mm, units = trials_of(["mm", "units"], 2, 1, toml.load(FOREARM))
+    assert (mm.labels, units.labels) == ("area", "units")
+    assert {len(one.phantoms) for one in (mm, units)} == {2}
+    assert {phantom.scene.sheet.size_mm for one in (mm, units) for phantom in one.phantoms} == {(220.0, 90.0)}
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        (["--solver", "vd2t"], "name a bundle of this skin with --bundle"),
+        (["--solver", "tikhonov", "--drift", "met"], "name one with --bundle"),
+    ],
+)
+def test_what_goes_by_a_bundle_wants_one_of_the_sheet(tmp_path, capsys, more, expected):
+    assert cli.main(words(tmp_path, "--skin", FOREARM, "--trials", "single", *more)) != 0
+    error = capsys.readouterr().err
+    assert expected in error
+    assert len(error.splitlines()) == 1
+
+
+def test_a_length_of_another_sheet_is_refused(tmp_path, capsys):
+    (tmp_path / "long.json").write_text(json.dumps([{"name": "none"}, {"name": "long", "length_mm": 220}]))
+    assert cli.main(["evaluate", "--devices", str(tmp_path / "long.json"), "--trials", "single"]) != 0
+    assert "length_mm is 220, expected 140 to 160: skin 'paper' is 150 mm long" in capsys.readouterr().err
+
+
+def test_a_calibrated_device_of_another_sheet_is_no_sheet_to_draw_around():
+    with pytest.raises(ValueError, match=r"name the skin\.toml that it was calibrated from"):
+        meant(replace(toml.load(FOREARM), calibrated_from="5" * 16))
+    assert meant(replace(PAPER, calibrated_from=PAPER.digest)) == PAPER
 
 
 def test_classical_solvers_find_presses(tmp_path, capsys):
@@ -70,7 +117,7 @@ def test_people_read_a_table(tmp_path, capsys):
 
 def test_the_table_says_what_was_missed_and_what_was_not_run():
     one = {"cc": 0.5, "cc_worst": 0.1, "localisation_rms_mm": None, "missed": 0.999, "gate_missed": 0.0, "maps": 3}
-    found = {"rows": [{"name": "x", "devices": [], "single": one, "units": None, "mm": one}]}
+    found = {"phantoms": "paper", "rows": [{"name": "x", "devices": [], "single": one, "units": None, "mm": one}]}
     assert table(found).splitlines()[2] == "| x | 0.500 / 0.100 | - | 0.500, -, missed 100 % |"
 
 

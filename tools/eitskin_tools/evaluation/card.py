@@ -1,20 +1,20 @@
 """A bundle's card: what its network scores under N2 of 50 dB, by contrast and by mismatch, ideal and on other devices.
 
-On the paper's sheet every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network is
-told of the nominal one. Of another sheet, and of a calibrated one, there are no drawn devices; its card has touches of
-several contrasts on the sheet as it is described, and the held-out samples of its data, whose devices are as random as
-the data's.
+Every part is a few rows of ``eitskin evaluate --devices``: true devices are solved, the network is told of the nominal
+one. A calibrated skin is a device itself, and no others are drawn; its card has touches of several contrasts on it, and
+the held-out samples of its data, whose devices are as random as the data's.
 """
 
 from pathlib import Path
 from typing import Any, Final
 
 from eitskin.model.bundle import Bundle, load_bundle
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices import runs
 from eitskin_sim.evaluation.devices.mismatch import IDEAL, LAB, Mismatch, Row, load_rows
 from eitskin_sim.evaluation.harness import Conditions
+from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.devices import trials_of
 from eitskin_tools.evaluation.gate_judge import judge_of
@@ -38,7 +38,7 @@ def parts(path: Path) -> list[str]:
     """Return the names of the parts that a bundle's card has."""
     bundle = load_bundle(path, lazily=True)
     found = [f"contrast-{contrast:g}" for contrast in _contrasts(bundle)]
-    if _drawn(bundle):
+    if not bundle.skin.calibrated_from:
         found += [f"mismatch-{number}" for number in range(len(_mismatches()))]
     return found
 
@@ -58,12 +58,12 @@ def part(name: str, path: Path, deformations: int, each: int, draws: int) -> lis
     if kind == "mismatch":
         return _rows([_mismatches()[int(which)]], _trials(bundle, deformations, each), bundle, draws)
     contrast = float(which)
-    if not _drawn(bundle):
-        return _of_another_sheet(bundle, contrast, deformations, each)
+    if bundle.skin.calibrated_from:
+        return _of_a_device(bundle, contrast, deformations, each)
     if bundle.labels == "units":
         rows: list[Row] = [(f"contrast {contrast:g}", Mismatch(contrast=contrast))]
-        return _rows(rows, trials_of(["units"], deformations, each), bundle, draws)
-    touched = runs.Trial("touch", tuple(_touches(contrast, deformations, each)), lowering=True)
+        return _rows(rows, trials_of(["units"], deformations, each, bundle.skin), bundle, draws)
+    touched = runs.Trial("touch", tuple(_touches(contrast, deformations, each, bundle.skin)), lowering=True)
     return _rows([("none", IDEAL), ("random", None)], [touched], bundle, draws)
 
 
@@ -99,14 +99,9 @@ def _figures(row: dict[str, Any]) -> str:
     return ", ".join(cells) or "-"
 
 
-def _drawn(bundle: Bundle) -> bool:
-    """Whether devices unlike its skin can be drawn: a calibrated one is a device itself."""
-    return bundle.skin.grid_id == PAPER.grid_id and not bundle.skin.calibrated_from
-
-
 def _contrasts(bundle: Bundle) -> tuple[float, ...]:
-    if bundle.labels == "units" and not _drawn(bundle):
-        return RAISING[:1]  # trials of units on other sheets have the paper's contrast
+    if bundle.labels == "units" and bundle.skin.calibrated_from:
+        return RAISING[:1]  # drawn units have the paper's contrast
     lowering = LOWERING if bundle.touch_kind != "raising" else ()
     return lowering + (RAISING if bundle.touch_kind != "lowering" else ())
 
@@ -119,13 +114,13 @@ def _mismatches() -> list[Row]:
 def _trials(bundle: Bundle, deformations: int, each: int) -> list[runs.Trial]:
     """Return the trials of a bundle's labels and touches."""
     if bundle.labels == "units":
-        return trials_of(["units"], deformations, each)
+        return trials_of(["units"], deformations, each, bundle.skin)
     kinds = {"raising": ["mm", "single"], "lowering": ["press04", "press06"]}
     wanted = kinds.get(bundle.touch_kind, [*kinds["raising"], *kinds["lowering"]])
-    return trials_of(wanted, deformations, each)
+    return trials_of(wanted, deformations, each, bundle.skin)
 
 
-def _touches(contrast: float, deformations: int, each: int, skin: Any = PAPER) -> list[Any]:
+def _touches(contrast: float, deformations: int, each: int, skin: Skin) -> list[Phantom]:
     """Return phantoms of one touch of a contrast: a hard square, or by turns a soft square and a soft disc."""
     if contrast > 1.0:
         return trials.single(runs.SINGLE_MM, deformations, each, "A", trials.Softness(contrast), skin)
@@ -139,13 +134,13 @@ def _touches(contrast: float, deformations: int, each: int, skin: Any = PAPER) -
 
 
 def _rows(rows: list[Row], kinds: list[runs.Trial], bundle: Bundle, draws: int) -> list[dict[str, Any]]:
-    request = Request("vd2t", "pre", bundle.path)
-    solvers = {one.name: named(request, one.labels).run for one in kinds}
+    request, skin = Request("vd2t", "pre", bundle.path), bundle.skin
+    solvers = {one.name: named(request, one.labels, skin).run for one in kinds}
     judges = {one.name: judge_of(bundle) for one in kinds}
-    return runs.run_rows(rows, kinds, solvers, judges, runs.Plan(draws))
+    return runs.run_rows(rows, kinds, solvers, judges, runs.Plan(draws, skin=skin, meant=skin))
 
 
-def _of_another_sheet(bundle: Bundle, contrast: float, deformations: int, each: int) -> list[dict[str, Any]]:
+def _of_a_device(bundle: Bundle, contrast: float, deformations: int, each: int) -> list[dict[str, Any]]:
     conditions = Conditions("N2", skin=bundle.skin)
     if bundle.labels == "units":
         phantoms = trials.random((1, 2), deformations, each, "A", "units", bundle.skin)

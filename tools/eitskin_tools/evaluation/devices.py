@@ -1,18 +1,20 @@
 """Trials on mismatched devices, and the table by mismatch."""
 
 from collections.abc import Callable, Sequence
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
+from eitskin.model.bundle import Bundle
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation.devices.mismatch import Row, lab_rows, load_rows, random_rows
-from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows
+from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
 from eitskin_sim.evaluation.harness import SOLVERS, Conditions
 from eitskin_sim.scene.scene import load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.drift_removed import DriftRemoved
 from eitskin_tools.evaluation.gate_judge import judge_of
-from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_for, named
+from eitskin_tools.evaluation.solvers import Named, Progress, Request, bundle_on, named
 
 KINDS: Final = {
     "mm": "paper_mm, mean / worst",
@@ -34,8 +36,21 @@ def rows_of(name: str) -> list[Row]:
     return drawn() if drawn else load_rows(files.find(name, files.MISMATCHES))
 
 
-def trials_of(kinds: Sequence[str], deformations: int, each: int) -> list[Trial]:
-    """Return trials by name.
+def meant(skin: Skin) -> Skin:
+    """Return what devices are drawn around, whose solver is told of a skin: that skin, if it is no device itself.
+
+    Raises:
+        ValueError: It was calibrated from another skin than those that have the paper's sheet.
+    """
+    if not skin.calibrated_from:
+        return skin
+    if skin.grid_id == PAPER.grid_id:
+        return PAPER
+    raise ValueError(f"skin {skin.name!r} is one calibrated device; name the skin.toml that it was calibrated from")
+
+
+def trials_of(kinds: Sequence[str], deformations: int, each: int, skin: Skin = PAPER) -> list[Trial]:
+    """Return trials by name, on any skin; of the paper's sheet ``mm`` and ``units`` are the paper's phantoms.
 
     Raises:
         ValueError: There is none of a name, or none at all.
@@ -43,10 +58,13 @@ def trials_of(kinds: Sequence[str], deformations: int, each: int) -> list[Trial]
     unknown = [kind for kind in kinds if kind not in KINDS]
     if unknown or not kinds:
         raise ValueError(f"--trials {','.join(kinds)}: expected some of {', '.join(KINDS)}")
-    found = {one.name: one for one in drawn_trials(deformations, each)}
-    for kind in ("mm", "units"):
-        if kind in kinds:
-            found[kind] = Trial(kind, tuple(load_phantoms(files.find(f"paper_{kind}", files.PHANTOMS))))
+    found = {one.name: one for one in drawn_trials(deformations, each, skin)}
+    labels: dict[str, Literal["units", "area"]] = {"mm": "area", "units": "units"}
+    for kind, pixels in labels.items():
+        if kind in kinds and skin.grid_id == PAPER.grid_id:
+            found[kind] = Trial(kind, tuple(load_phantoms(files.find(f"paper_{kind}", files.PHANTOMS), skin)))
+        elif kind in kinds:
+            found[kind] = Trial(kind, sets_of_touches(pixels, deformations, each, skin))
     return [found[kind] for kind in KINDS if kind in kinds]
 
 
@@ -69,23 +87,26 @@ def evaluate_devices(
         drift: "left" in, or how the runtime meets it (:mod:`eitskin_tools.evaluation.drift_removed`).
 
     Raises:
-        ValueError: The request needs the untouched voltages at every shape.
+        ValueError: The request needs the untouched voltages at every shape, or a row is of another sheet.
     """
     if request.reference == "post" or request.prediction == "true":
         raise ValueError("--devices knows no untouched voltages of a bent device; leave --reference post and true out")
+    for _, mismatch in rows:
+        if mismatch is not None:
+            mismatch.require(plan.meant)
     reference = request.reference or ("predicted" if request.name in SOLVERS else "pre")
     solvers: dict[str, Named] = {}
     judges, bundles = {}, {}
     followers: dict[str, DriftRemoved] = {}
     for kind in kinds:
-        bundle = bundle_for(request, kind.labels, "lowering" if kind.lowering else "raising")
-        bundles[kind.name] = bundle.id
-        one = Request(request.name, reference, bundle.path, request.prediction)
+        bundle = bundle_on(request, kind.labels, "lowering" if kind.lowering else "raising", plan.skin)
+        bundles[kind.name] = None if bundle is None else bundle.id
+        one = Request(request.name, reference, None if bundle is None else bundle.path, request.prediction)
         told = Conditions(plan.noise, plan.snr_db)
         solvers[kind.name] = named(one, kind.labels, plan.skin, conditions=told)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
-            followers[kind.name] = DriftRemoved(bundle, drift)
+            followers[kind.name] = DriftRemoved(_known(bundle, drift), drift)
     runs = {name: one.run for name, one in solvers.items()}
     found = run_rows(rows, kinds, runs, judges, plan, progress, followers or None)
     return {
@@ -97,16 +118,25 @@ def evaluate_devices(
         "reference": reference,
         "drift": drift,
         "bundles": bundles,
+        "skin": plan.meant.name,
+        "phantoms": "paper" if plan.meant.grid_id == PAPER.grid_id else "drawn",
         "rows": found,
     }
+
+
+def _known(bundle: Bundle | None, drift: str) -> Bundle:
+    if bundle is None:
+        raise ValueError(f"--drift {drift} goes by a bundle of this skin; name one with --bundle")
+    return bundle
 
 
 def table(found: dict[str, Any]) -> str:
     """Return the table by mismatch as Markdown."""
     rows = found["rows"]
     kinds = [kind for kind in KINDS if kind in rows[0]]
+    heads = [KINDS[kind] if found["phantoms"] == "paper" else KINDS[kind].removeprefix("paper_") for kind in kinds]
     lines = [
-        f"| mismatch | {' | '.join(KINDS[kind] for kind in kinds)} |",
+        f"| mismatch | {' | '.join(heads)} |",
         f"|{'---|' * (len(kinds) + 1)}",
     ]
     for row in rows:

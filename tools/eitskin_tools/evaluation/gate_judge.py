@@ -12,9 +12,9 @@ from eitskin_proto.sensor.normalise import relative_change
 Array = npt.NDArray[np.float64]
 
 
-def judge_of(bundle: Bundle) -> Callable[[Array, Array], bool]:
+def judge_of(bundle: Bundle | None) -> Callable[[Array, Array], bool]:
     """Return what judges (104,) V against a reference (104,) V; without a gate every frame is taken for touched."""
-    arrays = bundle.gate_arrays()
+    arrays = None if bundle is None else bundle.gate_arrays()
     if arrays is None:
         return lambda volts, reference: True
     gate = Gate(arrays)

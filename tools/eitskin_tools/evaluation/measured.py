@@ -16,18 +16,15 @@ from typing import Any, Literal
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.bundle import Bundle
 from eitskin_proto.files.plain import plain
-from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import Skin
-from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import SOLVERS, Case, Reference, Sheet
 from eitskin_sim.evaluation.metrics import correlation, localisation_error_mm
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.measured_file import Measured
-from eitskin_tools.evaluation.solvers import Progress, Request, bundle_for, named
+from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, named
 
 Array = npt.NDArray[np.float64]
 
@@ -69,11 +66,11 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
     classical = request.name in SOLVERS
     reference: Reference = request.reference or ("predicted" if classical else "pre")
     kind, skin = measured.touch_kind or "raising", measured.skin
-    bundle = _bundle(request, kind, skin)
+    bundle = bundle_on(request, "area", kind, skin)
     labels: Literal["units", "area"] = "units" if bundle is not None and bundle.labels == "units" else "area"
     path = None if bundle is None else bundle.path
     solver = named(Request(request.name, reference, path, request.prediction), labels, skin, kind)
-    judge = (lambda *_: True) if bundle is None else judge_of(bundle)
+    judge = judge_of(bundle)
     flat = _flat_reference(measured)
     sheets: dict[int, Sheet] = {}
     last = {int(scan): number for number, scan in enumerate(measured.cloud_index)}
@@ -103,20 +100,6 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
             kind: summary([one for one in scores if one.kind == kind]) for kind in dict.fromkeys(measured.kinds)
         },
     }
-
-
-def _bundle(request: Request, kind: TouchKind, skin: Skin) -> Bundle | None:
-    """Return the bundle of the network, or whose gate judges; None where none is named and none shipped is of a skin.
-
-    Raises:
-        MismatchError: A network is asked for, and its bundle is of another skin.
-    """
-    bundle = bundle_for(request, "area", kind)
-    if request.bundle is None and request.name in SOLVERS and bundle.skin.grid_id != skin.grid_id:
-        return None
-    hint = "name a bundle of this skin with --bundle, or the skin of this bundle with --skin"
-    check_made_for(str(bundle.path), skin, grid_id=bundle.skin.grid_id, skin_digest=bundle.skin.digest, hint=hint)
-    return bundle
 
 
 def _sheet(measured: Measured, scan: int) -> Sheet:

@@ -135,6 +135,20 @@ def bundle_for(request: Request, labels: str, touch_kind: TouchKind = "raising")
     return load_bundle(request.bundle or (own if own.exists() else default_path(labels)))
 
 
+def bundle_on(request: Request, labels: str, touch_kind: TouchKind, skin: Skin) -> "Bundle | None":
+    """Return the bundle of the network, or whose gate judges; None where none is named and none shipped is of a skin.
+
+    Raises:
+        MismatchError: The bundle that is named, or the network's, is of another skin.
+    """
+    bundle = bundle_for(request, labels, touch_kind)
+    if request.bundle is None and request.name in SOLVERS and bundle.skin.grid_id != skin.grid_id:
+        return None
+    hint = "name a bundle of this skin with --bundle, or the skin of this bundle with --skin"
+    check_made_for(str(bundle.path), skin, grid_id=bundle.skin.grid_id, skin_digest=bundle.skin.digest, hint=hint)
+    return bundle
+
+
 def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> Named:
     from eitskin.model.buffers import Buffers
     from eitskin.model.engine import engines

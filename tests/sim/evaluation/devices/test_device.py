@@ -2,10 +2,12 @@
 
 import json
 from dataclasses import fields, replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from eitskin_proto.skin import toml
 from eitskin_proto.skin.cloud import align_cloud
 from eitskin_sim.evaluation.devices.device import draw_device
 from eitskin_sim.evaluation.devices.mismatch import (
@@ -21,6 +23,7 @@ from eitskin_sim.evaluation.devices.mismatch import (
 )
 from eitskin_sim.measurement.front_end import FrontEnd
 from eitskin_sim.scene.family import draw
+from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.scene import SceneError, check_scene
 from eitskin_sim.scene.shapes import Disc, Rect
@@ -48,6 +51,25 @@ def test_without_a_mismatch_the_device_is_the_nominal_one():
     assert device.front_end == FrontEnd()
     assert device.reference().bend == Bend()
     assert np.array_equal(device.cloud(BENT, rng()), measured_cloud(BENT, rng()).astype(np.float64))
+
+
+def test_of_any_skin_it_is_what_the_skin_states():
+    skin = toml.load(Path(__file__).parents[4] / "docs" / "examples" / "skin.toml")
+    bend = draw("A", 1, 0, skin)[0]
+    nominal = nominal_scene(skin, bend, SCENE.touches)
+    device = draw_device(IDEAL, 0, 0, skin)
+    scene = device.scene(nominal, as_it_is=False)
+    assert (scene.sheet, scene.bend, scene.touches) == (nominal.sheet, bend, SCENE.touches)
+    assert scene.electrodes.arc_length_mm == nominal.electrodes.arc_length_mm
+    assert np.array_equal(scene.electrodes.sizes_mm(), nominal.electrodes.sizes_mm())
+    assert np.array_equal(device.cloud(bend, rng()), measured_cloud(bend, rng(), skin=skin).astype(np.float64))
+    for number in range(5):
+        off = random_mismatch(np.random.default_rng(number), skin)
+        assert 0.75 * 1.5 <= off.thickness_mm <= 1.25 * 1.5
+        assert 0.75 * 5.0 <= off.electrode_size_mm <= 1.25 * 5.0
+        one = draw_device(off, 0, number, skin)
+        assert abs(one.longer - 1.0) <= 0.01
+        check_scene(one.scene(nominal, as_it_is=False))
 
 
 def test_every_deviation_is_there_and_the_scene_can_be_solved():

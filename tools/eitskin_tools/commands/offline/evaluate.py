@@ -111,7 +111,6 @@ def _add_trials(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Evaluate, and print an object or a table."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # read when numpy is first imported, below
-    from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_tools.evaluation.solvers import NAMES, Request
 
@@ -131,8 +130,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
         raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
     _softness(arguments)
-    if arguments.devices is not None and (skin.outline, skin.map) != (PAPER.outline, PAPER.map):
-        raise UsageError(f"--skin {arguments.skin}: --devices are of the paper's size and map; name a skin of these")
     if arguments.drift != "left" and arguments.devices is None:
         raise UsageError(f"--drift {arguments.drift} needs --devices: nothing else drifts")
     if arguments.measured is not None:
@@ -162,14 +159,15 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
 
 def _devices(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_sim.evaluation.devices import runs
-    from eitskin_tools.evaluation.devices import evaluate_devices, rows_of, table, trials_of
+    from eitskin_tools.evaluation.devices import evaluate_devices, meant, rows_of, table, trials_of
 
     if arguments.draws < 1 or arguments.seed < 0:
         raise UsageError(f"--draws {arguments.draws} --seed {arguments.seed}: expected at least 1, and at least 0")
     rows = rows_of(arguments.devices)
-    kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each)
     skin = skins.chosen(arguments)
-    plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin)
+    drawn = meant(skin)
+    kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each, drawn)
+    plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
     found = evaluate_devices(rows, kinds, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0

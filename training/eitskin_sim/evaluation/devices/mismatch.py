@@ -12,6 +12,8 @@ import numpy as np
 
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import FileError, read_json
+from eitskin_proto.sensor.table import N_ELECTRODES
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.scene.strict_json import Fields, SceneError, number, sequence
 
 LARGEST_FILE: Final = 1 << 20
@@ -24,19 +26,20 @@ class Mismatch:
 
     electrodes_mm: float = 0.0
     """Standard deviation of every electrode's place along the border."""
-    electrode_size_mm: float = 4.0
+    electrode_size_mm: float | None = None
+    """Of all; None leaves what is nominal, as with the lengths and the gauge factor below."""
     impedance_factor: float = 1.0
     """Contact impedance over the nominal one."""
     impedance_spread: float = 0.0
     """Standard deviation of its logarithm from contact to contact."""
-    thickness_mm: float = 2.0
-    length_mm: float = 150.0
+    thickness_mm: float | None = None
+    length_mm: float | None = None
     """Of the sheet, its electrodes and touches stretched along."""
     field_rms: float = 0.0
     """Unevenness of the layer's log conductivity, there when the reference was taken."""
     field_mm: float = 40.0
     """Its correlation length."""
-    gauge_factor: float = 0.0
+    gauge_factor: float | None = None
     drift_percent: float = 0.0
     """Of the whole sheet's conductivity since the reference."""
     gradient_rms: float = 0.0
@@ -74,17 +77,34 @@ class Mismatch:
     sink_percent: float = 0.0
     """How much less the sink takes than the source gives."""
 
+    def require(self, skin: Skin) -> None:
+        """Check that a device of a skin can be so far off.
+
+        Raises:
+            SceneError: Its length is another sheet's.
+        """
+        nominal = skin.outline.size_mm[0]
+        if self.length_mm is not None and abs(self.length_mm / nominal - 1.0) > FARTHEST_LENGTH:
+            low, high = (nominal * (1.0 + sign * FARTHEST_LENGTH) for sign in (-1.0, 1.0))
+            raise SceneError(
+                f"length_mm is {self.length_mm:g}, expected {low:.0f} to {high:.0f}: skin {skin.name!r} is "
+                f"{nominal:g} mm long"
+            )
+
     @property
     def alters_touches(self) -> bool:
         """Whether touches have another border or a dent, which those on the unit grid cannot have."""
         return bool(self.border_mm or self.dent_mm)
 
 
+FARTHEST_LENGTH: Final = 1.0 / 15.0
+"""A sheet is longer or shorter than the nominal one by at most this part of it."""
+
 IDEAL: Final = Mismatch()
 
 BOUNDS: Final[dict[str, tuple[float, float]]] = {
     "electrodes_mm": (0.0, 3.0), "electrode_size_mm": (1.0, 8.0), "impedance_factor": (1e-3, 1e4),
-    "impedance_spread": (0.0, 2.0), "thickness_mm": (0.2, 20.0), "length_mm": (140.0, 160.0), "field_rms": (0.0, 0.5),
+    "impedance_spread": (0.0, 2.0), "thickness_mm": (0.2, 20.0), "length_mm": (45.0, 430.0), "field_rms": (0.0, 0.5),
     "field_mm": (5.0, 500.0), "gauge_factor": (-3.0, 3.0), "drift_percent": (-60.0, 200.0), "gradient_rms": (0.0, 0.3),
     "contrast": (0.01, 1e4), "border_mm": (0.0, 8.0), "dent_mm": (0.0, 5.0), "unseen_stretch": (-0.3, 0.3),
     "scan_noise_mm": (0.0, 5.0), "scan_stale_deg": (0.0, 90.0), "scan_scale": (0.9, 1.1),
@@ -121,18 +141,25 @@ def random_rows() -> list[Row]:
     return [("none", IDEAL), ("random", None)]
 
 
-def random_mismatch(rng: np.random.Generator) -> Mismatch:
-    """Return a mismatch of everything about the device and the scan at once; touches stay as they are."""
+def random_mismatch(rng: np.random.Generator, skin: Skin = PAPER) -> Mismatch:
+    """Return a mismatch of everything about the device and the scan at once; touches stay as they are.
+
+    Args:
+        rng: Source of the draws.
+        skin: What the device was meant to be.
+    """
+    electrode_mm = float(np.mean(skin.electrodes.size_mm.nominal(N_ELECTRODES)))
+    thickness_mm, gauge = (float(one.nominal(1)[0]) for one in (skin.layer.thickness_mm, skin.layer.gauge_factor))
     return Mismatch(
         electrodes_mm=float(rng.uniform(0.0, 1.0)),
-        electrode_size_mm=float(rng.uniform(3.0, 5.0)),
+        electrode_size_mm=electrode_mm * float(rng.uniform(0.75, 1.25)),
         impedance_factor=float(10 ** rng.uniform(-1.0, 2.0)),
         impedance_spread=float(rng.uniform(0.0, 0.5)),
-        thickness_mm=float(rng.uniform(1.5, 2.5)),
-        length_mm=float(rng.uniform(149.0, 151.5)),
+        thickness_mm=thickness_mm * float(rng.uniform(0.75, 1.25)),
+        length_mm=skin.outline.size_mm[0] * float(rng.uniform(149.0, 151.5)) / 150.0,
         field_rms=float(rng.uniform(0.0, 0.1)),
         field_mm=float(rng.uniform(20.0, 60.0)),
-        gauge_factor=float(rng.uniform(-1.0, 1.5)),
+        gauge_factor=gauge + float(rng.uniform(-1.0, 1.5)),
         drift_percent=float(rng.normal(0.0, 3.0)),
         gradient_rms=float(rng.uniform(0.0, 0.02)),
         unseen_stretch=float(rng.uniform(-0.1, 0.1)),

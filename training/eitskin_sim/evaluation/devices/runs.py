@@ -6,7 +6,8 @@ Trials ::
     units     the paper's phantoms on the unit grid    press04, press06   discs and squares of 16 mm that conduct 0.4 or
                                                        0.6 of the sheet, borders of 4 mm
 
-The last three at deformations and places that no training has seen. All rows see the same noise, and draw number n of a
+The last three at deformations and places that no training has seen; so are the first two of another sheet than the
+paper's, up to four rectangles and discs or up to six units. All rows see the same noise, and draw number n of a
 device has the same directions in each of them, so that rows differ by the mismatch alone.
 """
 
@@ -31,6 +32,7 @@ from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import IDEAL, FrontEnd
 from eitskin_sim.measurement.noise import Kind, add_noise
+from eitskin_sim.scene.nominal import nominal_scene
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.surface.predict import flat_voltages, predict
 
@@ -92,7 +94,9 @@ class Plan:
     noise: Kind = "N2"
     snr_db: float = 50.0
     skin: Skin = PAPER
-    """What the solver is told; the devices are of the paper's sheet in any case."""
+    """What the solver is told."""
+    meant: Skin = PAPER
+    """What the devices were meant to be: the same, but where a calibration of one of them is told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -106,17 +110,22 @@ class Outcome:
     """As the gate says."""
 
 
-def drawn_trials(deformations: int, each: int) -> list[Trial]:
-    """Return the trials whose deformations and places are drawn."""
-    found = [Trial("single", tuple(trials.single(SINGLE_MM, deformations, each)))]
+def drawn_trials(deformations: int, each: int, skin: Skin = PAPER) -> list[Trial]:
+    """Return the trials whose deformations and places are drawn, on any skin."""
+    found = [Trial("single", tuple(trials.single(SINGLE_MM, deformations, each, skin=skin)))]
     for name, contrast in (("press04", 0.4), ("press06", 0.6)):
         square, disc = (
-            trials.single(PRESS_MM, deformations, each, "A", trials.Softness(contrast, PRESS_BORDER_MM, round_))
+            trials.single(PRESS_MM, deformations, each, "A", trials.Softness(contrast, PRESS_BORDER_MM, round_), skin)
             for round_ in (False, True)
         )
         mixed = tuple(two[number % 2] for number, two in enumerate(zip(square, disc, strict=True)))
         found.append(Trial(name, mixed, lowering=True))
     return found
+
+
+def sets_of_touches(labels: Literal["units", "area"], deformations: int, each: int, skin: Skin) -> tuple[Phantom, ...]:
+    """Return sets of touches anywhere, or of units, for a sheet that the paper's phantoms are not on."""
+    return tuple(trials.random((1, 6 if labels == "units" else 4), deformations, each, "A", labels, skin))
 
 
 def run_rows(
@@ -173,11 +182,12 @@ def devices(mismatch: Mismatch | None, plan: Plan) -> Iterator[tuple[int, Device
         plan: Draws and seed.
     """
     for number in range(plan.first, plan.first + (1 if mismatch == Mismatch() else plan.draws)):
-        yield number, draw_device(mismatch if mismatch is not None else _random(plan, number), plan.seed, number)
+        off = mismatch if mismatch is not None else _random(plan, number)
+        yield number, draw_device(off, plan.seed, number, plan.meant)
 
 
 def _random(plan: Plan, number: int) -> Mismatch:
-    return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]))
+    return random_mismatch(np.random.default_rng([DRAW_SEED + 1, plan.seed, number]), plan.meant)
 
 
 def _run(
@@ -185,9 +195,9 @@ def _run(
 ) -> list[Outcome]:
     found = []
     for case, phantom in cases(device, kind, run.reference, plan, number, follower):
-        image, truth = run.solver(case), truth_map(phantom)
+        image, truth = run.solver(case), truth_map(phantom, plan.skin.grid)
         touched = judge(case.voltages, case.flat_reference)
-        found.append(Outcome(correlation(image, truth), distances_mm(image, truth), touched))
+        found.append(Outcome(correlation(image, truth), distances_mm(image, truth, plan.skin.grid), touched))
     return found
 
 
@@ -222,7 +232,8 @@ def cases(
         return add_noise(np.tile(volts, (frames, 1)), taken, plan.noise, plan.snr_db, read)
 
     if follower is not None:
-        follower.begin(taken, voltages_of(device.scene(Scene(), as_it_is=True), device.front_end), reads)
+        flat_now = device.scene(nominal_scene(plan.meant), as_it_is=True)
+        follower.begin(taken, voltages_of(flat_now, device.front_end), reads)
     for index, phantom in enumerate(kind.phantoms):
         scene = device.scene(phantom.scene, as_it_is=kind.lowering)
         rng = np.random.default_rng([*seeds, 1, index])
