@@ -13,8 +13,10 @@ stays, for as long as it lasts, and its standard deviation grows by that of real
 
 A reference from a file says nothing of what the sheet did since: nothing is taken out before the sheet was seen to read
 like it, but for a common factor, or a scan was. Until then the Gaussian's c is what is reported, with its error: half a
-percent with a cloud, a tenth without, since a stretch that is the same in every direction looks just like it. Untouched
-by the gate, and yet beyond ``UNEVEN`` times the limit of D for ``HOLD`` frames, the reference is called ``uneven``.
+percent with a cloud, a tenth without, since a stretch that is the same in every direction looks just like it. Before
+that, and where nothing explains the frames, it is what may be expected of any sheet: none, give or take ``PRIOR``.
+Untouched by the gate, and yet beyond ``UNEVEN`` times the limit of D for ``HOLD`` frames, the reference is called
+``uneven``.
 """
 
 import math
@@ -52,6 +54,9 @@ WALK: Final = 1e-9
 PRIOR: Final = 0.1
 """Standard deviation of what a sheet may have drifted since a reference that comes from a file."""
 
+EXPECTED_PERCENT: Final = (0.0, 100.0 * PRIOR)
+"""Drift and its standard deviation before a frame has told anything."""
+
 TRACKED: Final = 5e-4
 """Standard deviation of what is followed from the reference on."""
 
@@ -83,9 +88,9 @@ class Drift:
         """How often what is taken out has changed."""
         self._gone = np.zeros(N_ROWS, dtype=np.bool_)
         self._scan = np.zeros(N_ROWS, dtype=np.float32)
-        self.percent = self.sigma_percent = self.uneven_percent = math.nan
+        self.percent, self.sigma_percent, self.uneven_percent = *EXPECTED_PERCENT, math.nan
         """How far all voltages are from the reference alike, its standard deviation, and the rms of what is not alike;
-        not a number while unknown."""
+        the last is not a number while unknown."""
         self.distance = (self.percent, self.sigma_percent, self.uneven_percent)
         """All three, for a frame."""
         self.restart(np.full(N_ROWS, USUAL), 100)
@@ -107,7 +112,7 @@ class Drift:
         self._strange = 0
         self.uneven = self._told = self._told_uneven = False
         self.active = False
-        self.percent = self.sigma_percent = self.uneven_percent = math.nan
+        self.percent, self.sigma_percent, self.uneven_percent = *EXPECTED_PERCENT, math.nan
         self._report()
 
     def leave_out(self, rows: npt.NDArray[np.bool_]) -> None:
@@ -218,7 +223,7 @@ class Drift:
         self._strange = self._strange + frames if far else 0
         self.uneven = self._strange >= HOLD
         if self.uneven and not self._followed:
-            self.percent = self.sigma_percent = math.nan
+            self.percent, self.sigma_percent = EXPECTED_PERCENT
 
     def _report(self) -> None:
         """Say how far the sheet is, and make that what is taken out."""

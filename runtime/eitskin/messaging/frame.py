@@ -113,8 +113,9 @@ class Frame:
         skipped: What was left out, and why: ``inference:untouched``.
         events: What happened at this frame: ``overrun``, ``device_reset``, ``saturated``, ``cloud``, ``lost``.
         electrodes: Those that are not well, what is wrong, what stands in for their rows: ``5:detached:imputed``.
-        drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None: unknown.
-        drift_sd_percent: Its standard deviation; None while unknown.
+        drift_percent: How far the untouched voltages have moved against the reference, all rows alike; None where the
+            bundle has nothing to tell it by.
+        drift_sd_percent: Its standard deviation, 10 before anything was seen; None likewise.
         drift_uneven_percent: Rms over the rows of what has moved besides; None while unknown.
         gate_logit: The gate's logit of this frame by itself; ``touched`` is also what changed as by a press.
         cloud: Revision of the cloud in use; 0 is the flat sheet.

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from eitskin.health.drift import HOLD, LEAST, TRACKED, WALK, Drift
+from eitskin.health.drift import HOLD, LEAST, PRIOR, TRACKED, WALK, Drift
 from eitskin.health.imputation import Consistency
 from eitskin_proto.sensor.table import N_ROWS
 
@@ -57,6 +57,11 @@ def corrected(drift, logs):
     return np.log1p(change.astype(np.float64))
 
 
+def expected_of_any_sheet(drift):
+    """Whether only what any sheet may have drifted is reported."""
+    return drift.percent == 0.0 and drift.sigma_percent == 100.0 * PRIOR
+
+
 RESTED = HOLD // TOGETHER + 5
 
 
@@ -76,7 +81,7 @@ def test_a_reference_that_was_just_taken_is_followed_without_any_scan(true):
 def test_a_reference_from_a_file_is_corrected_once_its_sheet_is_seen_or_scanned(true):
     bent = 0.1 * BENDS[0]
     drift = followed(fresh=False)
-    assert math.isnan(drift.percent)
+    assert expected_of_any_sheet(drift)
     show(drift, true, 40)
     assert drift.taken_out == pytest.approx(true, abs=1e-3)
     scanned = followed(fresh=False)
@@ -157,7 +162,7 @@ def test_a_new_reference_begins_anew():
     show(drift, 0.1, 40)
     drift.restart(np.full(N_ROWS, NOISE), 100)
     assert drift.taken_out == 0.0
-    assert math.isnan(drift.percent)
+    assert expected_of_any_sheet(drift)
     assert corrected(drift, 0.1)[0] == pytest.approx(0.1, abs=1e-6)
 
 
@@ -175,7 +180,7 @@ def test_an_untouched_sheet_that_no_factor_explains_is_called_uneven_once():
     drift = followed(fresh=False)
     assert show(drift, GRADIENT, 2 * RESTED, PREDICTION) == ["drift:uneven"]
     assert drift.uneven
-    assert math.isnan(drift.percent), "no number stands for it"
+    assert expected_of_any_sheet(drift), "no number of its own stands for it"
     show(drift, 0.0, RESTED, PREDICTION)
     assert not drift.uneven
 
