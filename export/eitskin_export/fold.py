@@ -17,6 +17,7 @@ from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import ImageLinear, fixed, images_of_clouds, places, signs
+from eitskin_training.network.linear import Narrow
 from eitskin_training.network.mirror import Mirror
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
 from eitskin_training.network.sharpen import CELL, LOGITS, Sharpen, cells, pixel_of_cell
@@ -179,15 +180,18 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
     norm = exact.fusion[0]
     assert isinstance(norm, nn.BatchNorm1d)
     scale, shift = _affine(norm)
-    if isinstance(exact.fusion_voltage, ImageLinear):
-        mixed = Mixed(exact.fusion_voltage)
+    *before_fusion, fusion_voltage = _parts(exact.fusion_voltage)
+    *before_out, last = _parts(exact.out)
+    voltage = nn.Sequential(voltage, *map(_folded, before_fusion)) if before_fusion else voltage
+    if isinstance(fusion_voltage, ImageLinear):
+        mixed = Mixed(fusion_voltage)
         mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])
         fusion: nn.Module = mixed
-        out: nn.Module = Mixed(_central(exact.out, exact.mirrors))
+        last = Mixed(_central(last, exact.mirrors))
     else:
-        assert isinstance(exact.fusion_voltage, nn.Linear)
-        fusion = _linear(exact.fusion_voltage.weight * scale[:, None], None)
-        out = exact.out
+        assert isinstance(fusion_voltage, nn.Linear)
+        fusion = _linear(fusion_voltage.weight * scale[:, None], None)
+    out = nn.Sequential(*map(_folded, before_out), last) if before_out else last
     linear = _linear(exact.fusion_cloud.weight * scale[:, None], exact.fusion_cloud.bias * scale + shift)
     kind = PredictedHead if architecture.log_predicted else PlainHead
     for block in exact.sharpen.blocks:
@@ -205,6 +209,8 @@ def _folded(module: nn.Module) -> nn.Module:
         return module
     if isinstance(module, ImageLinear):
         return Mixed(module)
+    if isinstance(module, Narrow):
+        return Narrow(*map(_folded, module))
     if not isinstance(module, nn.Sequential):
         return module
     layers: list[nn.Module] = []
@@ -216,9 +222,16 @@ def _folded(module: nn.Module) -> nn.Module:
                 continue
             fuse = fuse_linear_bn_eval if isinstance(before, nn.Linear) else fuse_conv_bn_eval
             layers[-1] = fuse(before, layer)  # type: ignore[type-var]
+        elif isinstance(layer, Narrow):
+            layers += layer
         elif not isinstance(layer, nn.Dropout):
             layers.append(layer)
     return nn.Sequential(*layers)
+
+
+def _parts(layer: nn.Module) -> list[nn.Module]:
+    """Return a layer alone, or the two of a narrow one."""
+    return list(layer) if isinstance(layer, Narrow) else [layer]
 
 
 def _central(layer: nn.Module, mirrors: Mirrors) -> ImageLinear:
@@ -241,7 +254,8 @@ def _affine(norm: nn.BatchNorm1d) -> tuple[Tensor, Tensor]:
 
 def _fold_before(standardise: Standardise, linear: nn.Linear) -> None:
     weight = linear.weight.detach() * standardise.scale
-    linear.bias = nn.Parameter(linear.bias.detach() - weight @ standardise.mean)
+    bias = 0.0 if linear.bias is None else linear.bias.detach()
+    linear.bias = nn.Parameter(bias - weight @ standardise.mean)
     linear.weight = nn.Parameter(weight)
 
 

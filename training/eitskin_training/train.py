@@ -28,6 +28,7 @@ from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import Skin
+from eitskin_training.narrowed import fits, narrowed
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
@@ -132,7 +133,8 @@ def train(
         resume: Whether to go on from the folder's checkpoint.
         stop_after: Stop early after this epoch; the run can be resumed.
         sources: Where the data sets lie, for the export to find them again.
-        start: Weights to start from; None draws them. Their network must be of the same shape.
+        start: Weights to start from; None draws them. Their network must be of the same shape, or a
+            larger one whose layers the recipe's ranks narrow.
         progress: Called after every batch.
 
     Returns:
@@ -151,7 +153,7 @@ def train(
     run = _start(recipe, seed, steps_per_epoch, data)
     run.sources = sources
     if start is not None:
-        _start_from(run, start)
+        _start_from(run, narrowed(start, recipe, data) if fits(start, recipe) else start)
     if resume and checkpoint.exists():
         _restore(run, checkpoint)
     where = device()

@@ -38,7 +38,14 @@ class Making:
     """Told how each epoch went."""
 
     def whole(
-        self, recipe: BuildRecipe, work: Path, given: float | None, *, share: float = 1.0, presses: Any = None
+        self,
+        recipe: BuildRecipe,
+        work: Path,
+        given: float | None,
+        *,
+        share: float = 1.0,
+        presses: Any = None,
+        larger: Path | None = None,
     ) -> Made:
         """Make a bundle, or go on with it.
 
@@ -48,6 +55,7 @@ class Making:
             given: Hours to scale it to; None leaves it as it is.
             share: Of these hours.
             presses: A recording of some, to be learned from besides; None without.
+            larger: The bundle whose network it begins with, narrowed, if it is of its shape; None as the recipe says.
 
         Raises:
             OtherBuildError: The folder holds another one.
@@ -61,7 +69,7 @@ class Making:
                 wanted = hours.scaled(recipe, share * given, hours.measure(recipe, self.workers, self.tell))
             half_made.begin(work, recipe, wanted, given)
         steps.make_data(wanted, work, self.workers, self.tell)
-        trained = steps.train_legs(wanted, work, self.tell, self.say, presses)
+        trained = steps.train_legs(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
         card = steps.make_card(wanted, work, bundle, str(exported["bundle"]), self.tell)
         return Made(wanted, exported, card, bundle)
@@ -84,8 +92,8 @@ def with_smaller(
 
     share = hours.SMALL_SHARE
     large = making.whole(recipe, work, given, share=1.0 - share)
-    small = making.whole(smaller, work / "small", given, share=share)
     halves = work / "large.eitskin", work / "small.eitskin"
     large.finish(halves[0])
+    small = making.whole(smaller, work / "small", given, share=share, larger=halves[0])
     small.finish(halves[1])
     return large, str(pair(*halves, out)["bundle"])

@@ -71,7 +71,12 @@ def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> No
 
 
 def train_legs(
-    recipe: BuildRecipe, folder: Path, tell: Tell, finished: Tell = lambda _: None, presses: Any = None
+    recipe: BuildRecipe,
+    folder: Path,
+    tell: Tell,
+    finished: Tell = lambda _: None,
+    presses: Any = None,
+    larger: Path | None = None,
 ) -> Path:
     """Train every leg, or go on with it, and return the last one's folder.
 
@@ -81,6 +86,7 @@ def train_legs(
         tell: Told what is being done.
         finished: Told how each epoch went.
         presses: A recording of some, to be learned from in the end, and kept if it is better for it; None without.
+        larger: A bundle whose network it begins with where that is its own but for the ranks; None as the recipe says.
     """
     from eitskin_training import train
     from eitskin_training.gate.stored import gate_of_run
@@ -96,7 +102,7 @@ def train_legs(
     run = folder
     for number, leg in enumerate(recipe.training, 1):
         tell(f"training {number} of {len(recipe.training)}, on {train.device()}")
-        start = start_of(recipe, leg) if number == 1 else Start.of_run(run)
+        start = start_of(recipe, leg, larger) if number == 1 else Start.of_run(run)
         run = folder / "runs" / str(number)
         where = [folder / "data" / name for name in leg.data or recipe.data]
         data = load_all([str(one) for one in where])
@@ -155,14 +161,24 @@ def finish(bundle: Path, card: dict[str, Any], out: Path) -> str:
     return write(out, members, {**facts, "metrics": {**facts.get("metrics", {}), "card": card}}, skin)
 
 
-def start_of(recipe: BuildRecipe, leg: Leg) -> Any:
+def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
     """Return the network that a leg begins with, None for a new one.
+
+    Args:
+        recipe: What is made.
+        leg: The first one.
+        larger: A bundle to begin with where the recipe's network is that bundle's, narrowed.
 
     Raises:
         SkinError: There is no such bundle, or it cannot be taken apart.
     """
     from eitskin_export.unfold import start_of_bundle
+    from eitskin_training.narrowed import fits
 
+    if larger is not None:
+        start = start_of_bundle(larger)
+        if fits(start, fitted_to(recipe, leg, start.skin)):
+            return start
     if leg.start_from is None:
         return None
     own = recipe.beside / leg.start_from

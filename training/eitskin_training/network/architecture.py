@@ -30,6 +30,9 @@ class Architecture:
         sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
         symmetric: Whether every layer but the sharpening keeps the skin's mirror symmetries; widths are then those of
             one image. Residual voltage channels with pixels out only.
+        ranks: Of each linear layer that a frame passes, in order: the voltage channel's, the first fusion layer, the
+            last one. Such a layer is two, with so many features in between, of each image; none leaves all whole. A
+            frame is 104 numbers, so a wide layer's weights are mostly not needed.
     """
 
     voltage_channel: VoltageChannel = "residual"
@@ -45,6 +48,7 @@ class Architecture:
     activation: Activation = "relu"
     sharpening: tuple[int, ...] = ()
     symmetric: bool = False
+    ranks: tuple[int, ...] = ()
 
     def __post_init__(self) -> None:
         if self.outputs not in get_args(Outputs):
@@ -55,6 +59,12 @@ class Architecture:
             raise ValueError(f"sharpening needs pixels as outputs, found {self.outputs}: units have no pixels around")
         if self.symmetric and (self.voltage_channel != "residual" or self.outputs != "pixels"):
             raise ValueError("a symmetric network needs a residual voltage channel and pixels as outputs")
+        if self.ranks and (self.voltage_channel != "residual" or len(self.ranks) != len(self.widths) + 2):
+            raise ValueError(
+                f"ranks are {self.ranks}; expected {len(self.widths) + 2} of a residual channel, one a layer, or none"
+            )
+        if self.ranks and min(self.ranks) < 1:
+            raise ValueError(f"ranks are {self.ranks}; expected at least 1 each")
         if not 0.0 <= self.dropout < 1.0:
             raise ValueError(f"dropout is {self.dropout}; expected 0 <= dropout < 1")
 

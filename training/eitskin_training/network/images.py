@@ -68,10 +68,11 @@ class ImageLinear(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (n, B, outputs)."""
-        y = self._sums(torch.bmm(self._sums(x), self.weight))
+        y = self.sums(torch.bmm(self.sums(x), self.weight))
         return y if self.bias is None else y + self.bias
 
-    def _sums(self, x: Tensor) -> Tensor:
+    def sums(self, x: Tensor) -> Tensor:
+        """Return (n, B, C) sums of images with signs, which the layer does not mix; twice is the identity."""
         return torch.mm(self.signs, x.reshape(len(x), -1)).view(x.shape)
 
 

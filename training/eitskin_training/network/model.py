@@ -22,7 +22,8 @@ from torch import Tensor, nn
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import ImageLinear, ImageNorm, Parts, images_of_clouds, images_of_rows, part
+from eitskin_training.network.images import ImageNorm, Parts, images_of_clouds, images_of_rows, part
+from eitskin_training.network.linear import last_part, linear
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.sharpen import Sharpen
 
@@ -69,9 +70,9 @@ class Standardise(nn.Module):
 class Residual(nn.Module):
     """x + activation(BN(linear(x)))."""
 
-    def __init__(self, width: int, architecture: Architecture, images: int) -> None:
+    def __init__(self, width: int, architecture: Architecture, images: int, number: int) -> None:
         super().__init__()
-        self.path = _dense(width, width, architecture, images)
+        self.path = _dense(width, width, architecture, images, number)
 
     def forward(self, x: Tensor) -> Tensor:
         """Return (B, width)."""
@@ -97,22 +98,22 @@ class VD2T(nn.Module):
         self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
         self.voltage, voltage_width = _voltage_channel(architecture, len(self.mirrors))
         self.cloud, cloud_width = _cloud_channel(architecture, skin.grid.shape)
-        self.fusion_voltage = _linear(voltage_width, architecture.hidden, architecture, len(self.mirrors))
+        layers, images = len(architecture.widths), len(self.mirrors)
+        self.fusion_voltage = linear(voltage_width, architecture.hidden, architecture, images, number=layers)
         self.fusion_cloud = nn.Linear(cloud_width, architecture.hidden)
         self.fusion = nn.Sequential(
             _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
         )
         if architecture.symmetric:
-            self.out: nn.Linear | ImageLinear = ImageLinear(
-                len(self.mirrors), architecture.hidden, len(part(self.mirrors)), bias=True
-            )
+            outputs = len(part(self.mirrors))
             self.pixels: nn.Module = Parts(self.mirrors)
         else:
-            self.out = nn.Linear(architecture.hidden, outputs_of(architecture, skin))
-            self.pixels = nn.Identity()
+            outputs, self.pixels = outputs_of(architecture, skin), nn.Identity()
+        self.out = linear(architecture.hidden, outputs, architecture, images, number=layers + 1, bias=True)
         self.sharpen = Sharpen(architecture.sharpening, _kind(architecture), skin.grid.shape)
-        assert self.out.bias is not None
-        nn.init.constant_(self.out.bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
+        bias = last_part(self.out).bias
+        assert isinstance(bias, nn.Parameter)
+        nn.init.constant_(bias, float(torch.logit(torch.tensor(TOUCHED_PRIOR))))
         unit_of_pixel = torch.from_numpy(skin.grid.unit_of_pixel.reshape(-1).copy())
         self.register_buffer("unit_of_pixel", unit_of_pixel, persistent=False)
 
@@ -207,20 +208,13 @@ def _kind(architecture: Architecture) -> type[nn.Module]:
     return nn.SiLU if architecture.activation == "silu" else nn.ReLU
 
 
-def _linear(inputs: int, outputs: int, architecture: Architecture, images: int) -> nn.Module:
-    if architecture.symmetric:
-        return ImageLinear(images, inputs, outputs)
-    return nn.Linear(inputs, outputs, bias=False)
-
-
 def _norm(width: int, architecture: Architecture) -> nn.Module:
     return ImageNorm(width) if architecture.symmetric else nn.BatchNorm1d(width)
 
 
-def _dense(inputs: int, outputs: int, architecture: Architecture, images: int, *, first: bool = False) -> nn.Sequential:
-    """Return a layer; the first one is the same for every image, whose rows are its inputs."""
+def _dense(inputs: int, outputs: int, architecture: Architecture, images: int, number: int) -> nn.Sequential:
     return nn.Sequential(
-        nn.Linear(inputs, outputs, bias=False) if first else _linear(inputs, outputs, architecture, images),
+        linear(inputs, outputs, architecture, images, number=number),
         _norm(outputs, architecture),
         activation(architecture),
         nn.Dropout(architecture.dropout),
@@ -231,12 +225,12 @@ def _voltage_channel(architecture: Architecture, images: int) -> tuple[nn.Sequen
     """Return the channel and the width of what it gives."""
     widths = architecture.widths
     width_in = architecture.feature_blocks * N_ROWS
-    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, images, first=True)]
+    layers: list[nn.Module] = [_dense(width_in, widths[0], architecture, images, 0)]
     if architecture.voltage_channel == "residual":
-        layers += [Residual(width, architecture, images) for width in widths[1:]]
+        layers += [Residual(width, architecture, images, number) for number, width in enumerate(widths[1:], 1)]
         return nn.Sequential(*layers), widths[-1]
-    for before, after in itertools.pairwise(widths):
-        layers.append(_dense(before, after, architecture, images))
+    for number, (before, after) in enumerate(itertools.pairwise(widths), 1):
+        layers.append(_dense(before, after, architecture, images, number))
     layers.append(nn.Unflatten(1, (1, widths[-1])))
     length, channels = widths[-1], 1
     for index, after in enumerate(architecture.convolutions):
