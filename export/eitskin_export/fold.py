@@ -182,7 +182,8 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
     scale, shift = _affine(norm)
     *before_fusion, fusion_voltage = _parts(exact.fusion_voltage)
     *before_out, last = _parts(exact.out)
-    voltage = nn.Sequential(voltage, *map(_folded, before_fusion)) if before_fusion else voltage
+    assert isinstance(voltage, nn.Sequential)
+    voltage = nn.Sequential(*voltage, *map(_folded, before_fusion))
     if isinstance(fusion_voltage, ImageLinear):
         mixed = Mixed(fusion_voltage)
         mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])

@@ -21,6 +21,7 @@ from eitskin_export.bundle import read
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.images import ImageLinear, signs
+from eitskin_training.network.linear import Narrow, last_part
 from eitskin_training.network.model import VD2T, Residual
 from eitskin_training.network.sharpen import LOGITS
 from eitskin_training.recipes import Recipe
@@ -75,19 +76,24 @@ def _weights(graph: bytes) -> Weights:
 
 def _filled(model: VD2T, geometry: Weights, head: Weights) -> VD2T:
     with torch.no_grad():
+        mixed = ".linear" if model.architecture.symmetric else ""
         first = model.voltage[0]
         assert isinstance(first, nn.Sequential)
-        _dense(first, head["voltage.0.0.weight"], head["voltage.0.0.bias"])
+        _norm(first[1], _taken(first[0], head, "voltage.0.0", "voltage.0.1"))
         for number, block in enumerate(list(model.voltage)[1:], start=1):
             if not isinstance(block, Residual):
                 raise SkinError("only networks with a residual voltage channel can be taken apart; train one anew")
-            name = f"voltage.{number}.path.0" + (".linear" if model.architecture.symmetric else "")
-            _dense(block.path, head[f"{name}.weight"], head[f"{name}.bias"])
+            name = f"voltage.{number}.path"
+            _norm(block.path[1], _taken(block.path[0], head, f"{name}.0{mixed}", f"{name}.1{mixed}"))
         name = next(name for name in FUSION if name in head)
-        _linear(model.fusion_voltage, head[name].T if name == FUSION[-1] else head[name])
+        head["fusion.weight"] = head[name].T if name == FUSION[-1] else head[name]
+        names = (f"voltage.{len(model.voltage)}{mixed}", "fusion")
+        _taken(model.fusion_voltage, head, *(names if isinstance(model.fusion_voltage, Narrow) else names[1:]))
         _norm(model.fusion[0], np.zeros(model.architecture.hidden, dtype=np.float32))
-        out = "out.linear" if model.architecture.symmetric else "out"
-        _linear(model.out, head[f"{out}.weight"], head[f"{out}.bias"])
+        names = (f"out.0{mixed}", f"out.1{mixed}") if isinstance(model.out, Narrow) else (f"out{mixed}",)
+        bias = last_part(model.out).bias
+        assert isinstance(bias, Tensor)
+        bias.copy_(torch.from_numpy(np.array(_taken(model.out, head, *names))))
         for number, sharpening in enumerate(model.sharpen.blocks):
             assert isinstance(sharpening, nn.Sequential)
             for layer, factor in ((0, LOGITS), (2, 1.0)):
@@ -104,9 +110,18 @@ def _filled(model: VD2T, geometry: Weights, head: Weights) -> VD2T:
     return model.eval()
 
 
-def _dense(layers: nn.Sequential, weight: npt.NDArray[np.float32], bias: npt.NDArray[np.float32]) -> None:
-    _linear(layers[0], weight)
-    _norm(layers[1], bias)
+def _taken(layer: nn.Module, head: Weights, *names: str) -> npt.NDArray[np.float32]:
+    """Fill a layer in, or both parts of a narrow one, and return its bias.
+
+    What was added between the two comes through the second, whose own layer has nothing to add there.
+    """
+    parts = list(layer) if isinstance(layer, Narrow) else [layer]
+    bias = np.zeros(1, dtype=np.float32)
+    for part, name in zip(parts, names, strict=False):
+        weight = head[f"{name}.weight"]
+        _linear(part, weight)
+        bias = head.get(f"{name}.bias", np.zeros(1, dtype=np.float32)) + (weight @ bias if bias.any() else 0.0)
+    return bias
 
 
 def _linear(layer: nn.Module, weight: npt.NDArray[np.float32], bias: npt.NDArray[np.float32] | None = None) -> None:

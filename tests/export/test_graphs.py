@@ -65,6 +65,19 @@ ARCHITECTURES = {
         sharpening=(8, 8),
         symmetric=True,
     ),
+    "narrow": Architecture(
+        widths=(40, 40),
+        cloud_channels=(4, 4),
+        hidden=40,
+        log_predicted=True,
+        activation="silu",
+        sharpening=(8, 8),
+        symmetric=True,
+        ranks=(24, 6, 7, 8),
+    ),
+    "narrow units": Architecture(
+        widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs="units", ranks=(24, 20, 20, 16)
+    ),
     "symmetric, not sharpened": Architecture(widths=(40, 40), cloud_channels=(4, 4), hidden=32, symmetric=True),
 }
 
@@ -96,7 +109,7 @@ def _first_export() -> None:
 @pytest.mark.parametrize(
     "name",
     [
-        pytest.param(name, marks=() if name in ("paper", "sharpened", "symmetric") else pytest.mark.slow)
+        pytest.param(name, marks=() if name in ("paper", "sharpened", "symmetric", "narrow") else pytest.mark.slow)
         for name in ARCHITECTURES
     ],
 )
@@ -126,7 +139,7 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("skin", SKINS.values(), ids=SKINS)
-@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "units"])
+@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "units", "narrow"])
 def test_networks_of_other_skins_fold_to_what_they_say(name: str, skin: Skin) -> None:
     model = trained_looking(ARCHITECTURES[name], skin)
     geometry, head = split(model)

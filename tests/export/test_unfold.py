@@ -16,7 +16,7 @@ from .test_graphs import ARCHITECTURES, trained_looking
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
-NAMES = ("units", "predicted", "sharpened", "symmetric")
+NAMES = ("units", "predicted", "sharpened", "symmetric", "narrow", "narrow units")
 
 
 def _recipe(name):

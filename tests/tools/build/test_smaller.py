@@ -74,8 +74,11 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     asked: list[Any] = []
     sizes = {tmp_path / "work": 8, tmp_path / "work" / "small": 4}
 
-    def whole(self: making.Making, recipe: BuildRecipe, work: Path, given: float, *, share: float) -> making.Made:
+    def whole(
+        self: making.Making, recipe: BuildRecipe, work: Path, given: float, *, share: float, larger: Path | None = None
+    ) -> making.Made:
         asked.append((work, given, share))
+        assert (larger is not None and larger.is_file()) is (work.name == "small"), "it may begin with the larger one"
         work.mkdir()
         return making.Made(recipe, {}, {"cc": sizes[work]}, tiny_bundle(work / "exported.eitskin", sizes[work]))
 
