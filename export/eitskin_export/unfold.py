@@ -87,10 +87,10 @@ def _filled(model: VD2T, geometry: Weights, head: Weights) -> VD2T:
             _norm(block.path[1], _taken(block.path[0], head, f"{name}.0{mixed}", f"{name}.1{mixed}"))
         name = next(name for name in FUSION if name in head)
         head["fusion.weight"] = head[name].T if name == FUSION[-1] else head[name]
-        names = (f"voltage.{len(model.voltage)}{mixed}", "fusion")
-        _taken(model.fusion_voltage, head, *(names if isinstance(model.fusion_voltage, Narrow) else names[1:]))
+        inner = [f"voltage.{len(model.voltage)}{mixed}"] if isinstance(model.fusion_voltage, Narrow) else []
+        _taken(model.fusion_voltage, head, *inner, "fusion")
         _norm(model.fusion[0], np.zeros(model.architecture.hidden, dtype=np.float32))
-        names = (f"out.0{mixed}", f"out.1{mixed}") if isinstance(model.out, Narrow) else (f"out{mixed}",)
+        names = [f"out.0{mixed}", f"out.1{mixed}"] if isinstance(model.out, Narrow) else [f"out{mixed}"]
         bias = last_part(model.out).bias
         assert isinstance(bias, Tensor)
         bias.copy_(torch.from_numpy(np.array(_taken(model.out, head, *names))))

@@ -39,19 +39,24 @@ LIVE: Final[dict[str, tuple[str, str]]] = {
 OFFLINE: Final[dict[str, tuple[str, str]]] = {
     "skin": ("offline.skin", "show or check the description of a sheet, skin.toml"),
     "simulate": ("offline.simulate", "solve a scene with the forward model"),
-    "build": ("offline.build", "data, training, export and card of a bundle, from one file"),
     "dataset": ("offline.dataset", "generate a data set"),
     "train": ("offline.train", "train VD2T"),
     "curves": ("offline.curves", "losses of training runs side by side"),
     "calibrate": ("offline.calibrate", "find out what this device is, from its own readings"),
-    "adapt-skin": ("offline.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
-    "adapt": ("offline.adapt", "teach a trained network to go on without electrodes"),
-    "export": ("offline.export", "export a trained network to a bundle"),
-    "pair": ("offline.pair", "put a smaller network into a bundle"),
     "evaluate": ("offline.evaluate", "score a solver on phantoms"),
     "bench": ("offline.bench", "benchmarks, each with --json"),
 }
 """Subcommands of simulation, training and evaluation, as in ``LIVE``."""
+
+BUNDLES: Final[dict[str, tuple[str, str]]] = {
+    "build": ("bundles.build", "data, training, export and card of a bundle, from one file"),
+    "export": ("bundles.export", "export a trained network to a bundle"),
+    "pair": ("bundles.pair", "put a smaller network into a bundle"),
+    "card": ("bundles.card", "what a bundle's network is worth, by contrast and by mismatch"),
+    "adapt": ("bundles.adapt", "teach a trained network to go on without electrodes"),
+    "adapt-skin": ("bundles.adapt_skin", "let a bundle go on learning on a calibrated sheet"),
+}
+"""Subcommands that make bundles and try them, as in ``LIVE``."""
 
 RECORDED: Final[dict[str, tuple[str, str]]] = {
     "record": ("recorded.record", "write what a runtime measures into a file that survives power cuts"),
@@ -61,7 +66,7 @@ RECORDED: Final[dict[str, tuple[str, str]]] = {
 }
 """Subcommands that write or read recordings, as in ``LIVE``."""
 
-COMMANDS: Final = {**LIVE, **RECORDED, **OFFLINE}
+COMMANDS: Final = {**LIVE, **RECORDED, **BUNDLES, **OFFLINE}
 """All subcommands in the order of the help."""
 
 FIRST_STEPS: Final = """first steps, without hardware:
@@ -73,9 +78,12 @@ FIRST_STEPS: Final = """first steps, without hardware:
 
 
 def _help_text() -> str:
-    """Return the commands in three groups, and the first steps."""
+    """Return the commands in four groups, and the first steps."""
     groups = []
-    titled = (("around a running skin", LIVE), ("recordings", RECORDED), ("simulation, training, evaluation", OFFLINE))
+    titled = (
+        ("around a running skin", LIVE), ("recordings", RECORDED), ("bundles", BUNDLES),
+        ("simulation, training, evaluation", OFFLINE),
+    )  # fmt: skip
     for title, commands in titled:
         lines = [f"    {name:<14}{summary}" for name, (_, summary) in commands.items()]
         groups.append("\n".join([f"{title}:", *lines]))

@@ -17,6 +17,8 @@ ABSENT = "nothere"
 
 TAKING_A_FILE = {
     "pair": ["pair", ABSENT, "free", "--out", "x.eitskin"],
+    "card": ["card", ABSENT],
+    "card --out": ["card", "free", "--out", f"{ABSENT}/x.eitskin"],
     "pair SMALL": ["pair", "free", ABSENT, "--out", "x.eitskin"],
     "flash write": ["flash", "write", ABSENT, "--port", "/dev/null"],
     "flash diff": ["flash", "diff", ABSENT, "--port", "/dev/null"],
@@ -136,6 +138,7 @@ def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
 
 WRITING = {
     "pair": ["pair", "free", "press", "--out"],
+    "card": ["card", "free", "--out"],
     "simulate": ["simulate", "sample", "--out"],
     "surface": ["surface", "sample", "--out"],
     "reference": ["reference", "--port", "/dev/null", "--out"],

@@ -27,6 +27,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "convert": ("mcap",),
     "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
+    "card": ("scipy",),
     "train": ("scipy", "torch"),
     "curves": ("torch",),
     "adapt": ("scipy", "torch"),

@@ -155,10 +155,8 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
     from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
 
-    loaded = bundle_for(request, labels, touches)
-    own = loaded.skin
-    hint = "make a bundle for this skin with 'eitskin export', or name its own with --skin"
-    check_made_for(str(loaded.path), skin, grid_id=own.grid_id, skin_digest=own.digest, hint=hint)
+    loaded = bundle_on(request, labels, touches, skin)
+    assert loaded is not None, "a network has a bundle"
     _check_reference(request, str(loaded.path), takes_prediction=loaded.uses_prediction)
     buffers = Buffers(loaded)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)

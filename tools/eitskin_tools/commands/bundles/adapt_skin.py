@@ -11,7 +11,7 @@ from typing import Any
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, skins
-from eitskin_tools.commands.offline.build import add_making, make
+from eitskin_tools.commands.bundles.build import add_making, make
 from eitskin_tools.errors import UsageError
 
 

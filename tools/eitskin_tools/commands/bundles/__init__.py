@@ -1,0 +1,1 @@
+"""Subcommands that make bundles, put them together and try them."""
