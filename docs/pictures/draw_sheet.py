@@ -10,16 +10,10 @@ import numpy as np
 from matplotlib import pyplot as plt
 from matplotlib.patches import Rectangle
 
-from eitskin_proto.sensor.grid import (
-    ELECTRODE_ARC_MM,
-    GRID_SHAPE,
-    PITCH_MM,
-    SHEET_MM,
-    UNIT_SHAPE,
-    pixel_centres_mm,
-    unit_rect_mm,
-)
 from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER
+
+GRID = PAPER.grid
 
 mpl.use("svg")
 mpl.rcParams["svg.hashsalt"] = "eitskin"
@@ -31,7 +25,7 @@ ROW = 3  # of the table: a drive and a measure that are shown
 
 def place(arc_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
     """Return a point of the border and the direction to the outside, for an arc length from the corner (0, 0)."""
-    width, height = SHEET_MM
+    width, height = PAPER.outline.size_mm
     sides = (
         (width, lambda s: ((s, 0.0), (0.0, -1.0))),
         (height, lambda s: ((width, s), (1.0, 0.0))),
@@ -46,13 +40,27 @@ def place(arc_mm: float) -> tuple[tuple[float, float], tuple[float, float]]:
 
 
 figure, axes = plt.subplots(figsize=(9.0, 6.6))
-width, height = SHEET_MM
-axes.vlines(np.arange(1, GRID_SHAPE[1]) * PITCH_MM, 0, height, color="0.88", linewidth=0.5)
-axes.hlines(np.arange(1, GRID_SHAPE[0]) * PITCH_MM, 0, width, color="0.88", linewidth=0.5)
-axes.vlines(np.arange(1, UNIT_SHAPE[1]) * width / UNIT_SHAPE[1], 0, height, color="tab:blue", linewidth=0.4, alpha=0.5)
-axes.hlines(np.arange(1, UNIT_SHAPE[0]) * height / UNIT_SHAPE[0], 0, width, color="tab:blue", linewidth=0.4, alpha=0.5)
+width, height = PAPER.outline.size_mm
+axes.vlines(np.arange(1, GRID.shape[1]) * GRID.pitch_mm, 0, height, color="0.88", linewidth=0.5)
+axes.hlines(np.arange(1, GRID.shape[0]) * GRID.pitch_mm, 0, width, color="0.88", linewidth=0.5)
+axes.vlines(
+    np.arange(1, GRID.units[1]) * width / GRID.units[1],
+    0,
+    height,
+    color="tab:blue",
+    linewidth=0.4,
+    alpha=0.5,
+)
+axes.hlines(
+    np.arange(1, GRID.units[0]) * height / GRID.units[0],
+    0,
+    width,
+    color="tab:blue",
+    linewidth=0.4,
+    alpha=0.5,
+)
 axes.add_patch(Rectangle((0, 0), width, height, fill=False, linewidth=1.5))
-spots = [place(arc) for arc in ELECTRODE_ARC_MM]
+spots = [place(arc) for arc in PAPER.arc_length_mm]
 drive, measure = (int(value) for value in TABLE[ROW])
 colours = {drive: "tab:red", drive + 1: "tab:red", measure: "tab:green", measure + 1: "tab:green"}
 for number, ((x, y), (out_x, out_y)) in enumerate(spots):
@@ -61,14 +69,14 @@ for number, ((x, y), (out_x, out_y)) in enumerate(spots):
     axes.add_patch(Rectangle(corner, CONTACT_MM, CONTACT_MM, color=colours.get(number, "0.25")))
     axes.text(x + 4 * out_x, y + 4 * out_y, str(number), ha="center", va="center", color=colours.get(number, "0"))
 row, column = PIXEL
-centre = pixel_centres_mm()[row, column]
-axes.add_patch(Rectangle(tuple(centre - PITCH_MM / 2), PITCH_MM, PITCH_MM, color="tab:orange"))
+centre = GRID.pixel_centres_mm()[row, column]
+axes.add_patch(Rectangle(tuple(centre - GRID.pitch_mm / 2), GRID.pitch_mm, GRID.pitch_mm, color="tab:orange"))
 axes.annotate(
-    f"map[{row}, {column}]: a pixel, {PITCH_MM:.2f} mm\ncentre x {centre[0]:.2f}, y {centre[1]:.2f} mm",
+    f"map[{row}, {column}]: a pixel, {GRID.pitch_mm:.2f} mm\ncentre x {centre[0]:.2f}, y {centre[1]:.2f} mm",
     tuple(centre), (85, 8), fontsize=9, bbox={"facecolor": "white", "edgecolor": "0.7"},
     arrowprops={"arrowstyle": "-", "color": "tab:orange"},
 )  # fmt: skip
-x0, y0, x1, y1 = unit_rect_mm(*UNIT)
+x0, y0, x1, y1 = GRID.unit_rect_mm(*UNIT)
 axes.add_patch(Rectangle((x0, y0), x1 - x0, y1 - y0, color="tab:blue", alpha=0.6))
 axes.annotate(
     f"unit [{UNIT[0]}, {UNIT[1]}]: {x1 - x0:.2f} x {y1 - y0:.2f} mm",

@@ -14,8 +14,8 @@ from eitskin.errors import TransportError
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.verified.message import head, rest
 from eitskin.messaging.verified.touch import VerifiedTouch
-from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.scene import load_scene
 from eitskin_tools.view.messages import packed, unpacked
@@ -111,7 +111,7 @@ def test_a_cloud_goes_to_the_runtime_with_its_prediction(example, start, runtime
     with example("send_cloud.py", cloud, runtime.control) as program:
         assert "is in use" in program.until("cloud ")
     scene = load_scene(EXAMPLES / "scene.json")
-    places = surface(scene.bend, scene.sheet, pixel_centres_mm().reshape(-1, 2))
+    places = surface(scene.bend, scene.sheet, PAPER.grid.pixel_centres_mm().reshape(-1, 2))
     with np.load(cloud) as file:
         assert (
             abs(file["cloud"] - align_cloud(places.T.reshape(3, 30, 45))).max() < 2.0

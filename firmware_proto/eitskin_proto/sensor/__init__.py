@@ -1,1 +1,1 @@
-"""The skin itself: the table of rows, the grid, the cloud, the normalisation, and the ids that name them."""
+"""The skin's readings: the table of rows, the normalisation, and the id that names them."""

@@ -1,4 +1,4 @@
-"""Digests that every artefact carries: ``PROTOCOL_ID`` for what is measured, ``GRID_ID`` for where results are drawn.
+"""The digest of what is measured, which every artefact carries beside a skin's ``grid_id`` for where results are drawn.
 
 A bundle, data set, reference or device that was made for another table, sign or grid would give plausible nonsense.
 The digests make it refuse instead. They change only when the meaning of the numbers changes.
@@ -7,7 +7,7 @@ The digests make it refuse instead. They change only when the meaning of the num
 from typing import Final
 
 from eitskin_proto.files.digest import id_of_values
-from eitskin_proto.sensor import grid, table
+from eitskin_proto.sensor import table
 
 PROTOCOL_ID: Final = id_of_values(
     {
@@ -20,14 +20,3 @@ PROTOCOL_ID: Final = id_of_values(
     }
 )
 """16 hex digits that stand for the table of measurements, its signs and the normalisation."""
-
-GRID_ID: Final = id_of_values(
-    {
-        "sheet_mm": grid.SHEET_MM,
-        "shape": grid.GRID_SHAPE,
-        "order": "row-major from (0, 0), x along columns",
-        "units": grid.UNIT_SHAPE,
-        "electrode_arc_mm": grid.ELECTRODE_ARC_MM.tolist(),
-    }
-)
-"""16 hex digits that stand for the map, the units and the electrodes on the flat sheet."""

@@ -13,7 +13,7 @@ SKIN: Final = (samples.ROOT / "firmware_proto" / "eitskin_proto" / "skins" / "hy
 
 def measured() -> dict[str, Any]:
     """Return the arrays of a measured file; its numbers are made up, its shapes are not."""
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.skin.cloud import flat_cloud
     from eitskin_proto.skin.skin import PAPER
 
@@ -24,7 +24,7 @@ def measured() -> dict[str, Any]:
         "reference_V": rows, "reference_cloud_mm": flat_cloud(), "voltages_V": np.stack([0.9 * rows, rows, 1.1 * rows]),
         "cloud_mm": flat_cloud()[None], "cloud_index": np.array([0, -1, 0]), "truth": truth,
         "kind": np.array(["single", "untouched", "again"]), "touch_kind": np.array("raising"),
-        "protocol_id": np.array(PROTOCOL_ID), "grid_id": np.array(GRID_ID), "skin_digest": np.array(PAPER.digest),
+        "protocol_id": np.array(PROTOCOL_ID), "grid_id": np.array(PAPER.grid_id), "skin_digest": np.array(PAPER.digest),
     }  # fmt: skip
 
 
@@ -33,7 +33,8 @@ def mismatches() -> list[dict[str, Any]]:
     from eitskin_sim.evaluation.devices.mismatch import BOUNDS
 
     every: dict[str, Any] = {name: 0.7 * low + 0.3 * high for name, (low, high) in BOUNDS.items()}
-    return [{"name": "every key", **every, "scan": True}, {"name": "none"}, {"name": "no scan", "scan": False}]
+    every |= {"scan": True, "length_mm": 148.0}  # of the paper's sheet
+    return [{"name": "every key", **every}, {"name": "none"}, {"name": "no scan", "scan": False}]
 
 
 def tank() -> dict[str, Any]:

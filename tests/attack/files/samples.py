@@ -44,11 +44,12 @@ def scene() -> dict[str, Any]:
 def reference() -> dict[str, Any]:
     """Return a reference's fields, without its checksum."""
     from eitskin.reference.captured import FORMAT, VERSION
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
+    from eitskin_proto.skin.skin import PAPER
 
     volts = np.linspace(0.1, 1.0, 104)
     return {
-        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": GRID_ID,
+        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id,
         "serial_number": "VIRTUAL-0001", "configuration_digest": "0011aaff", "configuration_name": "paper",
         "captured_utc": "2026-01-01T00:00:00Z", "frames": 100,
         "voltages_V": volts.tolist(), "spread_V": (1e-3 * volts).tolist(),
@@ -110,14 +111,14 @@ def ply_binary() -> bytes:
 
 def cloud() -> dict[str, Any]:
     """Return the arrays of a cloud's file."""
-    from eitskin_proto.sensor.ids import GRID_ID
     from eitskin_proto.skin.cloud import flat_cloud
     from eitskin_proto.skin.cloud_file import MAGIC, VERSION
+    from eitskin_proto.skin.skin import PAPER
 
     rows = np.linspace(0.1, 1.0, 104)
     return {
-        "magic": np.array(MAGIC), "version": np.array(VERSION), "grid_id": np.array(GRID_ID), "cloud": flat_cloud(),
-        "predicted": rows, "predicted_flat": rows,
+        "magic": np.array(MAGIC), "version": np.array(VERSION), "grid_id": np.array(PAPER.grid_id),
+        "cloud": flat_cloud(), "predicted": rows, "predicted_flat": rows,
     }  # fmt: skip
 
 
@@ -151,8 +152,9 @@ def bundle(parts: dict[str, bytes], manifest: Any) -> bytes:
 def data_set(folder: Path) -> None:
     """Write a data set of two bends on the unit grid and nothing computed: its numbers are made up."""
     from eitskin_proto.files.digest import sha256_of
-    from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+    from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.skin.cloud import flat_cloud
+    from eitskin_proto.skin.skin import PAPER
     from eitskin_sim.dataset.index import FORMAT, VERSION
 
     folder.mkdir(exist_ok=True)
@@ -177,7 +179,8 @@ def data_set(folder: Path) -> None:
     }  # fmt: skip
     listed = [{"file": name, "sha256": sha256_of(data)} for name, data in files.items()]
     index = {
-        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "set": "paper", "seed": 0,
+        "format": FORMAT, "version": VERSION, "protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id,
+        "set": "paper", "seed": 0,
         "digest": "0" * 16, "touches": listed[0],
         "deformations": [{**entry, "samples": 6, "split": "train", "bend": bend} for entry in listed[1:]],
     }  # fmt: skip

@@ -1,15 +1,5 @@
 import numpy as np
 
-from eitskin_proto.sensor.grid import (
-    ELECTRODE_ARC_MM,
-    GRID_SHAPE,
-    N_PIXELS,
-    PITCH_MM,
-    UNIT_OF_PIXEL,
-    map_from_units,
-    pixel_centres_mm,
-    unit_rect_mm,
-)
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import (
     FULL_TABLE,
@@ -68,30 +58,30 @@ def test_the_tables_cannot_be_changed_by_accident():
 
 
 def test_the_grid_covers_the_sheet_with_square_pixels():
-    centres = pixel_centres_mm()
-    assert centres.shape == (*GRID_SHAPE, 2)
-    assert N_PIXELS == 1350
-    assert centres[0, 0].tolist() == [PITCH_MM / 2] * 2
-    assert np.allclose(centres[-1, -1], [150 - PITCH_MM / 2, 100 - PITCH_MM / 2], rtol=1e-14)
+    centres = PAPER.grid.pixel_centres_mm()
+    assert centres.shape == (*PAPER.grid.shape, 2)
+    assert PAPER.grid.n_pixels == 1350
+    assert centres[0, 0].tolist() == [PAPER.grid.pitch_mm / 2] * 2
+    assert np.allclose(centres[-1, -1], [150 - PAPER.grid.pitch_mm / 2, 100 - PAPER.grid.pitch_mm / 2], rtol=1e-14)
     assert np.allclose(np.diff(centres[0, :, 0]), np.diff(centres[:, 0, 1])[0], rtol=1e-12)
 
 
 def test_every_pixel_lies_in_the_unit_that_claims_it():
-    centres = pixel_centres_mm()
-    for row, column in np.ndindex(GRID_SHAPE):
-        unit = int(UNIT_OF_PIXEL[row, column])
-        x0, y0, x1, y1 = unit_rect_mm(unit % 14, unit // 14)
+    centres = PAPER.grid.pixel_centres_mm()
+    for row, column in np.ndindex(PAPER.grid.shape):
+        unit = int(PAPER.grid.unit_of_pixel[row, column])
+        x0, y0, x1, y1 = PAPER.grid.unit_rect_mm(unit % 14, unit // 14)
         assert x0 <= centres[row, column, 0] < x1  # the middle column lies on a border exactly
         assert y0 <= centres[row, column, 1] < y1
-    assert set(np.bincount(UNIT_OF_PIXEL.ravel(), minlength=126).tolist()) == {9, 12, 16}
-    assert np.array_equal(map_from_units(np.arange(126)), UNIT_OF_PIXEL)
+    assert set(np.bincount(PAPER.grid.unit_of_pixel.ravel(), minlength=126).tolist()) == {9, 12, 16}
+    assert np.array_equal(PAPER.grid.map_from_units(np.arange(126)), PAPER.grid.unit_of_pixel)
 
 
 def test_electrodes_are_even_and_mirror_symmetric():
-    assert np.allclose(np.diff(ELECTRODE_ARC_MM), 31.25, rtol=1e-14)
+    assert np.allclose(np.diff(PAPER.arc_length_mm), 31.25, rtol=1e-14)
     # Mirrored in x, arc length s goes to 150 - s modulo the border's 500 mm.
-    assert sorted(np.round((150 - ELECTRODE_ARC_MM) % 500, 9)) == sorted(np.round(ELECTRODE_ARC_MM, 9))
-    per_side = np.histogram(ELECTRODE_ARC_MM, bins=[0, 150, 250, 400, 500])[0]
+    assert sorted(np.round((150 - PAPER.arc_length_mm) % 500, 9)) == sorted(np.round(PAPER.arc_length_mm, 9))
+    per_side = np.histogram(PAPER.arc_length_mm, bins=[0, 150, 250, 400, 500])[0]
     assert per_side.tolist() == [5, 3, 5, 3]
 
 

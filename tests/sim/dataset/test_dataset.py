@@ -14,7 +14,8 @@ import numpy as np
 import pytest
 
 from eitskin_proto.errors import MismatchError, ProtocolError, SkinError
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.dataset import cluster as cluster_module
 from eitskin_sim.dataset.generate import DataSetError, generate
 from eitskin_sim.dataset.plan import make_plan
@@ -122,7 +123,7 @@ def test_a_file_that_changed_is_refused(copy: Path) -> None:
         load(copy)
 
 
-@pytest.mark.parametrize(("name", "value"), [("protocol_id", PROTOCOL_ID), ("grid_id", GRID_ID), ("version", 1)])
+@pytest.mark.parametrize(("name", "value"), [("protocol_id", PROTOCOL_ID), ("grid_id", PAPER.grid_id), ("version", 1)])
 def test_a_foreign_data_set_is_refused_by_name(copy: Path, name: str, value: object) -> None:
     index = json.loads((copy / "index.json").read_text())
     index[name] = "0123"

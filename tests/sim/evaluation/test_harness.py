@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, map_from_units
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import harness, trials
 from eitskin_sim.evaluation import report as reports
 from eitskin_sim.scene.scene import parse_phantoms
@@ -17,7 +17,7 @@ pytestmark = pytest.mark.heavy
 def test_truth_of_units_is_hard_and_of_areas_a_share(phantoms):
     bits = np.zeros(126)
     bits[[2 * 14 + 3, 6 * 14 + 10]] = 1.0
-    assert np.array_equal(harness.truth_map(phantoms[0]), map_from_units(bits))
+    assert np.array_equal(harness.truth_map(phantoms[0]), PAPER.grid.map_from_units(bits))
     area = harness.truth_map(phantoms[1])
     assert area.sum() * (10 / 3) ** 2 == pytest.approx(math.pi * 36, rel=1e-6)
 
@@ -86,7 +86,7 @@ def test_the_flat_reference_is_the_devices_own_before_what_came_late():
 
     def solver(case):
         seen.append(case)
-        return np.zeros(GRID_SHAPE)
+        return np.zeros(PAPER.grid.shape)
 
     layers = [{}, {"gauge_factor": 1.0}, {"late": {"factor": 1.1}}, {"gauge_factor": 1.0, "late": {"factor": 1.1}}]
     scenes = [{"sheet": layer, "bend": {"stretch_along": 1.2}, "element_size_mm": 6} for layer in layers]
@@ -119,7 +119,7 @@ def test_solvers_can_be_told_another_shape(phantoms):
 
         def look(case, kind=kind):
             clouds[kind] = case.sheet.cloud_mm
-            return np.zeros(GRID_SHAPE)
+            return np.zeros(PAPER.grid.shape)
 
         harness.evaluate_all(phantoms[:1], [harness.Run(look, "pre")], harness.Conditions(cloud=kind))
     assert np.abs(clouds["flat"][2] - clouds["flat"][2].mean()).max() < 1.0  # 0.1 mm of noise on a plane
@@ -131,7 +131,7 @@ def test_summary_takes_the_worst_deformation_and_the_root_of_the_mean_square(mon
     drawn = trials.single(10.0, 2, 2)
     monkeypatch.setattr(harness, "voltages_of", lambda scene: np.ones(104))  # nothing here looks at voltages
     truths = [harness.truth_map(phantom) for phantom in drawn]
-    shown = [truths[0], truths[1], np.roll(truths[2], 1, axis=1), np.zeros(GRID_SHAPE)]
+    shown = [truths[0], truths[1], np.roll(truths[2], 1, axis=1), np.zeros(PAPER.grid.shape)]
     order = iter(shown)
     found = reports.summary(harness.evaluate(drawn, lambda _: next(order), noise="none"), 2)
     assert found["maps"] == 4

@@ -8,18 +8,19 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, PITCH_MM, map_from_units
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import metrics
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 
-maps = hnp.arrays(np.float64, GRID_SHAPE, elements=st.floats(0.0, 1.0, width=32))
+GRID = PAPER.grid
+
+maps = hnp.arrays(np.float64, GRID.shape, elements=st.floats(0.0, 1.0, width=32))
 
 
 def block(rows: slice, columns: slice, value: float = 1.0) -> np.ndarray:
-    image = np.zeros(GRID_SHAPE)
+    image = np.zeros(GRID.shape)
     image[rows, columns] = value
     return image
 
@@ -27,7 +28,7 @@ def block(rows: slice, columns: slice, value: float = 1.0) -> np.ndarray:
 def units(*indices: int) -> np.ndarray:
     bits = np.zeros(126)
     bits[list(indices)] = 1.0
-    return np.asarray(map_from_units(bits), dtype=np.float64)
+    return np.asarray(GRID.map_from_units(bits), dtype=np.float64)
 
 
 def test_perfect_map_has_every_perfect_score():
@@ -45,8 +46,8 @@ def test_psnr_and_rie_agree_with_the_paper_on_its_own_table():
     truth = np.zeros(1350)
     truth[:touched] = 1.0
     error = 0.0737 * math.sqrt(touched / 1350)
-    image = (truth + error * np.where(np.arange(1350) % 2, 1.0, -1.0)).reshape(GRID_SHAPE)
-    truth = truth.reshape(GRID_SHAPE)
+    image = (truth + error * np.where(np.arange(1350) % 2, 1.0, -1.0)).reshape(GRID.shape)
+    truth = truth.reshape(GRID.shape)
     assert metrics.relative_image_error(image, truth) == pytest.approx(0.0737, rel=1e-12)
     assert metrics.psnr_db(image, truth) == pytest.approx(38.9502, abs=0.1)
 
@@ -80,15 +81,15 @@ def test_psnr_and_rie_are_the_same_error_in_two_scales(image, truth):
 
 @pytest.mark.parametrize("level", [0.0, 0.1, 0.3, 1.0])
 def test_constant_maps_correlate_only_with_the_same_constant(level):
-    constant = np.full(GRID_SHAPE, level)
+    constant = np.full(GRID.shape, level)
     assert metrics.correlation(constant, constant) == 1.0
-    assert metrics.correlation(constant, np.full(GRID_SHAPE, 0.7)) == 0.0
+    assert metrics.correlation(constant, np.full(GRID.shape, 0.7)) == 0.0
     assert metrics.correlation(constant, units(5)) == 0.0
     assert metrics.correlation(units(5), constant) == 0.0
 
 
 def test_untouched_truth_is_scored_without_dividing_by_zero():
-    empty, ghost = np.zeros(GRID_SHAPE), units(60)
+    empty, ghost = np.zeros(GRID.shape), units(60)
     right, wrong = metrics.score(empty, empty), metrics.score(ghost, empty)
     assert (right.cc, right.rie, right.localisation_mm, right.exact) == (1.0, 0.0, 0.0, 1.0)
     assert (wrong.cc, wrong.rie, wrong.exact) == (0.0, math.inf, 0.0)
@@ -105,13 +106,15 @@ def test_scaling_clips_negative_values_and_leaves_nothing_of_a_negative_image():
 def test_moving_a_touch_by_pixels_is_measured_in_millimetres(rows, columns):
     truth = block(slice(10, 14), slice(10, 14))
     image = np.roll(truth, (rows, columns), axis=(0, 1))
-    assert metrics.localisation_error_mm(image, truth) == pytest.approx(PITCH_MM * math.hypot(rows, columns), rel=1e-9)
+    assert metrics.localisation_error_mm(image, truth) == pytest.approx(
+        GRID.pitch_mm * math.hypot(rows, columns), rel=1e-9
+    )
 
 
 def test_missed_and_ghost_touches_both_cost():
     two = block(slice(5, 8), slice(5, 8)) + block(slice(20, 23), slice(30, 33))
     one = block(slice(5, 8), slice(5, 8))
-    away = PITCH_MM * math.hypot(15, 25)
+    away = GRID.pitch_mm * math.hypot(15, 25)
     assert metrics.localisation_error_mm(one, two) == pytest.approx(away / 4, rel=1e-9)
     assert metrics.localisation_error_mm(two, one) == pytest.approx(away / 4, rel=1e-9)
 
@@ -142,13 +145,13 @@ def test_two_point_distance_is_between_borders_and_below_a_pixel_in_resolution()
     assert metrics.distance_error(image, 90.0) == pytest.approx(0.0, abs=1e-12)
     # A pixel a quarter covered beside a full one moves the crossing of one half by 1/6 of a pitch.
     image[10:13, 6] = 0.25
-    assert metrics.two_point_distance_mm(image) == pytest.approx(90.0 - PITCH_MM * (2 / 3 - 1 / 2), rel=1e-9)
+    assert metrics.two_point_distance_mm(image) == pytest.approx(90.0 - GRID.pitch_mm * (2 / 3 - 1 / 2), rel=1e-9)
 
 
 def test_distance_error_of_a_touch_found_one_pixel_too_near():
     # The paper's own example, 86.7 mm for 90 mm, is this one; it prints 3.37 % for what its formula makes 3.67 %.
     image = block(slice(10, 13), slice(3, 6)) + block(slice(10, 13), slice(32, 35))
-    assert metrics.distance_error(image, 90.0) == pytest.approx(PITCH_MM / 90.0, rel=1e-9)
+    assert metrics.distance_error(image, 90.0) == pytest.approx(GRID.pitch_mm / 90.0, rel=1e-9)
 
 
 @pytest.mark.parametrize(("x", "y"), [(0.0, 0.0), (0.9, 1.6), (1.7, 2.4), (3.2, 0.1)])
@@ -161,7 +164,9 @@ def test_rim_between_two_touches_goes_to_the_nearer_and_none_is_counted_twice():
     image = block(slice(10, 13), slice(10, 13)) + block(slice(10, 13), slice(15, 18))
     image[10:13, 13] = image[10:13, 14] = 0.4
     centres = metrics.touch_centres_mm(image)
-    expected = PITCH_MM * np.array([(10.5 + 11.5 + 12.5 + 0.4 * 13.5) / 3.4, (15.5 + 16.5 + 17.5 + 0.4 * 14.5) / 3.4])
+    expected = GRID.pitch_mm * np.array(
+        [(10.5 + 11.5 + 12.5 + 0.4 * 13.5) / 3.4, (15.5 + 16.5 + 17.5 + 0.4 * 14.5) / 3.4]
+    )
     assert centres[:, 0] == pytest.approx(expected, rel=1e-9)
 
 
@@ -180,11 +185,15 @@ def test_two_point_distance_of_one_touch_is_not_a_number():
 
 @pytest.mark.parametrize(
     ("image", "message"),
-    [(np.zeros((45, 30)), "shape"), (np.full(GRID_SHAPE, np.nan), "finite"), (np.full(GRID_SHAPE, np.inf), "finite")],
+    [
+        (np.zeros((45, 30)), "shape"),
+        (np.full(GRID.shape, np.nan), "finite"),
+        (np.full(GRID.shape, np.inf), "finite"),
+    ],
 )
 def test_malformed_maps_are_refused(image, message):
     with pytest.raises(ValueError, match=message):
-        metrics.score(image, np.zeros(GRID_SHAPE))
+        metrics.score(image, np.zeros(GRID.shape))
 
 
 def test_unknown_labels_and_distances_are_refused_with_their_value():

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import Phase, assume, example, given, settings
 from hypothesis import strategies as st
 
-from eitskin_proto.sensor.grid import UNIT_SHAPE
 from eitskin_proto.sensor.table import TABLE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Case, Sheet, solve_tikhonov
 from eitskin_sim.fem.forward import reciprocity_error
 from eitskin_sim.fem.jacobian import scene_jacobian
@@ -140,7 +140,7 @@ def test_more_conductivity_anywhere_lowers_the_resistance_between_any_two_electr
 @pytest.fixture(scope="module")
 def linear():
     scene = Scene(bend=Bend(angle_deg=120.0, stretch_along=1.1), element_size_mm=COARSE_MM)
-    voltages, slope = scene_jacobian(scene, UNIT_SHAPE, COARSE_MM)
+    voltages, slope = scene_jacobian(scene, PAPER.grid.units, COARSE_MM)
     return scene, voltages, slope
 
 
@@ -152,8 +152,8 @@ def test_small_changes_of_conductivity_follow_the_jacobian_to_second_order(linea
     box = Rect(column * 150 / 14, row * 100 / 9, (column + 1) * 150 / 14, (row + 1) * 100 / 9)
     touched = replace(scene, touches=(Touch((box,), 1.0 + size),))
     change = (
-        scene_jacobian(touched, UNIT_SHAPE, COARSE_MM)[0]
-        - scene_jacobian(replace(scene, touches=(Touch((box,), 1.0),)), UNIT_SHAPE, COARSE_MM)[0]
+        scene_jacobian(touched, PAPER.grid.units, COARSE_MM)[0]
+        - scene_jacobian(replace(scene, touches=(Touch((box,), 1.0),)), PAPER.grid.units, COARSE_MM)[0]
     )
     # Contrast c acts like 2 (c - 1) / (c + 1): the second order is half the change. The other mesh adds per mille.
     error = np.linalg.norm(change - size * slope[:, unit]) / np.linalg.norm(size * slope[:, unit])

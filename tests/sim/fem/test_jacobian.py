@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import GRID_SHAPE, UNIT_OF_PIXEL, UNIT_SHAPE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import assemble
 from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian, pixel_jacobian, scene_jacobian, unit_jacobian
 from eitskin_sim.scene.bend import bend_metric
@@ -12,7 +12,7 @@ BEND = Bend(angle_deg=120, axis_deg=30, twist_deg=20, stretch_along=1.1)
 
 
 @pytest.mark.parametrize("contact", ["patch", "edge"])
-@pytest.mark.parametrize("shape", [GRID_SHAPE, UNIT_SHAPE])
+@pytest.mark.parametrize("shape", [PAPER.grid.shape, PAPER.grid.units])
 def test_jacobian_is_the_derivative_by_central_differences(contact: str, shape: tuple[int, int]) -> None:
     sheet, electrodes = Sheet(), Electrodes(contact)
     mesh = cell_mesh(sheet, electrodes, shape, 9.0)
@@ -38,7 +38,7 @@ def test_uniform_change_of_conductivity_scales_voltages_with_edge_contacts_of_no
 def test_units_and_pixels_tell_of_the_same_places() -> None:
     pixels, units = pixel_jacobian(Scene()), unit_jacobian(Scene())
     gathered = np.zeros_like(units)
-    np.add.at(gathered.T, UNIT_OF_PIXEL.ravel(), pixels.T)
+    np.add.at(gathered.T, PAPER.grid.unit_of_pixel.ravel(), pixels.T)
     # A unit's pixels cover it but for a rim of up to half a pixel.
     assert np.corrcoef(gathered.ravel(), units.ravel())[0, 1] > 0.95
 
@@ -50,16 +50,16 @@ def test_coarse_jacobian_is_within_its_stated_error() -> None:
 
 def test_scene_with_touches_and_current_has_its_own_jacobian() -> None:
     touch = (Touch((Rect(60.0, 40.0, 78.0, 60.0),)),)
-    voltages, found = scene_jacobian(Scene(touches=touch, current_A=2.0), UNIT_SHAPE, 6.0)
-    other, base = scene_jacobian(Scene(touches=touch), UNIT_SHAPE, 6.0)
+    voltages, found = scene_jacobian(Scene(touches=touch, current_A=2.0), PAPER.grid.units, 6.0)
+    other, base = scene_jacobian(Scene(touches=touch), PAPER.grid.units, 6.0)
     np.testing.assert_allclose(voltages, 2.0 * other)
     np.testing.assert_allclose(found, 2.0 * base)
-    untouched = scene_jacobian(Scene(), UNIT_SHAPE, 6.0)[1]
-    inside = 4 * UNIT_SHAPE[1] + 6
+    untouched = scene_jacobian(Scene(), PAPER.grid.units, 6.0)[1]
+    inside = 4 * PAPER.grid.units[1] + 6
     assert np.abs(base[:, inside]).max() < 0.05 * np.abs(untouched[:, inside]).max()
 
 
 def test_mesh_without_the_grid_is_refused() -> None:
-    mesh = cell_mesh(Sheet(), Electrodes(), UNIT_SHAPE, 6.0)
+    mesh = cell_mesh(Sheet(), Electrodes(), PAPER.grid.units, 6.0)
     with pytest.raises(ValueError, match="it must be within 1e-06"):
-        cell_of_element(mesh, GRID_SHAPE)
+        cell_of_element(mesh, PAPER.grid.shape)

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import RECIPROCAL_IN_FULL, ROW_IN_FULL
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem import forward
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.scene import parse_scene
@@ -39,7 +40,7 @@ def test_simulate_writes_voltages_with_their_scene_and_ids(tmp_path: Path, capsy
     with np.load(out) as file:
         voltages, full = file["voltages"], file["voltages208"]
         assert (voltages.dtype, voltages.shape, full.shape) == (np.float64, (104,), (208,))
-        assert (str(file["protocol_id"]), str(file["grid_id"])) == (PROTOCOL_ID, GRID_ID)
+        assert (str(file["protocol_id"]), str(file["grid_id"])) == (PROTOCOL_ID, PAPER.grid_id)
         assert parse_scene(json.loads(str(file["scene"]))) == parse_scene(described)
     np.testing.assert_array_equal(voltages, full[ROW_IN_FULL])
     np.testing.assert_allclose(voltages, full[RECIPROCAL_IN_FULL], rtol=1e-12)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import PITCH_MM
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform import parts
@@ -100,7 +100,7 @@ def test_a_seam_between_two_pieces_does_not_show(sheet: InvertedSheet) -> None:
 def test_labels_add_up_to_the_touched_area(touches: TouchTable) -> None:
     for number in range(60):
         area = sum(shape.area_mm2 for touch in touches.touches(number) for shape in touch.shapes)
-        assert touches.areas(number).sum() * PITCH_MM**2 == pytest.approx(area, rel=2e-3, abs=0.05)
+        assert touches.areas(number).sum() * PAPER.grid.pitch_mm**2 == pytest.approx(area, rel=2e-3, abs=0.05)
 
 
 def test_the_label_of_a_straight_rectangle_is_exact() -> None:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import PITCH_MM
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.bend import metric
@@ -127,7 +127,7 @@ def test_an_ellipse_of_even_axes_is_a_disc() -> None:
 @pytest.mark.parametrize("shape", [Disc(61.3, 42.1, 8.0), Ellipse(60.0, 40.0, 24.0, 9.0, 35.0), Rect(50, 30, 67, 42)])
 def test_a_soft_touchs_label_is_the_area_inside_its_outline(shape: Disc | Ellipse | Rect) -> None:
     hard = area_map([Touch((shape,))])
-    assert hard.sum() * PITCH_MM**2 == pytest.approx(shape.area_mm2, rel=1e-3)
+    assert hard.sum() * PAPER.grid.pitch_mm**2 == pytest.approx(shape.area_mm2, rel=1e-3)
     for contrast, border in ((0.3, 8.0), (5.0, 2.0)):
         assert np.array_equal(area_map([Touch((shape,), contrast=contrast, border_mm=border)]), hard)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import UNIT_OF_PIXEL
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.solvers import bounded, sbl
 from eitskin_sim.solvers.bounded import bounded_minimum, inverse
 from eitskin_sim.solvers.l1 import l1_image
@@ -195,7 +195,7 @@ def test_pixels_add_up_to_the_whole_sheet_as_units_do(units):
 
 def test_units_are_drawn_on_their_pixels(units):
     values = np.arange(126, dtype=np.float64)
-    assert np.array_equal(units.to_map(values), UNIT_OF_PIXEL)
+    assert np.array_equal(units.to_map(values), PAPER.grid.unit_of_pixel)
 
 
 def test_data_of_the_reference_itself_is_zero_and_logarithms_are_cut_off():

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.spatial import cKDTree
 
-from eitskin_proto.sensor.grid import pixel_centres_mm
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene import bend as bends
 from eitskin_sim.scene.scene import Bend, Sheet
 
@@ -47,7 +47,7 @@ class Raw:
             right = np.einsum("nij,ni->nj", slope, points - here)
             foot = foot + np.linalg.solve(gram, right[..., None])[..., 0]
         off = np.linalg.norm(points - bends.surface(self.bend, SHEET, foot), axis=1)
-        return off, foot - pixel_centres_mm().reshape(-1, 2)
+        return off, foot - PAPER.grid.pixel_centres_mm().reshape(-1, 2)
 
 
 BENDS = {

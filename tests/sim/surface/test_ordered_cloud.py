@@ -5,8 +5,8 @@ import pytest
 from scipy.spatial import cKDTree
 from tests.sim.surface.raw_points import BENDS, Raw
 
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.skin.cloud import align_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.scene import Bend
 from eitskin_sim.surface import ordered_cloud, smooth_surface, unroll
 
@@ -126,7 +126,7 @@ def test_arc_length_makes_an_uneven_drawing_even():
     angle, y = np.meshgrid(np.pi * u, 100 * v)
     even = smooth_surface.by_arc_length(np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)]), (30, 45))
     steps = np.linalg.norm(np.diff(even, axis=2), axis=0)
-    assert even.shape == (3, *GRID_SHAPE)
+    assert even.shape == (3, *PAPER.grid.shape)
     assert np.ptp(steps) < 0.01 * steps.mean()
     assert steps.mean() == pytest.approx(2 * 48 * np.sin(np.pi / 90), rel=1e-3)
     cylinder = np.stack([48 * np.sin(angle), y, 48 * np.cos(angle)])

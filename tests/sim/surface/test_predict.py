@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import pixel_centres_mm
 from eitskin_proto.sensor.log_prediction import RATIO_FLOOR
 from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.dataset import prediction_cache
 from eitskin_sim.dataset.reader import DataSet
 from eitskin_sim.fem.solve import solve_scene
@@ -50,7 +50,7 @@ def test_any_pose_gives_the_same_prediction():
 
 
 def test_spline_follows_points_and_metric_of_a_known_surface():
-    xy = pixel_centres_mm().reshape(-1, 2)
+    xy = PAPER.grid.pixel_centres_mm().reshape(-1, 2)
     cloud = surface(EVEN, Sheet(), xy).T.reshape(3, 30, 45)
     fitted = fit_cloud(cloud)
     inner = np.random.default_rng(0).uniform((2, 2), (148, 98), (200, 2))

@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from eitskin_proto.sensor.grid import UNIT_SHAPE
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.phantoms.published import PHANTOM_RECTS_MM, PHANTOM_UNITS, is_published
 from eitskin_sim.unit_grid.patterns import MOST_UNITS, pack, paper_touch_sets, rich_touch_sets, unpack
+
+GRID = PAPER.grid
 
 PHANTOMS = Path(__file__).parents[3] / "tools" / "eitskin_tools" / "phantoms"
 
@@ -44,7 +46,7 @@ def test_richer_sets_hold_bars_and_ells_that_the_papers_lack() -> None:
     assert len(keys(sets)) == len(sets)
     assert not sets[0].any()
     assert sets.sum(axis=1).max() == MOST_UNITS
-    maps = sets.reshape(-1, *UNIT_SHAPE)
+    maps = sets.reshape(-1, *GRID.units)
     rows, columns = maps.any(axis=2).sum(axis=1), maps.any(axis=1).sum(axis=1)
     bars = (np.minimum(rows, columns) == 1) & (sets.sum(axis=1) >= 5) & (np.maximum(rows, columns) == sets.sum(axis=1))
     assert bars.sum() > 10
@@ -59,7 +61,7 @@ def test_packed_bits_come_back() -> None:
 
 
 def test_no_generator_returns_a_phantom(paper: np.ndarray) -> None:
-    barred = [frozenset(row * UNIT_SHAPE[1] + column for column, row in units) for units in PHANTOM_UNITS.values()]
+    barred = [frozenset(row * GRID.units[1] + column for column, row in units) for units in PHANTOM_UNITS.values()]
     assert all(is_published(units) for units in barred)
     assert not is_published(set(barred[0]) - {min(barred[0])})
     for sets in (paper, rich_touch_sets(3_000, 0)):

@@ -7,9 +7,9 @@ import pytest
 from tests.sim.surface.raw_points import BENDS, Raw
 
 from eitskin.reference.plausible import check_prediction
-from eitskin_proto.sensor.grid import GRID_SHAPE
 from eitskin_proto.skin.cloud_file import load_surface
 from eitskin_proto.skin.sheet_cloud import check_sheet
+from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools import cli
 
@@ -25,7 +25,7 @@ def test_command_writes_a_cloud_that_loads_again(tmp_path, capsys):
     surface = load_surface(tmp_path / "cloud.npz")
     assert surface.predicted_V is None
     cloud = surface.cloud_mm
-    assert cloud.shape == (3, *GRID_SHAPE)
+    assert cloud.shape == (3, *PAPER.grid.shape)
     assert report["points"] == 8_000
     assert report["corner"] == "given"
     assert report["size_mm"] == pytest.approx([178.5, 95.7], abs=1.0)

@@ -12,7 +12,7 @@ import pytest
 from tests.second_skin import SECOND
 
 from eitskin.model.gate import Gate
-from eitskin_proto.sensor.ids import GRID_ID, PROTOCOL_ID
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
@@ -168,7 +168,7 @@ def test_without_a_truth_the_gate_alone_is_reported(tmp_path, arrays, capsys):
 
 
 def test_ids_of_this_release_and_its_sheet_are_taken(tmp_path, arrays):
-    ids = {"protocol_id": PROTOCOL_ID, "grid_id": GRID_ID, "skin_digest": PAPER.digest}
+    ids = {"protocol_id": PROTOCOL_ID, "grid_id": PAPER.grid_id, "skin_digest": PAPER.digest}
     assert load_measured(written(tmp_path, {**arrays, **ids})).ignored == ()
 
 
@@ -204,7 +204,7 @@ NAN = np.full((5, 104), np.nan)
         ({"kind": np.array(["untouched"] * 5)}, "kind[0]"),
         ({"kind": np.arange(5)}, "expected texts"),
         ({"touch_kind": "both"}, "lowering, raising"),
-        ({"grid_id": "0123456789abcdef"}, f"expected {GRID_ID}"),
+        ({"grid_id": "0123456789abcdef"}, f"expected {PAPER.grid_id}"),
         ({"protocol_id": "0123456789abcdef"}, "protocol_id: found 0123456789abcdef"),
         ({"grid_id": SECOND.grid_id, "skin_digest": PAPER.digest}, f"expected {PAPER.grid_id} (paper)"),
     ],
