@@ -1,5 +1,6 @@
 """``evaluate --solver verified``: what a report gains, what is refused, and a phantom that is mended."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,15 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, 
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random
 from eitskin_sim.scene.parts import Phantom, Scene
+from eitskin_sim.verification.free.found import FreeTouch
+from eitskin_sim.verification.free.search import FreeVerdict
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.bench.verify.conditions import Condition, anywhere_conditions, unit_conditions
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+from eitskin_tools.evaluation.verified.shapes import LEAST_SHARE, VerifiedFree, network_share
 from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts
 
 
@@ -92,3 +95,20 @@ def test_a_network_that_sees_nothing_is_mended_from_an_independent_mesh() -> Non
         assert found.exact == 1.0, one.name
         assert verdict.verdict.p_value > 1e-3
         assert truth_map(one).any()
+
+
+def test_the_less_surely_physics_tells_the_area_the_more_is_the_network_s() -> None:
+    def sure_to(area_error_mm2: float, p_value: float = 0.5) -> FreeVerdict:
+        touch = FreeTouch(
+            "ellipse", (50.0, 50.0), (0.1, 0.1), (16.0, 16.0), (0.1, 0.1), 0.0, 200.0, area_error_mm2, 0.4, (0.3, 0.5),
+            4.0, -183.0, 1.0, 0.0, (190.0, 210.0),
+        )  # fmt: skip
+        return FreeVerdict((touch,), 100.0, 104, p_value, 0.01, 5, 1e-3)
+
+    shares = [network_share(sure_to(error)) for error in (0.0, 10.0, 50.0, 100.0, 1e6)]
+    assert shares == sorted(shares)
+    assert shares[0] == LEAST_SHARE
+    assert shares[2] == pytest.approx(1.0 - (1.0 - LEAST_SHARE) / 2.0), "as unsure as the network is: half of the rest"
+    assert shares[-1] == pytest.approx(1.0, abs=1e-6)
+    assert network_share(sure_to(10.0, p_value=1e-4)) == 1.0
+    assert network_share(replace(sure_to(1.0), touches=())) == LEAST_SHARE
