@@ -27,11 +27,11 @@ def with_small(small: str) -> str:
 
 
 def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches() -> None:
-    for name in ("free", "press"):
+    for name, network in {"free": "small", "press": "small", "units": "small-units"}.items():
         found = recipes.load(name)
         smaller = found.smaller()
         assert smaller is not None
-        assert smaller.network == "small"
+        assert smaller.network == network
         assert smaller.skin.digest == found.skin.digest
         last = [found.data[one].touches for one in found.training[-1].data]
         assert {one.touches for one in smaller.data.values()} == set(last)

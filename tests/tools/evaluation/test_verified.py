@@ -105,10 +105,11 @@ def test_the_less_surely_physics_tells_the_area_the_more_is_the_network_s() -> N
         )  # fmt: skip
         return FreeVerdict((touch,), 100.0, 104, p_value, 0.01, 5, 1e-3)
 
-    shares = [network_share(sure_to(error)) for error in (0.0, 10.0, 50.0, 100.0, 1e6)]
+    shares = [network_share(sure_to(error), 1) for error in (0.0, 10.0, 50.0, 100.0, 1e6)]
     assert shares == sorted(shares)
     assert shares[0] == LEAST_SHARE
     assert shares[2] == pytest.approx(1.0 - (1.0 - LEAST_SHARE) / 2.0), "as unsure as the network is: half of the rest"
     assert shares[-1] == pytest.approx(1.0, abs=1e-6)
-    assert network_share(sure_to(10.0, p_value=1e-4)) == 1.0
-    assert network_share(replace(sure_to(1.0), touches=())) == LEAST_SHARE
+    assert network_share(sure_to(10.0, p_value=1e-4), 1) == 1.0
+    assert network_share(replace(sure_to(1.0), touches=()), 0) == LEAST_SHARE
+    assert network_share(sure_to(1e6), 0) == LEAST_SHARE, "the network does not show the touch at all"

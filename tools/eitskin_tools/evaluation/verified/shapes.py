@@ -33,18 +33,25 @@ NETWORK_ERROR: Final = 0.25
 """The network's own relative error of an area, by which that of the shapes is judged; 0.2 to 0.3 is alike."""
 
 
-def network_share(verdict: FreeVerdict) -> float:
+def network_share(verdict: FreeVerdict, shown: int) -> float:
     """Return the network's share of a map, from ``LEAST_SHARE`` to 1, which it is of a flagged frame.
 
     With r the relative error of the area that is touched ::
 
         1 - share  =  (1 - LEAST_SHARE) e^2 / (e^2 + r^2)          e = NETWORK_ERROR
 
-    as two estimates whose errors are independent are weighted.
+    as two estimates whose errors are independent are weighted. A network that shows fewer touches than there are has
+    the least: it errs in more than their size.
+
+    Args:
+        verdict: What physics says.
+        shown: How many touches the network shows.
     """
     touched_mm2 = sum(touch.area_mm2 for touch in verdict.touches)
-    if verdict.flagged or not touched_mm2:
-        return 1.0 if verdict.flagged else LEAST_SHARE
+    if verdict.flagged:
+        return 1.0
+    if shown < len(verdict.touches) or not touched_mm2:
+        return LEAST_SHARE
     r = sum(touch.area_error_mm2 for touch in verdict.touches) / touched_mm2
     return 1.0 - (1.0 - LEAST_SHARE) / (1.0 + (r / NETWORK_ERROR) ** 2)
 
@@ -107,5 +114,5 @@ class VerifiedFree:
         setup_ms = 1e3 * (verifier.setup_cpu_s - before)
         touched = (image >= TOUCHED).ravel()
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
-        share = network_share(verdict)
+        share = network_share(verdict, found.count)
         return image if verdict.flagged else (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
