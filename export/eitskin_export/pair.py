@@ -1,21 +1,38 @@
-"""A smaller network in a bundle, as its solver ``vd2t-small``: what a stream falls to before it falls to a matrix.
+"""Another network in a bundle: a smaller one besides, or one that learned on in place of its own.
 
-Both learned the same kind of touch on the same skin. Of the smaller one's bundle its two graphs are taken, the head in
-8 bits where its card says that it shows the same; gate, projection and what healthy frames look like stay the larger
-one's. The manifest's ``small`` says where they are from, with their card.
+A smaller one is the solver ``vd2t-small``, what a stream falls to before it falls to a matrix. Both learned the same
+kind of touch on the same skin. Of its bundle two graphs are taken, the head in 8 bits where nearly the same is shown;
+gate, projection and what healthy frames look like stay the larger one's. The manifest's ``small`` says where they are
+from, with their card.
+
+One that takes the place of the bundle's own brings its graphs and what is known of them. Gate, projection and healthy
+frames ask nothing of a network, and stay.
 """
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin.errors import BundleError
 from eitskin.model.bundle import OF_SMALL, Bundle, load_bundle
-from eitskin.model.engine import HEADS, default_solver
+from eitskin.model.engine import HEADS, QUANTISED, default_solver, flipped_pixels, solvers
 from eitskin_export.bundle import read, write
 from eitskin_proto.errors import SkinError
 
-CARD = ("card", "phantoms", "int8", "held_out")
+CARD: Final = ("card", "phantoms", "int8", "held_out")
 """What is kept of the smaller one's metrics."""
+
+GRAPHS: Final = ("geometry.onnx", "head.onnx", "head_int8.onnx")
+"""A network's members."""
+
+OF_NETWORK: Final = ("head", "recipe", "seeds", "data_digest", "training", "build")
+"""What a manifest says of its network."""
+
+OF_FRAMES: Final = ("electrodes",)
+"""Of a manifest's metrics, what is not of the network."""
+
+FLIPPED_PIXELS: Final = 2.0
+"""A smaller head is taken in 8 bits where these show fewer pixels than this on the other side of half height: it is
+there to be fast, where a larger one's rule is half as much."""
 
 
 def pair(large: Path, small: Path, out: Path) -> dict[str, Any]:
@@ -38,7 +55,7 @@ def pair(large: Path, small: Path, out: Path) -> dict[str, Any]:
     except BundleError as error:
         raise SkinError(str(error)) from error
     _check(whole, part)
-    chosen = {name: HEADS[default_solver(one)] for name, one in (("large", whole), ("small", part))}
+    chosen = {"large": HEADS[default_solver(whole)], "small": _fast_head(part)}
     sizes = {name: len(one.files[chosen[name]]) for name, one in (("large", whole), ("small", part))}
     if sizes["small"] >= sizes["large"]:
         raise SkinError(
@@ -65,6 +82,46 @@ def pair(large: Path, small: Path, out: Path) -> dict[str, Any]:
         "large_head_bytes": sizes["large"],
         "small_head_bytes": sizes["small"],
     }
+
+
+def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
+    """Write a bundle with another's network in place of its own, and return what was done.
+
+    Args:
+        bundle: Whose gate, projection and healthy frames stay. A smaller network that it had is left out.
+        newer: A bundle of the same skin, labels and touches.
+        out: Where; may be ``bundle``.
+
+    Returns:
+        path, bundle and bytes of the new one; ``large_head_bytes`` that a frame reads.
+
+    Raises:
+        SkinError: They do not go together, or one is no whole bundle.
+        OSError: A file cannot be read or written.
+    """
+    try:
+        before, after = load_bundle(bundle), load_bundle(newer)
+    except BundleError as error:
+        raise SkinError(str(error)) from error
+    _check(before, after)
+    files, facts, skin = read(bundle)
+    files = {name: data for name, data in files.items() if name not in (*GRAPHS, *OF_SMALL)}
+    files |= {name: after.files[name] for name in GRAPHS if name in after.files}
+    facts = {name: value for name, value in facts.items() if name not in ("small", *OF_NETWORK)}
+    facts |= {name: after.manifest[name] for name in OF_NETWORK if name in after.manifest}
+    own = facts.get("metrics", {})
+    metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in OF_FRAMES}
+    facts["metrics"] = metrics | {name: own[name] for name in OF_FRAMES if name in own}
+    identity = write(out, files, facts, skin)
+    head = files[HEADS[default_solver(load_bundle(out))]]
+    return {"path": str(out), "bundle": identity, "bytes": out.stat().st_size, "large_head_bytes": len(head)}
+
+
+def _fast_head(part: Bundle) -> str:
+    """Return the member of a smaller network's head that is taken."""
+    names = solvers(part)
+    few = QUANTISED in names and flipped_pixels(part) < FLIPPED_PIXELS
+    return HEADS[QUANTISED] if few else HEADS[names[0]]
 
 
 def _check(large: Bundle, small: Bundle) -> None:

@@ -14,7 +14,7 @@ from eitskin.model.bundle import OF_SMALL, load_bundle
 from eitskin.model.engine import SMALL, engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin_export.bundle import read, write
-from eitskin_export.pair import pair
+from eitskin_export.pair import FLIPPED_PIXELS, GRAPHS, pair, replaced
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
@@ -87,6 +87,39 @@ def test_a_head_whose_card_does_not_vouch_for_8_bits_goes_in_as_it_is(large: Pat
     assert load_bundle(tmp_path / "both.eitskin").manifest["small"]["head"] == "head.onnx"
 
 
+@pytest.mark.parametrize(("share", "head"), [(0.99, "head_int8.onnx"), (1.01, "head.onnx"), (-1.0, "head.onnx")])
+def test_a_smaller_head_may_show_a_little_more_or_less_in_8_bits(
+    large: Path, tmp_path: Path, share: float, head: str
+) -> None:
+    flipped = {"metrics": {"int8": {"flipped": share * FLIPPED_PIXELS / PAPER.grid.n_pixels}}}
+    big, one = made(tmp_path / "big.eitskin", 64), made(tmp_path / "one.eitskin", 4, **flipped)
+    pair(big, one, tmp_path / "both.eitskin")
+    assert load_bundle(tmp_path / "both.eitskin").manifest["small"]["head"] == head
+
+
+def test_a_network_that_learned_on_takes_the_place_of_its_own(large: Path, small: Path, tmp_path: Path) -> None:
+    facts = {"metrics": {"card": {"cc": 0.7}, "electrodes": "its own"}, "seeds": {"training": 9}}
+    newer, out = made(tmp_path / "newer.eitskin", 16, **facts), tmp_path / "out.eitskin"
+    pair(large, small, out)
+    known = load_bundle(out).manifest
+    result = replaced(out, newer, out)
+    found, after, before = load_bundle(out), load_bundle(newer), load_bundle(large)
+    assert result["bundle"] == found.id
+    for name in GRAPHS:
+        assert found.files[name] == after.files[name]
+    for name in set(before.files) - set(GRAPHS):
+        assert found.files[name] == before.files[name], name
+    assert "small" in known
+    assert "small" not in found.manifest
+    assert not set(OF_SMALL) & set(found.files)
+    assert found.manifest["seeds"] == {"training": 9}
+    assert found.manifest["gate"] == before.manifest["gate"]
+    assert found.manifest["metrics"]["card"] == {"cc": 0.7}
+    assert found.manifest["metrics"].get("electrodes") == before.manifest["metrics"].get("electrodes")
+    for name, image in shown(newer).items():
+        assert np.array_equal(shown(out)[name], image)
+
+
 def test_another_one_takes_its_place(large: Path, small: Path, tmp_path: Path) -> None:
     first = tmp_path / "both.eitskin"
     pair(large, made(tmp_path / "two.eitskin", 2), first)
@@ -126,3 +159,5 @@ def test_the_command_reports_sizes(
     assert json.loads(capsys.readouterr().out)["bytes"] == out.stat().st_size
     assert main(["pair", str(large), str(small), "--out", str(out)]) == 0
     assert "with vd2t-small 0.0" in capsys.readouterr().out
+    assert main(["pair", str(large), str(small), "--out", str(out), "--replace"]) == 0
+    assert "vd2t-small" not in capsys.readouterr().out

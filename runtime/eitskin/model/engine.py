@@ -7,6 +7,7 @@ array. What a cloud means was computed before (:mod:`eitskin.model.geometry`). :
     dV ----------------------------------------------------------> change --Engine.infer--> map
 """
 
+import math
 from collections.abc import Callable
 from typing import Final, Protocol
 
@@ -212,11 +213,16 @@ def default_solver(bundle: Bundle) -> str:
     frame's map is above half height in one head's map and below in the other's; else the most accurate solver.
     """
     names = solvers(bundle)
+    return QUANTISED if QUANTISED in names and flipped_pixels(bundle) < 1.0 else names[0]
+
+
+def flipped_pixels(bundle: Bundle) -> float:
+    """Return how many pixels of a map the 8-bit head shows on the other side of half height; infinite if unknown."""
     try:
         flipped = float(bundle.manifest["metrics"]["int8"]["flipped"])
     except (KeyError, TypeError, ValueError, OverflowError):
-        flipped = 1.0
-    return QUANTISED if QUANTISED in names and 0.0 <= flipped < 1.0 / bundle.skin.grid.n_pixels else names[0]
+        return math.inf
+    return flipped * bundle.skin.grid.n_pixels if flipped >= 0.0 else math.inf
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:

@@ -11,7 +11,9 @@ from typing import Any
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
-    parser.add_argument("--recipe", required=True, metavar="NAME", help="paper, units, free, small, small-units or tiny")
+    parser.add_argument(
+        "--recipe", required=True, metavar="NAME", help="paper, units, free, small, small-units or tiny"
+    )
     parser.add_argument(
         "--data", required=True, nargs="+", metavar="DIR", help="data set of 'eitskin dataset'; several count as one"
     )
