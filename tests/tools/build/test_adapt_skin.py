@@ -15,9 +15,10 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import DISC, gather
-from eitskin_tools.build import press_lesson, steps
+from eitskin_tools.build import adaptation, press_lesson, steps
 from eitskin_tools.build import recipe as recipes
-from eitskin_tools.build.recipe import Adaptation, CardWork, GateWork
+from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
+from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
 
@@ -35,7 +36,7 @@ TWIN = replace(
 
 def adapted(name: str, **work: int) -> recipes.BuildRecipe:
     bundle = load_bundle(files.find(name, files.BUNDLE), lazily=True)
-    return recipes.adapted(bundle.path, TWIN, bundle.manifest, bundle.touch_kind, replace(Adaptation(), **work))
+    return adaptation.adapted(bundle.path, TWIN, bundle.manifest, bundle.touch_kind, replace(Adaptation(), **work))
 
 
 @pytest.mark.parametrize(("name", "kind", "touches"), [("press", "free", "press"), ("units", "units", "both")])
@@ -51,9 +52,8 @@ def test_it_learns_the_presses_that_were_calibrated():
     bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
 
     def touches(twin, kind="lowering"):
-        return (
-            recipes.adapted(bundle.path, twin, bundle.manifest, kind, Adaptation(), bundle.skin).data["touches"].touches
-        )
+        found = adaptation.adapted(bundle.path, twin, bundle.manifest, kind, Adaptation(), bundle.skin)
+        return found.data["touches"].touches
 
     stamped = replace(TWIN, touches=replace(TWIN.touches, lowering_contrast=(0.5, 0.6)))
     assert touches(TWIN) == "press"  # the file says what the bundle's own skin said
@@ -69,16 +69,35 @@ def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
     steps.start_of(found, leg).require(steps.fitted_to(found, leg, TWIN).architecture, TWIN)
 
 
+def test_of_a_bundle_with_two_networks_both_are_adapted():
+    bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
+    facts = {name: value for name, value in bundle.manifest.items() if name != "small"}
+    alone = adaptation.adapted(bundle.path, TWIN, facts, bundle.touch_kind, Adaptation())
+    both = adaptation.adapted(
+        bundle.path, TWIN, {**facts, "small": {"recipe": {"name": "small"}}}, bundle.touch_kind, Adaptation()
+    )
+    assert alone.smaller() is None
+    small = both.smaller()
+    assert (small.network, small.skin, small.smaller()) == ("small", TWIN, None)
+    assert small.data["touches"] == replace(both.data["touches"], seed=both.data["touches"].seed + 1)
+    assert small.training == (replace(both.training[0], start_from=None),), "it begins with the adapted one, narrowed"
+    assert small.gate == GateWork(0, FEW_STEPS)
+    assert alone.digest not in {both.digest, small.digest}
+    assert json.loads(json.dumps(both.as_dict()))["small_recipe"]["network"] == "small"
+    for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}):
+        assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lowering", Adaptation()) == alone
+
+
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():
     with pytest.raises(ValueError, match="does not say how it was trained"):
-        recipes.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raising", Adaptation())
+        adaptation.adapted(Path("old.eitskin"), TWIN, {"labels": "area"}, "raising", Adaptation())
 
 
 @pytest.mark.slow
 @pytest.mark.process
 def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeypatch, capsys):
     small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
-    monkeypatch.setattr(recipes, "Adaptation", lambda: small)
+    monkeypatch.setattr(adaptation, "Adaptation", lambda: small)
     (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
     words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
     assert main([*words, "--workers=1", "--threads=1", "--json"]) == 0
@@ -118,7 +137,7 @@ def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
 @pytest.mark.process
 def test_what_recorded_presses_are_worth_is_told(tmp_path, monkeypatch, capsys):
     small = Adaptation(2, 60, 1, gate=GateWork(0, 100), card=CardWork(1, 1, 1))
-    monkeypatch.setattr(recipes, "Adaptation", lambda: small)
+    monkeypatch.setattr(adaptation, "Adaptation", lambda: small)
     (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
     words = ["adapt-skin", "press", "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f.eitskin")]
     flat = inverted_sheet(Bend(), skin=TWIN)

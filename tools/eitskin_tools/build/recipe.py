@@ -94,19 +94,6 @@ class CardWork:
 
 
 @dataclass(frozen=True, slots=True)
-class Adaptation:
-    """How much a bundle learns of another sheet: 50,000 samples, and four times as many seen."""
-
-    deformations: int = 100
-    per_deformation: int = 500
-    epochs: int = 4
-    learning_rate: float = 5e-4
-    seed: int = 0
-    gate: GateWork = GateWork()
-    card: CardWork = CardWork(deformations=4, each=2, draws=1)
-
-
-@dataclass(frozen=True, slots=True)
 class BuildRecipe:
     """Everything that makes a bundle."""
 
@@ -125,12 +112,16 @@ class BuildRecipe:
     """Recipe of the smaller network that goes into the bundle; empty for none."""
     missing_electrodes: MissingElectrodesWork | None = None
     """The last lesson, for a network that is to learn to go on without electrodes; None for none."""
+    small_recipe: "BuildRecipe | None" = None
+    """The recipe of the smaller network itself, where no file has it."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
-        for name in ("presses", "small", "missing_electrodes"):
+        if self.small_recipe is not None:
+            found["small_recipe"] = self.small_recipe.as_dict()
+        for name in ("presses", "small", "missing_electrodes", "small_recipe"):
             if not found[name]:
                 del found[name]
         return found
@@ -158,8 +149,8 @@ class BuildRecipe:
         """
         from eitskin_training.recipes import recipe as network_named
 
-        if not self.small:
-            return None
+        if self.small_recipe is not None or not self.small:
+            return self.small_recipe
         own = self.beside / self.small
         found = load(str(own) if own.exists() else self.small)
         if found.small:
@@ -197,35 +188,6 @@ def usual(skin: Skin) -> BuildRecipe:
     """Return what is built for a skin where nothing else is said: random devices, touched as the skin says."""
     data = Data(touches=SKIN, devices="random")
     return BuildRecipe(skin.name, skin, "free", {"touches": data}, (Leg(epochs=20, noise=SKIN),))
-
-
-def adapted(
-    bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, work: Adaptation, own: Skin | None = None
-) -> BuildRecipe:
-    """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
-
-    It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
-    as after presses of a stamp; else the usual ones of its kind.
-
-    Args:
-        bundle: The file that it begins with.
-        skin: What it learns; devices are drawn from its uncertainties.
-        facts: The bundle's manifest.
-        touch_kind: Which touches it knows, and goes on knowing.
-        work: How much it learns.
-        own: The bundle's skin; None leaves the usual touches.
-    """
-    network = facts.get("recipe", {}).get("name")
-    if not isinstance(network, str):
-        raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
-    touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
-    if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
-        touches = SKIN
-    kind = "free" if facts.get("labels") == "area" else "units"
-    data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
-    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN)
-    name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
-    return BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
 
 
 def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:

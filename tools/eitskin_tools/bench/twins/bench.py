@@ -104,7 +104,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
     """Return the bundle that learned the twin, as ``eitskin adapt-skin`` makes it, without its card."""
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
-    from eitskin_tools.build.recipe import Adaptation, adapted
+    from eitskin_tools.build.adaptation import Adaptation, adapted
     from eitskin_tools.stages import Stages
 
     usual = Adaptation()

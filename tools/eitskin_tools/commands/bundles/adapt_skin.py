@@ -17,9 +17,9 @@ from eitskin_tools.errors import UsageError
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from eitskin_tools.build import recipe as recipes
+    from eitskin_tools.build import adaptation
 
-    usual = recipes.Adaptation()
+    usual = adaptation.Adaptation()
     parser.add_argument("bundle", metavar="BUNDLE", help=f"a file, or one of {', '.join(files.BUNDLE.names())}")
     parser.add_argument(
         "--skin",
@@ -47,15 +47,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Adapt, and report."""
     from eitskin.model.bundle import load_bundle
-    from eitskin_tools.build import recipe as recipes
+    from eitskin_tools.build import adaptation
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
     for name, value in chosen.items():
         if value < (0 if name == "seed" else 1):
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
-    twin, work = skins.read(arguments.skin), replace(recipes.Adaptation(), **chosen)
-    recipe = recipes.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
+    twin, work = skins.read(arguments.skin), replace(adaptation.Adaptation(), **chosen)
+    recipe = adaptation.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
     if arguments.presses is None:
         return make(recipe, arguments)
     recording, identity = _recorded(arguments.presses, twin, bundle.labels)

@@ -1,0 +1,69 @@
+"""The recipe of a bundle that goes on learning on another sheet, such as a calibrated one."""
+
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any, Final
+
+from eitskin_proto.skin.skin import Skin
+from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, Leg
+
+FEW_STEPS: Final = 200
+"""Of a gate that is not kept."""
+
+
+@dataclass(frozen=True, slots=True)
+class Adaptation:
+    """How much a bundle learns of another sheet: 50,000 samples, and four times as many seen."""
+
+    deformations: int = 100
+    per_deformation: int = 500
+    epochs: int = 4
+    learning_rate: float = 5e-4
+    seed: int = 0
+    gate: GateWork = field(default_factory=GateWork)
+    card: CardWork = field(default_factory=lambda: CardWork(deformations=4, each=2, draws=1))
+
+
+def adapted(
+    bundle: Path, skin: Skin, facts: dict[str, Any], touch_kind: str, work: Adaptation, own: Skin | None = None
+) -> BuildRecipe:
+    """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
+
+    It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
+    as after presses of a stamp; else the usual ones of its kind. Where the bundle has a smaller network, one of that
+    shape is made of the adapted one and learns on likewise, of data of its own.
+
+    Args:
+        bundle: The file that it begins with.
+        skin: What it learns; devices are drawn from its uncertainties.
+        facts: The bundle's manifest.
+        touch_kind: Which touches it knows, and goes on knowing.
+        work: How much it learns.
+        own: The bundle's skin; None leaves the usual touches.
+    """
+    network = facts.get("recipe", {}).get("name")
+    if not isinstance(network, str):
+        raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
+    touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
+    if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
+        touches = SKIN
+    kind = "free" if facts.get("labels") == "area" else "units"
+    data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
+    leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN)
+    name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
+    found = BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
+    smaller = _small_network(facts)
+    if smaller is None:
+        return found
+    other, again = replace(data, seed=data.seed + 1), replace(leg, start_from=None)
+    gate = GateWork(0, FEW_STEPS)  # the pair has the larger one's
+    small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
+    return replace(found, small_recipe=replace(small, data={"touches": other}))
+
+
+def _small_network(facts: dict[str, Any]) -> str | None:
+    """Return which network of ``eitskin train`` the smaller one of a manifest is; None where there is none."""
+    about = facts.get("small")
+    recipe = about.get("recipe") if isinstance(about, dict) else None
+    name = recipe.get("name") if isinstance(recipe, dict) else None
+    return name if isinstance(name, str) else None
