@@ -41,7 +41,7 @@ def test_a_recipe_says_skin_data_and_legs() -> None:
     assert (plans["presses"].skin.name, plans["presses"].devices, plans["presses"].touches) == (
         "hydrogel", "random", "press",
     )  # fmt: skip
-    assert [leg.data for leg in found.training] == [("hard",), ("presses",)]
+    assert [leg.data for leg in found.training] == [("hard",), ("presses",), ("presses-more",)]
 
 
 def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> None:
