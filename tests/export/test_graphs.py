@@ -255,7 +255,9 @@ def both(whole: bytes, part: bytes, seed: int) -> tuple[np.ndarray, np.ndarray]:
     ],
 )
 @pytest.mark.parametrize("int8", [False, True])
-@pytest.mark.parametrize(("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32)])
+@pytest.mark.parametrize(
+    ("name", "outputs", "inputs"), [("sharpened", 1350, 48), ("symmetric", 345, 4 * 32), ("narrow", 345, 4 * 8)]
+)
 def test_a_sharpened_head_cut_down_to_cells_is_smaller_and_right_in_its_region(
     name: str, outputs: int, inputs: int, bounds: tuple[int, int, int, int], int8: bool
 ) -> None:
