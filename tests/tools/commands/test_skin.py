@@ -86,7 +86,7 @@ def test_a_bundle_of_another_skin_is_refused(capsys, second, pytestconfig):
     words = ["evaluate", "--single", "20", "--deformations", "1", "--each", "1", "--skin", second, "--bundle", bundle]
     line = one_line(capsys, words)
     assert f"expected {SECOND.grid_id}" in line
-    assert "eitskin export" in line
+    assert "name a bundle of this skin with --bundle" in line
 
 
 def test_the_documents_name_every_key(pytestconfig):
