@@ -50,11 +50,7 @@ def pair(large: Path, small: Path, out: Path) -> dict[str, Any]:
         SkinError: They do not go together, or one is no whole bundle.
         OSError: A file cannot be read or written.
     """
-    try:
-        whole, part = load_bundle(large), load_bundle(small)
-    except BundleError as error:
-        raise SkinError(str(error)) from error
-    _check(whole, part)
+    whole, part = _that_go_together(large, small)
     chosen = {"large": HEADS[default_solver(whole)], "small": _fast_head(part)}
     sizes = {name: len(one.files[chosen[name]]) for name, one in (("large", whole), ("small", part))}
     if sizes["small"] >= sizes["large"]:
@@ -99,11 +95,7 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
         SkinError: They do not go together, or one is no whole bundle.
         OSError: A file cannot be read or written.
     """
-    try:
-        before, after = load_bundle(bundle), load_bundle(newer)
-    except BundleError as error:
-        raise SkinError(str(error)) from error
-    _check(before, after)
+    _, after = _that_go_together(bundle, newer)
     files, facts, skin = read(bundle)
     files = {name: data for name, data in files.items() if name not in (*GRAPHS, *OF_SMALL)}
     files |= {name: after.files[name] for name in GRAPHS if name in after.files}
@@ -124,8 +116,12 @@ def _fast_head(part: Bundle) -> str:
     return HEADS[QUANTISED] if few else HEADS[names[0]]
 
 
-def _check(large: Bundle, small: Bundle) -> None:
-    """Refuse two bundles that do not answer the same question in the same way."""
+def _that_go_together(one: Path, other: Path) -> tuple[Bundle, Bundle]:
+    """Return two bundles, or refuse them where they do not answer the same question in the same way."""
+    try:
+        large, small = load_bundle(one), load_bundle(other)
+    except BundleError as error:
+        raise SkinError(str(error)) from error
     for what, found, expected in (
         ("skin", small.skin.digest, large.skin.digest),
         ("labels", small.labels, large.labels),
@@ -137,3 +133,4 @@ def _check(large: Bundle, small: Bundle) -> None:
                 f"{small.path}: {what} found {found}, expected {expected} as in {large.path}; build it with the "
                 "larger one's skin and touches"
             )
+    return large, small
