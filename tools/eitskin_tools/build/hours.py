@@ -18,7 +18,7 @@ REST_S: Final = 600.0
 """For gate, export and card: five minutes on two quiet cores."""
 
 SMALL_SHARE: Final = 0.35
-"""Of a smaller network: its data take as long, a sample trained on less than half."""
+"""Of a smaller network: it begins as the larger one and needs few epochs, but its data take as long."""
 
 SAMPLES: Final = (50, 250)
 """Samples a deformation of the two small data sets."""
