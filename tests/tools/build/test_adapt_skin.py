@@ -106,6 +106,8 @@ def test_a_bundle_of_the_twin_comes_out_and_knows_what_it_knew(tmp_path, monkeyp
     assert said["bundle"] == bundle.id
     assert (bundle.touch_kind, bundle.labels, bundle.skin) == ("lowering", "area", TWIN)
     assert bundle.manifest["build"]["training"][0]["start_from"] == "press.eitskin"
+    assert bundle.manifest["small"]["recipe"]["name"] == "small"
+    assert "small_head.onnx" in bundle.files
 
 
 def pressed(path: Path, voltages: np.ndarray, reference: np.ndarray) -> list[str]:

@@ -75,9 +75,10 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     sizes = {tmp_path / "work": 8, tmp_path / "work" / "small": 4}
 
     def whole(
-        self: making.Making, recipe: BuildRecipe, work: Path, given: float, *, share: float, larger: Path | None = None
+        self: making.Making, recipe: BuildRecipe, work: Path, given: float, *, share: float, **more: Any
     ) -> making.Made:
-        asked.append((work, given, share))
+        asked.append((work, given, share, more.get("presses")))
+        larger = more.get("larger")
         assert (larger is not None and larger.is_file()) is (work.name == "small"), "it may begin with the larger one"
         work.mkdir()
         return making.Made(recipe, {}, {"cc": sizes[work]}, tiny_bundle(work / "exported.eitskin", sizes[work]))
@@ -85,7 +86,7 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     monkeypatch.setattr(making.Making, "whole", whole)
     recipe, out = recipes.load("tiny"), tmp_path / "both.eitskin"
     large, identity = making.with_smaller(
-        making.Making(1, lambda _: None, lambda _: None), recipe, recipe, tmp_path / "work", 3.0, out
+        making.Making(1, lambda _: None, lambda _: None), recipe, recipe, tmp_path / "work", 3.0, out, "some"
     )
     found = load_bundle(out)
     assert found.id == identity
@@ -93,4 +94,5 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     assert found.small_bias_width == 4
     assert found.manifest["metrics"]["card"] == large.card == {"cc": 8}
     assert found.manifest["small"]["metrics"]["card"] == {"cc": 4}
-    assert asked == [(tmp_path / "work", 3.0, 1.0 - SMALL_SHARE), (tmp_path / "work" / "small", 3.0, SMALL_SHARE)]
+    work = tmp_path / "work"
+    assert asked == [(work, 3.0, 1.0 - SMALL_SHARE, "some"), (work / "small", 3.0, SMALL_SHARE, None)]

@@ -76,7 +76,13 @@ class Making:
 
 
 def with_smaller(
-    making: Making, recipe: BuildRecipe, smaller: BuildRecipe, work: Path, given: float | None, out: Path
+    making: Making,
+    recipe: BuildRecipe,
+    smaller: BuildRecipe,
+    work: Path,
+    given: float | None,
+    out: Path,
+    presses: Any = None,
 ) -> tuple[Made, str]:
     """Make a bundle with a smaller network besides; return the larger half, and the id of the whole.
 
@@ -87,11 +93,12 @@ def with_smaller(
         work: Folder of the half-made bundle.
         given: Hours to scale both to; None leaves them as they are.
         out: Where the whole goes.
+        presses: A recording of some, which the larger one learns from besides; None without.
     """
     from eitskin_export.pair import pair
 
     share = hours.SMALL_SHARE
-    large = making.whole(recipe, work, given, share=1.0 - share)
+    large = making.whole(recipe, work, given, share=1.0 - share, presses=presses)
     halves = work / "large.eitskin", work / "small.eitskin"
     large.finish(halves[0])
     small = making.whole(smaller, work / "small", given, share=share, larger=halves[0])

@@ -91,7 +91,7 @@ def make(
             made = making.whole(asked, work, hours_asked, presses=presses)
             identity = made.finish(arguments.out)
         else:
-            made, identity = with_smaller(making, asked, small, work, hours_asked, arguments.out)
+            made, identity = with_smaller(making, asked, small, work, hours_asked, arguments.out, presses)
     wanted, exported, found = made.recipe, made.exported, made.card
     result: dict[str, Any] = {
         "bundle": identity,
