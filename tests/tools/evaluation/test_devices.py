@@ -12,7 +12,9 @@ from eitskin_sim.evaluation.devices import runs
 from eitskin_sim.evaluation.devices.mismatch import load_rows
 from eitskin_tools import cli
 from eitskin_tools.command_line import files
+from eitskin_tools.evaluation import devices
 from eitskin_tools.evaluation.devices import KINDS, meant, table, trials_of
+from eitskin_tools.evaluation.solvers import named
 
 
 @pytest.fixture(autouse=True)
@@ -82,6 +84,19 @@ def test_a_calibrated_device_of_another_sheet_is_no_sheet_to_draw_around():
     with pytest.raises(ValueError, match=r"name the skin\.toml that it was calibrated from"):
         meant(replace(toml.load(FOREARM), calibrated_from="5" * 16))
     assert meant(replace(PAPER, calibrated_from=PAPER.digest)) == PAPER
+
+
+def test_a_verifier_looks_for_the_touches_of_each_trial(tmp_path, capsys, monkeypatch):
+    asked = []
+
+    def seen(request, labels, skin, touches, conditions):
+        asked.append((labels, touches))
+        return named(request, labels, skin, touches, conditions)
+
+    monkeypatch.setattr(devices, "named", seen)
+    assert cli.main(words(tmp_path, "--trials", "single,press04", "--solver", "tikhonov", "--json")) == 0
+    capsys.readouterr()
+    assert asked == [("area", "raising"), ("area", "lowering")]
 
 
 def test_classical_solvers_find_presses(tmp_path, capsys):

@@ -7,6 +7,7 @@ import numpy as np
 
 from eitskin.model.bundle import Bundle
 from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.devices.mismatch import Row, lab_rows, load_rows, random_rows
 from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
 from eitskin_sim.evaluation.harness import SOLVERS, Conditions
@@ -99,11 +100,12 @@ def evaluate_devices(
     judges, bundles = {}, {}
     followers: dict[str, DriftRemoved] = {}
     for kind in kinds:
-        bundle = bundle_on(request, kind.labels, "lowering" if kind.lowering else "raising", plan.skin)
+        touches: TouchKind = "lowering" if kind.lowering else "raising"
+        bundle = bundle_on(request, kind.labels, touches, plan.skin)
         bundles[kind.name] = None if bundle is None else bundle.id
         one = Request(request.name, reference, None if bundle is None else bundle.path, request.prediction)
         told = Conditions(plan.noise, plan.snr_db)
-        solvers[kind.name] = named(one, kind.labels, plan.skin, conditions=told)
+        solvers[kind.name] = named(one, kind.labels, plan.skin, touches, told)
         judges[kind.name] = judge_of(bundle)
         if drift != "left":
             followers[kind.name] = DriftRemoved(_known(bundle, drift), drift)
