@@ -29,6 +29,7 @@ SAMPLES: Final = 20_000
 """Whose features are looked at."""
 
 TOGETHER: Final = 1000
+"""Samples of a pass."""
 
 LEAST: Final = 1e-7
 """Of the largest moment: directions in which features vary less are taken for as little as that."""
