@@ -99,6 +99,7 @@ def anywhere_conditions() -> list[Anywhere]:
         *(Anywhere(f"pairs 10 mm apart, {family}", _pairs(family)) for family in ("A", "B")),
         *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
         Anywhere("lab-like, singles", _singles(), LAB),
+        *(Anywhere(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
         Anywhere("contrast 2, singles", _singles(2.0)),
         *(
             Anywhere(f"{'tracked' if follow else 'not tracked'}, {touches} moving", _moving(touches), follow=follow)
