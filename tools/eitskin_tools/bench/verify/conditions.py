@@ -100,7 +100,7 @@ def anywhere_conditions() -> list[Anywhere]:
         *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
         Anywhere("lab-like, singles", _singles(), LAB),
         *(Anywhere(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
-        Anywhere("contrast 2, singles", _singles(2.0)),
+        *(Anywhere(f"contrast {contrast:g}, singles", _singles(contrast)) for contrast in (5.0, 3.0, 2.0, 1.5)),
         *(
             Anywhere(f"{'tracked' if follow else 'not tracked'}, {touches} moving", _moving(touches), follow=follow)
             for touches in (1, 3)
