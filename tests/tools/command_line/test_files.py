@@ -88,6 +88,7 @@ def test_a_folder_of_training_that_is_not_there_is_named_in_one_line(
         (files.PHANTOMS, ("paper_mm", "paper_units")),
         (files.CONFIGURATION, ("fast", "full208", "idle", "paper")),
         (files.SCENE, ("sample",)),
+        (files.START, ("free", "press", "units")),
     ],
 )
 def test_shipped_files_are_found_by_name_and_listed_where_another_was_meant(

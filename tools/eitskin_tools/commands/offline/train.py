@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--schedule", choices=["constant", "onecycle"], help="instead of the recipe's")
     parser.add_argument("--seed", type=int, default=0, help="of weights, order, noise and dropout (default 0)")
     parser.add_argument(
-        "--start-from", metavar="RUN|BUNDLE", help="begin with the best weights of a run, or with a bundle's"
+        "--start-from", metavar="RUN|BUNDLE", help="begin with the best weights of a run, or with those of a bundle"
     )
     parser.add_argument("--resume", action="store_true", help="go on from the run's last whole epoch")
     parser.add_argument("--threads", type=int, default=0, help="CPU threads (default: torch's choice)")
@@ -58,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = files.folder(arguments.out)
     for folder in arguments.data:
         files.find(folder, files.DATA_SET)
+    start = _start(arguments.start_from)
     data = load_all(arguments.data)
     chosen = fitted(chosen, data.skin)
     with _Reporter() as report:
@@ -67,7 +68,7 @@ def run(arguments: argparse.Namespace) -> int:
             out,
             seed=arguments.seed,
             resume=arguments.resume,
-            start=_start(arguments.start_from),
+            start=start,
             sources=tuple(str(Path(folder).resolve()) for folder in arguments.data),
             progress=report,
         )
@@ -99,13 +100,16 @@ def run(arguments: argparse.Namespace) -> int:
 def _start(path: str | None) -> Any:
     if path is None:
         return None
-    if Path(path).is_file():
+    from eitskin_tools.command_line import files
+
+    found = files.find(path, files.START)
+    if found.is_file():
         from eitskin_export.unfold import start_of_bundle
 
-        return start_of_bundle(Path(path))
+        return start_of_bundle(found)
     from eitskin_training.start import Start
 
-    return Start.of_run(Path(path))
+    return Start.of_run(found)
 
 
 class _Reporter:
