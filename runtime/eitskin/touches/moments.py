@@ -10,6 +10,7 @@ two of 1.155 s. Shares in pixels of side p spread a touch by p^2 / 12 along x an
 much is taken off.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -25,22 +26,26 @@ MOST_TOUCHES: Final = 16
 """Touches of one map that are listed: those whose pixels of at least one half sum up to most."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Found:
-    """The touches of one map, as arrays with one row a touch, in the order of their first pixels."""
+Row = tuple[float, float, float, float, float, float, float]
+"""x and y of a touch's centre in mm, its longer and shorter axis in mm, angle in rad, area in mm2, peak."""
 
-    numbers: Array
-    """(7, n): x and y of the centre in mm, longer and shorter axis in mm, angle in rad, area in mm2, peak."""
+
+@dataclass(slots=True, eq=False)
+class Found:
+    """The touches of one map, in the order of their first pixels; nobody changes them."""
+
+    rows: list[Row]
+    """Of each touch."""
     pixels: Indices
-    """(m,) pixels that some touch has a part of, by their number in the map with its border."""
+    """(m,) pixels that some touch has a part of, by their number in the map with its border; touch after touch.
+
+    One that is at least half touched is of one touch alone."""
     touch: Indices
     """(m,) the touch of each."""
     weights: Array
     """(m,) the share of the pixel that this touch has."""
-    core: Indices
-    """(k,) pixels at least half touched, by their number in the map with its border."""
-    core_touch: Indices
-    """(k,) the touch of each."""
+    starts: Indices
+    """(n,) where each touch begins among them."""
     pixel_mm2: float
     """Of the grid."""
     more: int
@@ -49,7 +54,23 @@ class Found:
     @property
     def count(self) -> int:
         """How many there are."""
-        return len(self.numbers[0])
+        return len(self.rows)
+
+    @property
+    def numbers(self) -> Array:
+        """(7, n): the rows as an array, one column a touch."""
+        return np.array(self.rows, dtype=np.float64).reshape(-1, 7).T
+
+    def areas_mm2(self, stretch: Array) -> list[float]:
+        """Return the area of each touch on a surface.
+
+        Args:
+            stretch: (pixels,) surface over flat area at each pixel of a map with its border.
+        """
+        if not self.rows:
+            return []
+        areas: list[float] = np.add.reduceat(self.weights * stretch[self.pixels], self.starts).tolist()
+        return [area * self.pixel_mm2 for area in areas]
 
 
 class Finder:
@@ -59,7 +80,9 @@ class Finder:
         grid: Of the skin.
     """
 
-    __slots__ = ("_around", "_blur_mm2", "_empty", "_flat", "_inside", "_middle_mm", "_pixel_mm2", "_powers", "_width")
+    __slots__ = (
+        "_around", "_blur_mm2", "_empty", "_flat", "_inside", "_middle_mm", "_pixel_mm2", "_powers", "_touch", "_width",
+    )  # fmt: skip
 
     def __init__(self, grid: Grid) -> None:
         rows, columns = grid.shape
@@ -69,13 +92,14 @@ class Finder:
         self._flat = padded.reshape(-1)
         dx, dy = grid.pixel_mm
         self._pixel_mm2 = grid.pixel_mm2
-        self._blur_mm2 = np.array([[dx * dx], [dy * dy]]) / 12.0
-        self._middle_mm = 0.5 * np.array(grid.size_mm)[:, np.newaxis]
+        self._blur_mm2 = dx * dx / 12.0, dy * dy / 12.0
+        self._middle_mm = 0.5 * grid.size_mm[0], 0.5 * grid.size_mm[1]
         row, column = np.divmod(np.arange(self._flat.size), self._width)
         x, y = (column - 0.5) * dx - grid.size_mm[0] / 2, (row - 0.5) * dy - grid.size_mm[1] / 2
         self._powers = np.stack([np.ones_like(x), x, y, x * x, y * y, x * y])
         steps = [down * self._width + right for down in (-1, 0, 1) for right in (-1, 0, 1)]
         self._around = np.array(steps, dtype=np.intp)[:, np.newaxis]
+        self._touch = np.arange(MOST_TOUCHES)
         self._empty = self._nothing(0)
 
     @property
@@ -85,7 +109,7 @@ class Finder:
 
     def _nothing(self, more: int) -> Found:
         whole = np.zeros(0, dtype=np.intp)
-        return Found(np.zeros((7, 0)), whole, whole, np.zeros(0), whole, whole, self._pixel_mm2, more)
+        return Found([], whole, whole, np.zeros(0), whole, self._pixel_mm2, more)
 
     def find(self, values: npt.NDArray[np.floating]) -> Found:
         """Return the touches of a map.
@@ -95,7 +119,7 @@ class Finder:
         """
         self._inside[:] = values.reshape(self._inside.shape)
         flat = self._flat
-        if not np.isfinite(np.dot(flat, flat)):
+        if not math.isfinite(flat.dot(flat)):
             flat[~np.isfinite(flat)] = 0.0
         found = pieces(flat, self._width)
         if found is None:
@@ -112,32 +136,35 @@ class Finder:
         own = of * flat.size
         own += core
         touched[own + self._around] = True
-        touched.reshape(count, flat.size)[:, core] = False
-        touched[own] = True
-        touch, pixels = np.divmod(touched.nonzero()[0], flat.size)
+        if count > 1:
+            touched.reshape(count, flat.size)[:, core] = False
+            touched[own] = True
+        pixels = touched.nonzero()[0]
+        touch = pixels // flat.size
+        pixels -= touch * flat.size
         weights = np.maximum(flat[pixels], 0.0)
-        weights /= np.bincount(pixels, minlength=1)[pixels]
-        each = np.bincount(touch, minlength=count)
-        sums = np.add.reduceat(self._powers.take(pixels, axis=1) * weights, each.cumsum() - each, axis=1)
-        numbers = np.empty((7, count))
-        total = sums[0]
-        mean, square = sums[1:3] / total, sums[3:5] / total
-        square -= mean * mean
-        square -= self._blur_mm2
-        cross = sums[5] / total - mean[0] * mean[1]
-        middle, half = 0.5 * (square[0] + square[1]), 0.5 * (square[0] - square[1])
-        spread = np.sqrt(half * half + cross * cross)
-        np.add(mean, self._middle_mm, out=numbers[:2])
-        numbers[2], numbers[3] = middle + spread, middle - spread
-        numbers[2:4] = 4.0 * np.sqrt(np.maximum(numbers[2:4], 0.0))
-        angle = 0.5 * np.arctan2(cross, half) % np.pi
-        angle[angle >= np.pi] = 0.0  # of a negative one next to 0
-        numbers[4] = angle
-        np.multiply(total, self._pixel_mm2, out=numbers[5])
-        order = of.argsort(kind="stable")
-        sizes = np.bincount(of, minlength=count)
-        np.maximum.reduceat(flat[core[order]], sizes.cumsum() - sizes, out=numbers[6])
-        return Found(numbers, pixels, touch, weights, core, of, self._pixel_mm2, max(more, 0))
+        if count > 1:
+            weights /= np.bincount(pixels)[pixels]
+        starts = touch.searchsorted(self._touch[:count])
+        sums = np.add.reduceat(self._powers.take(pixels, axis=1) * weights, starts, axis=1)
+        peaks = np.zeros(count)
+        np.maximum.at(peaks, of, flat[core])
+        rows = list(map(self._row, *sums.tolist(), peaks.tolist()))
+        return Found(rows, pixels, touch, weights, starts, self._pixel_mm2, max(more, 0))
+
+    def _row(self, total: float, x: float, y: float, xx: float, yy: float, xy: float, peak: float) -> Row:
+        """Return the numbers of a touch from the sums of its shares times 1, x, y, x^2, y^2 and x y."""
+        x, y = x / total, y / total
+        xx, yy, xy = xx / total - x * x - self._blur_mm2[0], yy / total - y * y - self._blur_mm2[1], xy / total - x * y
+        middle, half = 0.5 * (xx + yy), 0.5 * (xx - yy)
+        spread = math.sqrt(half * half + xy * xy)
+        angle = 0.5 * math.atan2(xy, half) % math.pi
+        return (
+            x + self._middle_mm[0], y + self._middle_mm[1],
+            4.0 * math.sqrt(max(middle + spread, 0.0)), 4.0 * math.sqrt(max(middle - spread, 0.0)),
+            angle if angle < math.pi else 0.0,  # of a negative one next to 0
+            total * self._pixel_mm2, peak,
+        )  # fmt: skip
 
 
 def _largest(core: Indices, of: Indices, sums: npt.NDArray[Any]) -> tuple[Indices, Indices]:

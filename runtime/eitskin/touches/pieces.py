@@ -32,18 +32,20 @@ MOST_DIVIDED: Final = 1024
 Indices = npt.NDArray[np.intp]
 
 
-def runs_above(flat: npt.NDArray[np.float64], level: float) -> tuple[list[int], list[int]]:
-    """Return first pixels, and pixels behind the last, of all runs at least as high as a level.
+_LEVELS: Final = np.array([[HALF], [HIGH]])
 
-    Args:
-        flat: (pixels,) a map with a border of zeros, row by row.
-        level: Above 0.
+
+def _runs(flat: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.bool_], Indices, list[int]]:
+    """Return which pixels are at least ``HALF``, the edges of their runs, and the edges of the runs of ``HIGH``.
+
+    Of each run, in a row: its first pixel, and the one behind its last.
     """
-    above = flat >= level
-    edges = (above[1:] != above[:-1]).nonzero()[0]
+    above = flat >= _LEVELS  # one behind the other, so that one search finds the edges of both
+    both = above.reshape(-1)
+    edges = (both[1:] != both[:-1]).nonzero()[0]
     edges += 1
-    found = edges.tolist()
-    return found[::2], found[1::2]
+    split = edges.searchsorted(flat.size)
+    return above[0], edges[:split], (edges[split:] - flat.size).tolist()
 
 
 def joined(starts: Sequence[int], ends: Sequence[int], width: int) -> list[int]:
@@ -88,22 +90,17 @@ def pieces(flat: npt.NDArray[np.float64], width: int) -> tuple[Indices, Indices,
         Pixels in pieces numbered from 0, in the order of their first pixels; those on a saddle belong to none and are
         left out. None for a map in more than ``MOST_RUNS`` runs.
     """
-    starts, ends = runs_above(flat, HALF)
-    if len(starts) > MOST_RUNS:
+    above, edges, high = _runs(flat)
+    firsts, behind = edges[::2], edges[1::2]
+    if len(firsts) > MOST_RUNS:
         return None
-    roots = joined(starts, ends, width)
+    starts, ends = firsts.tolist(), behind.tolist()
     number: dict[int, int] = {}
-    for root in roots:
-        if root not in number:
-            number[root] = len(number)
-    numbers = [number[root] for root in roots]
-    first = np.array(starts, dtype=np.intp)
-    lengths = np.array(ends, dtype=np.intp) - first
-    at = np.repeat(first - lengths.cumsum() + lengths, lengths)
-    at += np.arange(at.size)
-    of = np.repeat(np.array(numbers, dtype=np.intp), lengths)
+    numbers = [number.setdefault(root, len(number)) for root in joined(starts, ends, width)]
+    at = above.nonzero()[0]
+    of = np.repeat(np.array(numbers, dtype=np.intp), behind - firsts)
     count = len(number)
-    for piece in _dividable(flat, width, starts, numbers):
+    for piece in _dividable(high, width, starts, numbers):
         mine = np.flatnonzero(of == piece)
         if mine.size > MOST_DIVIDED:
             continue
@@ -118,9 +115,16 @@ def pieces(flat: npt.NDArray[np.float64], width: int) -> tuple[Indices, Indices,
     return at, of, count
 
 
-def _dividable(flat: npt.NDArray[np.float64], width: int, starts: Sequence[int], numbers: Sequence[int]) -> list[int]:
-    """Return the pieces that are more than one above ``HIGH``: only these can have a saddle."""
-    tops, ends = runs_above(flat, HIGH)
+def _dividable(high: Sequence[int], width: int, starts: Sequence[int], numbers: Sequence[int]) -> list[int]:
+    """Return the pieces that are more than one above ``HIGH``: only these can have a saddle.
+
+    Args:
+        high: Edges of the runs above ``HIGH``.
+        width: Pixels of a row, the border's two among them.
+        starts: First pixels of the runs above ``HALF``.
+        numbers: The piece of each.
+    """
+    tops, ends = high[::2], high[1::2]
     seen: dict[int, int] = {}
     found: list[int] = []
     run, runs = 0, len(starts)

@@ -5,6 +5,8 @@ directions in which it faces at the points; beyond the outermost points, half a 
 way in which the flat sheet faces z: along the direction of x times that of y. The pose is the cloud's own.
 """
 
+import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
@@ -26,12 +28,10 @@ class Surface:
         grid: Of the skin.
     """
 
-    __slots__ = ("_columns", "_corners", "_nodes", "_pixel_mm", "_rows", "stretch")
+    __slots__ = ("_columns", "_nodes", "_pixel_mm", "_rows", "stretch")
 
     def __init__(self, cloud_mm: npt.NDArray[np.floating], grid: Grid) -> None:
         self._rows, self._columns = grid.shape
-        corners = [[0], [self._columns], [1], [self._columns + 1]]
-        self._corners = np.array(corners, dtype=np.intp)
         self._pixel_mm = dx, dy = grid.pixel_mm
         points = np.asarray(cloud_mm, dtype=np.float64)
         along_x, along_y = _slope(points, 2) / dx, _slope(points, 1) / dy
@@ -43,29 +43,30 @@ class Surface:
         self.stretch = np.pad(np.where(faces, size, 0.0), 1).reshape(-1)
         """(pixels,) surface over flat area at each pixel of a map with a border, whose own is 0."""
 
-    def at(self, x_mm: Array, y_mm: Array) -> Array:
-        """Return (n, 6): the places in space in mm, and the unit vectors in which the surface faces there.
+    def at(self, x_mm: Sequence[float], y_mm: Sequence[float]) -> list[list[float]]:
+        """Return six numbers for each place: where it lies in space in mm, and the unit vector in which it faces there.
 
-        A direction is (0, 0, 0) where the surface has none.
+        A direction is 0, 0, 0 where the surface has none.
 
         Args:
             x_mm: (n,) on the flat sheet.
             y_mm: (n,) the same.
         """
-        u, v = x_mm / self._pixel_mm[0] - 0.5, y_mm / self._pixel_mm[1] - 0.5
-        column = np.minimum(np.maximum(u, 0.0).astype(np.intp), self._columns - 2)
-        row = np.minimum(np.maximum(v, 0.0).astype(np.intp), self._rows - 2)
-        u -= column
-        v -= row
-        first = row * self._columns + column
-        right, below = u[:, np.newaxis], v[:, np.newaxis]
-        four = self._nodes.take(first + self._corners, axis=0)
-        upper, lower = four[:2] + right * (four[2:] - four[:2])
-        found = upper + below * (lower - upper)
-        faces = found[:, 3:]
-        size = np.sqrt((faces * faces).sum(axis=1))
-        faces /= np.where(size > COLLAPSED, size, np.inf)[:, np.newaxis]
-        return np.asarray(found)
+        (dx, dy), columns, last_column, last_row = self._pixel_mm, self._columns, self._columns - 2, self._rows - 2
+        corners, shares = list[int](), list[float]()
+        for x, y in zip(x_mm, y_mm, strict=True):
+            u, v = x / dx - 0.5, y / dy - 0.5
+            column, row = min(int(max(u, 0.0)), last_column), min(int(max(v, 0.0)), last_row)
+            u, v, first = u - column, v - row, row * columns + column
+            corners += (first, first + 1, first + columns, first + columns + 1)
+            shares += ((1.0 - u) * (1.0 - v), u * (1.0 - v), (1.0 - u) * v, u * v)
+        four = self._nodes.take(np.array(corners, dtype=np.intp), axis=0).reshape(-1, 4, 6)
+        found: list[list[float]] = np.matmul(np.array(shares).reshape(-1, 1, 4), four)[:, 0].tolist()
+        for place in found:
+            nx, ny, nz = place[3:]
+            size = math.sqrt(nx * nx + ny * ny + nz * nz)
+            place[3:] = (nx / size, ny / size, nz / size) if size > COLLAPSED else (0.0, 0.0, 0.0)
+        return found
 
 
 def _slope(points: Array, axis: int) -> Array:

@@ -87,11 +87,10 @@ class Tracker:
             found: The frame's touches.
             device_us: When it was scanned.
         """
-        xs, ys, *_, peaks = found.numbers.tolist()
+        xs, ys, peaks = ([row[column] for row in found.rows] for column in (0, 1, 6))
         count = len(xs)
         now, before = self._now, self._before
-        now[found.pixels] = found.touch  # with those right around it; its own ones then are nobody else's
-        now[found.core] = found.core_touch
+        now[found.pixels] = found.touch  # with those right around it; its own ones are nobody else's
         lies_in = [int(now[self._pixel(track.x_mm, track.y_mm)]) for track in self._tracks]
         lay_in = [int(before[self._pixel(x, y)]) for x, y in zip(xs, ys, strict=True)]
         now[found.pixels] = -1
@@ -122,7 +121,6 @@ class Tracker:
         if count:
             ids = np.array([0 if track is None else track.id for track in result])
             before[found.pixels] = ids[found.touch]
-            before[found.core] = ids[found.core_touch]
         return result, events
 
     def _paired(

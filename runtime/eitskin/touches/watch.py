@@ -69,13 +69,13 @@ class TouchWatch:
 
 def _rows(found: Found, surface: Surface) -> list[bytes]:
     """Return what ``LAYOUT`` has of each touch behind id, parent and age."""
-    count = found.count
-    if not count:
+    if not found.rows:
         return []
-    table = np.full((count, 16), UNKNOWN, dtype="<f4")
-    table[:, :7] = found.numbers.T
-    table[:, 9:15] = surface.at(found.numbers[0], found.numbers[1])
-    share = found.weights * surface.stretch[found.pixels]
-    table[:, 15] = np.bincount(found.touch, share, count) * found.pixel_mm2
-    raw, width = table.tobytes(), LAYOUT.size - HEAD.size
+    xs, ys = [row[0] for row in found.rows], [row[1] for row in found.rows]
+    areas_mm2 = found.areas_mm2(surface.stretch)
+    rows = [
+        (*row, UNKNOWN, UNKNOWN, *place, area_mm2)
+        for row, place, area_mm2 in zip(found.rows, surface.at(xs, ys), areas_mm2, strict=True)
+    ]
+    raw, width = np.array(rows, dtype="<f4").tobytes(), LAYOUT.size - HEAD.size
     return [raw[at : at + width] for at in range(0, len(raw), width)]

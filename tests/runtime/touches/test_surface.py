@@ -35,7 +35,7 @@ def touched(cloud, image):
 
 def test_the_flat_sheet_faces_z_up_to_its_border():
     x, y = RNG.uniform((0, 0), (150, 100), (200, 2)).T
-    found = Surface(FLAT, GRID).at(x, y)
+    found = np.array(Surface(FLAT, GRID).at(x, y))
     assert found[:, :3] == pytest.approx(np.stack([x, y, 0 * x], axis=1), abs=1e-9)
     assert found[:, 3:] == pytest.approx(np.tile([0.0, 0.0, 1.0], (200, 1)), abs=1e-12)
 
@@ -43,7 +43,7 @@ def test_the_flat_sheet_faces_z_up_to_its_border():
 @pytest.mark.parametrize("radius", [30.0, 60.0, 200.0])
 def test_on_a_cylinder_place_and_direction_are_the_formulas(radius):
     x, y = RNG.uniform((DX, DX), (150 - DX, 100 - DX), (200, 2)).T
-    found = Surface(rolled(radius), GRID).at(x, y)
+    found = np.array(Surface(rolled(radius), GRID).at(x, y))
     angle = (x - 75.0) / radius
     faces = np.stack([np.sin(angle), 0 * angle, np.cos(angle)], axis=1)
     place = radius * faces
@@ -51,7 +51,7 @@ def test_on_a_cylinder_place_and_direction_are_the_formulas(radius):
     sag = DX**2 / 8 / radius  # of a chord between two points
     assert np.abs(found[:, :3] - place).max() <= 1.1 * sag + 1e-9
     assert np.abs(found[:, 3:] - faces).max() <= (DX / radius) ** 2
-    border = Surface(rolled(radius), GRID).at(np.array([0.0, 150.0]), np.array([50.0, 50.0]))
+    border = np.array(Surface(rolled(radius), GRID).at([0.0, 150.0], [50.0, 50.0]))
     ends = np.array([-75.0, 75.0]) / radius
     assert np.abs(border[:, 3] - np.sin(ends)).max() <= 0.6 * DX / radius  # straight on, half a pixel
 
@@ -92,6 +92,6 @@ def test_a_collapsed_surface_has_no_direction_and_no_area_and_nothing_is_not_a_n
         assert np.isfinite(touch.place_mm).all()
     folded = FLAT.copy()
     folded[:, :, 20] = folded[:, :, 19] = folded[:, :, 18]
-    found = Surface(folded, GRID).at(*RNG.uniform((50, 20), (80, 80), (100, 2)).T)
+    found = np.array(Surface(folded, GRID).at(*RNG.uniform((50, 20), (80, 80), (100, 2)).T))
     assert np.isfinite(found).all()
     assert np.abs(np.linalg.norm(found[:, 3:], axis=1) - 1.0).max() < 1e-9  # its neighbours say where it faces

@@ -90,8 +90,7 @@ class _Shape:
         """Return place and normal on the surface of each centre."""
         if not centres_mm:
             return []
-        x, y = np.array(centres_mm).T
-        rows = self._surface.at(x, y).tolist()
+        rows = self._surface.at(*zip(*centres_mm, strict=True))
         return [((row[0], row[1], row[2]), (row[3], row[4], row[5])) for row in rows]
 
 
