@@ -3,7 +3,7 @@
 Most of what a gate must allow for, the device and its bend, is the same from one frame to the next. A gate of matched
 filters is linear up to its first ReLU, with w the whitened logarithms and f what the filters make of them ::
 
-    p = (w, -w, f)      touched: max f > c (mean |w| + a)
+    p = (w, f)      touched: max f > c (mean |w| + a)
 
 so the same filters judge a change of p, and what the two frames share is gone from it. Two means are remembered, of
 untouched frames alone: ``recent`` of the last ``FAST``, ``base`` of the last ``SLOW`` ::
@@ -64,6 +64,10 @@ MEAN: Final = (2 * FAST - 1) ** -0.5
 """Noise of ``recent`` over that of a frame."""
 
 
+# Of arrays that are known to be ones, without the wrappers of their methods.
+_largest, _smallest, _sum = np.maximum.reduce, np.minimum.reduce, np.add.reduce
+
+
 class Changes:
     """Judges frames one after the other by what has changed; allocates nothing a frame.
 
@@ -79,7 +83,7 @@ class Changes:
 
     def __init__(self, filters: Filters, width: int) -> None:
         self._base, self._recent, self._change, self._step = (np.zeros(width, dtype=np.float32) for _ in range(4))
-        self._whitened, self._found = self._change[: filters.whitened], self._change[2 * filters.whitened :]
+        self._whitened, self._found = self._change[: filters.whitened], self._change[filters.whitened :]
         self._sizes = np.zeros(filters.whitened, dtype=np.float32)
         self.begin(filters)
 
@@ -179,11 +183,11 @@ class Changes:
             ends: Whether the end of a touch is looked for where none begins.
         """
         np.subtract(now, before, out=self._change)
-        self.strength = strength = float(self._found.max())
+        self.strength = strength = float(_largest(self._found))
         floor = NOISE * self.level * noise
         if strength <= floor and not ends:
             return 0.0
-        against = -float(self._found.min()) if self._filters.one_sign else 0.0
+        against = -float(_smallest(self._found)) if self._filters.one_sign else 0.0
         if max(strength, against) <= floor:
             return 0.0
         return (strength if strength >= against else -against) / (self._size() + self._filters.still)
@@ -196,7 +200,7 @@ class Changes:
     def _size(self) -> float:
         """Return mean |w| of the change."""
         np.abs(self._whitened, out=self._sizes)
-        return float(self._sizes.sum()) / self._filters.whitened
+        return float(_sum(self._sizes)) / self._filters.whitened
 
     def _mix(self, mean: Array, value: Array, share: float) -> None:
         np.subtract(value, mean, out=self._step)

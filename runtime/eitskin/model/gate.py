@@ -7,8 +7,9 @@ it was not trained on. A frame that it calls untouched costs no inference. ::
     dV (104) -> [dV, log max(1 + dV, floor)] -> (x - mean) / scale -> relu(. w1 + b1) [-> relu(. w2 + b2)] -> logit
     touched: logit > threshold
 
-With one hidden layer the last weights are w2 and b2, with two they are w3 and b3. Everything is written into arrays
-made at the start.
+With one hidden layer the last weights are w2 and b2, with two they are w3 and b3. Where these are matched filters
+(:mod:`eitskin.model.matched_filters`) the second layer is written out: a frame reads a third of the weights. Everything
+is written into arrays made at the start.
 """
 
 from collections.abc import Mapping
@@ -50,9 +51,9 @@ class Gate:
     """
 
     __slots__ = (
-        "_all_filters", "_drop", "_first", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output", "_second",
-        "_second_hidden", "_shift", "_start", "_whole", "change", "features", "filters", "logit", "response",
-        "threshold", "usual_threshold",
+        "_all_filters", "_drop", "_first", "_found", "_hidden", "_hidden_and_one", "_inputs", "_logarithms", "_output",
+        "_second", "_second_hidden", "_shift", "_sizes", "_start", "_whitened", "_whole", "change", "features",
+        "filters", "logit", "response", "threshold", "usual_threshold",
     )  # fmt: skip
 
     def __init__(self, arrays: Mapping[str, npt.NDArray[np.generic]], rows: int = N_ROWS) -> None:
@@ -76,14 +77,17 @@ class Gate:
         # on a paced loop every operation costs microseconds of cold cache, whatever its size.
         weights = values["w1"] / scale[:, None]
         bias = values["b1"] - values["mean"] @ weights
-        start = 0 if weights[:rows].any() else rows  # a gate that goes by logarithms alone reads half of the weights
-        self._first = np.ascontiguousarray(flushed(np.vstack([weights[start:], bias[None]])), dtype=np.float32)
+        # a gate that goes by logarithms alone reads half of the weights
+        self._start = start = 0 if weights[:rows].any() else rows
+        first = np.vstack([weights[start:], bias[None]])
         self._whole: npt.NDArray[np.float32] | None = None
         """The first layer for all rows, while another is used."""
         self._all_filters = self.filters = Filters.of(arrays) if start else None
         """What a gate of matched filters is made of now; None for any other."""
+        first = first if self.filters is None else self.filters.once(first)
+        self._first = np.ascontiguousarray(flushed(first), dtype=np.float32)
         self._second: npt.NDArray[np.float32] | None = None
-        if deep:
+        if deep and self.filters is None:
             layers = np.vstack([values["w2"], values["b2"].reshape(1, last)])
             self._second = np.ascontiguousarray(flushed(layers), dtype=np.float32)
         self._output = np.asarray(values["w3" if deep else "w2"], dtype=np.float32).reshape(-1)
@@ -92,14 +96,16 @@ class Gate:
         """That of the bundle, set on frames of which no row was missing."""
         self.threshold = self.usual_threshold
         """The logit above which a frame counts as touched."""
-        self._start = start
         self.features = np.ones(2 * rows + 1, dtype=np.float32)
         self.change = self.features[:rows]
         """(104,) or (rows,) dV, to be filled before ``touched``."""
         self._logarithms = self.features[rows : 2 * rows]
         self._inputs = self.features[start:]
-        self.response = np.zeros(hidden, dtype=np.float32)
-        """(h,) what the first layer makes of the last frame judged, before its ReLU."""
+        self.response = np.zeros(first.shape[1], dtype=np.float32)
+        """(h,) what the first layer makes of the last frame judged, before its ReLU; (w, f) of matched filters."""
+        whitened = 0 if self.filters is None else self.filters.whitened
+        self._whitened, self._found = np.split(self.response, [whitened])
+        self._sizes = np.zeros(whitened, dtype=np.float32)
         self._hidden_and_one = np.ones(hidden + 1, dtype=np.float32)
         self._hidden = self._hidden_and_one[:hidden]
         self._second_hidden = np.zeros(last, dtype=np.float32)
@@ -112,7 +118,13 @@ class Gate:
         np.log1p(self._logarithms, out=self._logarithms)
         hidden = self._hidden
         np.matmul(self._inputs, self._first, out=self.response)
-        np.maximum(self.response, _ZERO, out=hidden)
+        if self.filters is not None:
+            hidden = self._second_hidden
+            np.abs(self._whitened, out=self._sizes)
+            np.subtract(self._found, self.filters.level(float(np.add.reduce(self._sizes))), out=hidden)
+            np.maximum(hidden, _ZERO, out=hidden)
+        else:
+            np.maximum(self.response, _ZERO, out=hidden)
         if self._second is not None:
             np.matmul(self._hidden_and_one, self._second, out=self._second_hidden)
             hidden = self._second_hidden
@@ -129,7 +141,7 @@ class Gate:
         Args:
             rows: (104,) or (rows,) the missing ones; none brings all back.
         """
-        if self._all_filters is None or self._second is None:
+        if self._all_filters is None:
             return False
         if self._whole is None:
             if not rows.any():
@@ -140,7 +152,6 @@ class Gate:
             weights, self.filters = self._all_filters.without(self._whole, rows)
             first = flushed(weights).astype(np.float32)
         self._first[:] = first
-        self._second[-1] = -self.filters.limit * self.filters.still
         return True
 
     def logits(self, changes: npt.NDArray[np.floating]) -> npt.NDArray[np.float32]:
@@ -149,7 +160,11 @@ class Gate:
         features = np.concatenate(
             [small, np.log1p(np.maximum(small, self._drop)), np.ones((len(small), 1), dtype=np.float32)], axis=1
         )
-        hidden = np.maximum(product(features[:, self._start :], self._first), _ZERO)
+        hidden = product(features[:, self._start :], self._first)
+        if self.filters is not None:
+            sizes = np.abs(hidden[:, : self.filters.whitened]).sum(axis=1, keepdims=True)
+            hidden = hidden[:, self.filters.whitened :] - self.filters.level(sizes)
+        hidden = np.maximum(hidden, _ZERO)
         if self._second is not None:
             hidden = np.maximum(product(hidden, self._second[:-1]) + self._second[-1], _ZERO)
         return np.asarray(hidden @ self._output + np.float32(self._shift), dtype=np.float32)

@@ -4,6 +4,8 @@ With w the whitened logarithms of a frame, W^T l + b, and p the unit pattern of 
 
     first layer: (w, -w, f),  f = p^T w         touched: max f > c (mean |w| + a)
 
+A response is (w, f): that is half of the weights, and what the layer behind them makes of it is written out.
+
 What a frame says without the rows m is w with the rows filled in as the gate's own Gaussian expects them. That is a
 projection of w, off the space that the rows m span ::
 
@@ -16,7 +18,7 @@ is in few directions, and its strongest filter over its size goes as the root of
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -31,6 +33,8 @@ LEFT_OF_IT: Final = 0.2
 """Share of a pattern's size below which a filter is not made stronger any more: its touch hardly shows."""
 
 
+Number = TypeVar("Number", float, npt.NDArray[np.float32])
+
 RIDGE: Final = 1e-13
 """Of the sum of squares, added to each: rows that depend on each other, as all of them do, may be missing together."""
 
@@ -40,7 +44,7 @@ class Filters:
     """What a gate of matched filters is made of.
 
     Args:
-        whitened: k; a response begins with w (k,) and -w (k,) and goes on with f.
+        whitened: k; a response begins with w (k,) and goes on with f.
         limit: c.
         still: a.
         one_sign: No two filters are the same touch with its sign turned.
@@ -74,25 +78,33 @@ class Filters:
         limit = -scale * size
         return cls(size, limit, float(-bias[0]) / limit, bool((patterns.T @ patterns).min() > TWO_SIGNS))
 
+    def level(self, size: Number) -> Number:
+        """Return c (mean |w| + a), above which a filter is a touch, of the sum of |w|."""
+        return self.limit / self.whitened * size + self.limit * self.still
+
+    def once(self, first: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Return the (n + 1, h) weights of responses, of a first layer that has those of -w besides."""
+        return np.hstack([first[:, : self.whitened], first[:, 2 * self.whitened :]])
+
     def without(
         self, first: npt.NDArray[np.floating], rows: npt.NDArray[np.bool_]
     ) -> tuple[npt.NDArray[np.float64], "Filters"]:
-        """Return the (n + 1, h) first layer that judges by the rows that are left, and what the gate is made of then.
+        """Return the (n + 1, h) weights that judge by the rows that are left, and what the gate is made of then.
 
         Args:
-            first: (n + 1, h) weights of the logarithms, and the bias.
+            first: (n + 1, h) weights of responses to the logarithms, and the bias.
             rows: (n,) the missing ones; their weights become 0.
         """
         size = self.whitened
         whitening, bias = first[:-1, :size].astype(np.float64), first[-1, :size].astype(np.float64)
-        patterns = patterns_of(whitening, first[:-1, 2 * size :].astype(np.float64))
+        patterns = patterns_of(whitening, first[:-1, size:].astype(np.float64))
         gone = whitening[rows]
         square = product(gone, gone.T)
         square += RIDGE * np.trace(square) * np.eye(len(gone))
         left = np.eye(size) - product(gone.T, product(precision_of(square), gone))
         shown = product(left, patterns)
         share = np.sqrt(np.maximum((patterns * shown).sum(axis=0) / (patterns**2).sum(axis=0), 0.0))
-        change = np.hstack([left, -left, shown / np.maximum(share, LEFT_OF_IT)])
+        change = np.hstack([left, shown / np.maximum(share, LEFT_OF_IT)])
         weights = product(whitening, change)
         weights[rows] = 0.0  # but for rounding they are
         smaller = float(np.sqrt(np.maximum(np.diag(left), 0.0)).mean())

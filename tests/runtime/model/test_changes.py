@@ -30,13 +30,13 @@ def sheet(rng):
 def judged(changes, w, rng, *, noise=NOISE, touched=False):
     """Return what is said of (n, 60) w under noise."""
     seen = w + noise * rng.standard_normal(w.shape)
-    responses = np.concatenate([seen, -seen, seen @ PATTERNS], axis=1).astype(np.float32)
+    responses = np.concatenate([seen, seen @ PATTERNS], axis=1).astype(np.float32)
     return np.array([changes.step(response, touched) for response in responses])
 
 
 def watching(rest, rng, frames=200, **more):
     """Return what has seen a sheet at rest for some frames."""
-    changes = Changes(Filters(WHITENED, LIMIT, STILL, True), 2 * WHITENED + COUNT)
+    changes = Changes(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
     assert not judged(changes, np.tile(rest, (frames, 1)), rng, **more).any()
     return changes
 
@@ -131,7 +131,7 @@ def test_what_a_strong_press_leaves_behind_is_no_touch():
 def test_noise_however_strong_is_no_touch():
     for noise in (0.02, 0.2, 3.0):
         rng = np.random.default_rng(6)
-        changes = Changes(Filters(WHITENED, LIMIT, STILL, True), 2 * WHITENED + COUNT)
+        changes = Changes(Filters(WHITENED, LIMIT, STILL, True), WHITENED + COUNT)
         assert judged(changes, np.tile(sheet(rng), (5000, 1)), rng, noise=noise).mean() < 1e-3
         assert not changes.held
 
@@ -153,10 +153,10 @@ def test_filters_of_both_signs_find_presses_of_both():
     both = np.concatenate([PATTERNS, -PATTERNS], axis=1)
     for sign in (1.0, -1.0):
         rest = sheet(rng)
-        changes = Changes(Filters(WHITENED, LIMIT, STILL, False), 2 * WHITENED + 2 * COUNT)
+        changes = Changes(Filters(WHITENED, LIMIT, STILL, False), WHITENED + 2 * COUNT)
         w = np.concatenate([np.tile(rest, (200, 1)), np.tile(rest + sign * PRESS, (5, 1))])
         w = w + NOISE * rng.standard_normal(w.shape)
-        seen = [changes.step(np.concatenate([one, -one, one @ both]).astype(np.float32), False) for one in w]
+        seen = [changes.step(np.concatenate([one, one @ both]).astype(np.float32), False) for one in w]
         assert not any(seen[:200])
         assert any(seen[200:])
 

@@ -22,11 +22,11 @@ def arrays(request):
 
 @pytest.fixture
 def first(arrays):
-    """The (105, h) weights and bias by which the gate judges logarithms."""
+    """The (105, h) weights and bias that make responses of logarithms."""
     scale = np.asarray(arrays["scale"], dtype=np.float64)[N_ROWS:, None]
     weights = np.asarray(arrays["w1"], dtype=np.float64)[N_ROWS:] / scale
     bias = np.asarray(arrays["b1"], dtype=np.float64) - np.asarray(arrays["mean"], dtype=np.float64)[N_ROWS:] @ weights
-    return np.vstack([weights, bias[None]])
+    return Filters.of(arrays).once(np.vstack([weights, bias[None]]))
 
 
 @pytest.fixture
@@ -70,7 +70,6 @@ def test_without_rows_it_says_what_it_would_of_the_rows_that_its_own_gaussian_ex
     expected = filled @ whitening + bias
     found = drawn[:50] @ weights[:-1, :size] + weights[-1, :size]
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-3 * np.abs(expected).max())
-    np.testing.assert_allclose(weights[:, size : 2 * size], -weights[:, :size])
 
 
 def test_a_filter_s_noise_stays_and_sizes_shrink_by_the_share_that_is_stated(arrays, first, drawn):
@@ -80,13 +79,13 @@ def test_a_filter_s_noise_stays_and_sizes_shrink_by_the_share_that_is_stated(arr
     sizes = [np.abs(one[:, :size]).mean() for one in (before, after)]
     assert sizes[1] / sizes[0] == pytest.approx(fewer.still / filters.still, rel=0.03)
     assert (52 / 103) ** 0.5 - 0.05 < fewer.still / filters.still < 0.85  # two electrodes far apart have 51 rows
-    noise = [one[:, 2 * size :].std(0) for one in (before, after)]
+    noise = [one[:, size:].std(0) for one in (before, after)]
     assert (noise[1] < 1.06 * noise[0]).all()
     kept = noise[1] > 0.94 * noise[0]
     assert kept.mean() > 0.7  # the others hardly show in the rows that are left
     # a touch is the same touch: without noise each of these filters finds its own pattern best
-    patterns = np.linalg.pinv(first[:-1, :size]).T @ patterns_of(first[:-1, :size], first[:-1, 2 * size :])
-    found = patterns.T @ weights[:-1, 2 * size :]
+    patterns = np.linalg.pinv(first[:-1, :size]).T @ patterns_of(first[:-1, :size], first[:-1, size:])
+    found = patterns.T @ weights[:-1, size:]
     assert (found.argmax(1) == np.arange(len(found)))[kept].mean() > 0.95
     assert (found.diagonal()[kept] > 0.9 * LEFT_OF_IT).all()
 
@@ -102,6 +101,20 @@ def test_rows_that_come_back_bring_the_gate_back_to_the_last_bit(arrays):
         assert np.array_equal(gate.logits(spoilt), gate.logits(np.where(lost, -0.5, changes)))
     assert gate.leave_out(np.zeros(N_ROWS, dtype=np.bool_))
     assert np.array_equal(gate.logits(changes), before)
+
+
+def test_a_gate_of_matched_filters_judges_as_the_layers_that_are_stored(arrays):
+    gate, rng = Gate(arrays), np.random.default_rng(5)
+    stored = {name: np.asarray(value, dtype=np.float64) for name, value in arrays.items()}
+    for change in rng.choice([0.01, 0.1, 0.5], (50, 1)) * rng.standard_normal((50, N_ROWS)):
+        features = np.concatenate([change, np.log(np.maximum(1.0 + change, stored["floor"]))])
+        hidden = np.maximum((features - stored["mean"]) / stored["scale"] @ stored["w1"] + stored["b1"], 0.0)
+        hidden = np.maximum(hidden @ stored["w2"] + stored["b2"], 0.0)
+        gate.change[:] = change
+        touched = gate.touched()
+        assert gate.logit == pytest.approx(float(hidden @ stored["w3"] + stored["b3"]), rel=1e-4, abs=1e-3)
+        assert touched == (gate.logit > gate.threshold)
+        assert gate.logits(change[None])[0] == pytest.approx(gate.logit, rel=1e-5, abs=1e-4)
 
 
 def test_without_any_row_a_gate_has_nothing_to_say(arrays, first):

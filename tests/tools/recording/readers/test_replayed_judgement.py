@@ -37,7 +37,7 @@ def press(bundle: Bundle) -> np.ndarray:
     gate = RememberingGate(arrays)
     assert gate.filters is not None
     first, whitened = gate._first[:-1].astype(float), gate.filters.whitened
-    whitening, filters = first[:, :whitened], first[:, 2 * whitened :]
+    whitening, filters = first[:, :whitened], first[:, whitened:]
     patterns = np.linalg.pinv(whitening) @ filters
     logarithms = np.linalg.pinv(whitening.T) @ (STRENGTH * patterns)
     gentlest = np.abs(logarithms).max(axis=0).argmin()
