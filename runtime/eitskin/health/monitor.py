@@ -117,7 +117,7 @@ class Health:
 
     def prepare(self, change: npt.NDArray[np.float32]) -> None:
         """Keep (104,) dV as measured, and put it right, in place, as far as a gate needs it."""
-        np.copyto(self._raw[self._waiting], change)
+        self._raw[self._waiting] = change
         alters = self.electrodes.alters
         if alters:
             self.electrodes.rearrange(change)

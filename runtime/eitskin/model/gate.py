@@ -129,7 +129,7 @@ class Gate:
             np.matmul(self._hidden_and_one, self._second, out=self._second_hidden)
             hidden = self._second_hidden
             np.maximum(hidden, _ZERO, out=hidden)
-        self.logit = float(np.dot(hidden, self._output)) + self._shift
+        self.logit = float(hidden.dot(self._output)) + self._shift
         return self.logit > self.threshold
 
     def forget(self) -> None:

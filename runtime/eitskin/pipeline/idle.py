@@ -93,7 +93,7 @@ class IdleGate:
         normaliser.rows_into(self.rows, self._scale, self._offset)
         np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
-        square = float(np.dot(self._exact, self._exact))
+        square = float(self._exact.dot(self._exact))
         if not square <= LARGEST_CHANGE * LARGEST_CHANGE:
             return None
         self.far = square > FAR

@@ -174,7 +174,7 @@ class MapSource:
         engine = self.engines[self.budget.engine]
         engine.infer()
         self._held = ""
-        if not math.isfinite(np.dot(self.map, self.map)):
+        if not math.isfinite(self.map.dot(self.map)):
             return False
         record.inferred = True
         record.solver = self._held = engine.name

@@ -88,7 +88,7 @@ class Stillness:
             return False
         np.subtract(change, self._kept, out=self._difference)
         np.multiply(self._difference, self._weight, out=self._difference)
-        return bool(np.dot(self._difference, self._difference) <= self._limit)
+        return bool(self._difference.dot(self._difference) <= self._limit)
 
     def keep(self, change: npt.NDArray[np.float32]) -> None:
         """Compare with this frame from now on.

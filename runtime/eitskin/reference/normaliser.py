@@ -33,7 +33,7 @@ class Normaliser:
     """
 
     __slots__ = (
-        "_counts", "_direct", "_exact", "_inverse", "_mean", "_offset", "_reciprocal", "_scale", "_voltages",
+        "_counts", "_direct", "_exact", "_inverse", "_offset", "_reciprocal", "_scale", "_voltages",
         "far", "silent", "volts_per_count", "weak_count",
     )  # fmt: skip
 
@@ -53,8 +53,7 @@ class Normaliser:
         self._voltages = np.zeros(N_ROWS)
         self._direct = np.zeros(N_ROWS, dtype=np.int32)
         self._reciprocal = np.zeros(N_ROWS, dtype=np.int32)
-        self._mean = np.zeros(N_ROWS)
-        self._counts: npt.NDArray[np.number] = self._mean
+        self._counts = np.zeros(N_ROWS)
 
     def use(self, reference: npt.NDArray[np.float64], lost: npt.NDArray[np.intp] | None = None) -> None:
         """Normalise against a reference from the next frame on.
@@ -82,17 +81,16 @@ class Normaliser:
         """Take a frame.
 
         Args:
-            counts: (104,) or (208,); read again until the next ``load``.
+            counts: (104,) or (208,).
         """
         if len(counts) == N_FULL_ROWS:
             # mode="clip" writes straight into out; the indices are constants and in range
             np.take(counts, ROW_IN_FULL, out=self._direct, mode="clip")
             np.take(counts, RECIPROCAL_IN_FULL, out=self._reciprocal, mode="clip")
-            np.add(self._direct, self._reciprocal, out=self._mean, dtype=np.float64)  # int32 would overflow
-            np.multiply(self._mean, 0.5, out=self._mean)
-            self._counts = self._mean
+            np.add(self._direct, self._reciprocal, out=self._counts, dtype=np.float64)  # int32 would overflow
+            np.multiply(self._counts, 0.5, out=self._counts)
         else:
-            self._counts = counts
+            self._counts[:] = counts  # here, since a product of two types takes longer than both
 
     def voltages(self) -> npt.NDArray[np.float64]:
         """Return (104,) V of the frame; the next call overwrites them."""
@@ -120,7 +118,7 @@ class Normaliser:
         """
         np.multiply(self._counts, self._scale, out=self._exact)
         np.subtract(self._exact, self._offset, out=self._exact)
-        square = float(np.dot(self._exact, self._exact))
+        square = float(self._exact.dot(self._exact))
         usable = N_ROWS - self.weak_count
         # dV = -1 in every row has the square `usable`; only a frame that comes near it is looked at row by row.
         self.silent = abs(square - usable) <= 2.0 * NO_SIGNAL * usable and self._is_silent()
@@ -131,7 +129,7 @@ class Normaliser:
         return True
 
     @property
-    def counts(self) -> npt.NDArray[np.number]:
+    def counts(self) -> npt.NDArray[np.float64]:
         """(104,) counts of the frame, means of two where it has 208."""
         return self._counts
 
