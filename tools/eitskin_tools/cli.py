@@ -18,6 +18,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs
 from eitskin_tools.command_line.parser import Parser
+from eitskin_tools.console.closed import replace_closed
 from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 
@@ -120,6 +121,7 @@ def _print_version() -> None:
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return its exit status."""
+    replace_closed()
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         return _main(words)

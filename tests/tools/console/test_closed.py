@@ -1,0 +1,44 @@
+"""Commands that are started without standard streams go on, and open nothing in their place."""
+
+import subprocess
+import sys
+
+import pytest
+
+pytestmark = pytest.mark.process
+
+CLOSED = ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"]
+
+
+def shell(words: str, closed: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        ["/bin/sh", "-c", f"exec '{sys.executable}' {words} {closed}"],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize("closed", CLOSED)
+def test_a_command_does_its_work_and_says_how_it_went(closed: str) -> None:
+    done = shell("-m eitskin_tools.cli skin check paper", closed)
+    assert done.returncode == 0
+    assert "Traceback" not in done.stderr
+    assert (">&-" in closed.split()) != done.stdout.startswith("paper: ")
+
+
+def test_what_is_opened_next_takes_no_standard_stream_s_number() -> None:
+    code = (
+        "from eitskin_tools.console.closed import replace_closed; replace_closed(); import os, sys; "
+        "assert os.open('/dev/null', os.O_RDONLY) > 2; "
+        "[print('lost', file=stream, flush=True) for stream in (sys.stdout, sys.stderr)]; assert sys.stdin.read() == ''"
+    )
+    done = shell(f'-c "{code}"', "<&- >&- 2>&-")
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")
+
+
+@pytest.mark.parametrize("closed", ["2>&-", "<&- 2>&-"])
+def test_a_log_without_a_stream_does_not_end_the_command(closed: str) -> None:
+    code = (
+        "import sys; from eitskin_tools import cli; from eitskin_tools.console.run_log import RunLog; "
+        "cli.main(['skin', 'check', 'paper']); RunLog(sys.stderr).say('x')"
+    )
+    assert shell(f'-c "{code}"', closed).returncode == 0
