@@ -26,6 +26,7 @@ class Sheet:
 
     def __init__(self, answers=(), drift=0.0):
         self.told, self.shown, self.answers = [], [], list(answers)
+        self.left = False
         self.state, self.before, self.since, self.drift = FLAT, FLAT, 0, drift
         self.rng = np.random.default_rng(1)
 
@@ -65,6 +66,15 @@ SCAN = ("Name the scan", "bent.npz")
 
 def guided(sheet, plan=PLAN, load=lambda name: flat_cloud()):
     return Guide(plan, sheet.frames(), sheet, load).run()
+
+
+def test_where_nobody_can_type_any_more_a_scan_is_not_waited_for():
+    sheet = Sheet()
+    sheet.left = True
+    with pytest.raises(GuideError, match="standard input has ended"):
+        guided(sheet)
+    assert "Name the scan" in sheet.told[-1]
+    assert "press_V" in guided(Sheet(), replace(PLAN, bends=0))  # what the sheet itself shows needs no typing
 
 
 def test_every_step_is_recorded_once_the_sheet_shows_it():

@@ -42,6 +42,10 @@ class Dialogue(Protocol):
     def answer(self) -> str | None:
         """Return a line that was typed, without waiting; None where there is none."""
 
+    @property
+    def left(self) -> bool:
+        """Whether nothing will be typed any more."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Plan:
@@ -130,9 +134,14 @@ class Guide:
         self._talk.tell("it is bent and at rest. Name the scan's file (eitskin surface ... --out FILE):")
         while True:
             typed: list[str] = []
-            word = self._until(lambda: False, typed)
+            word = self._until(lambda: self._talk.left, typed)
             if word:
                 return word
+            if not typed:
+                raise GuideError(
+                    "standard input has ended, so no scan can be named; nothing was written; run it at a terminal, or "
+                    "with --bends 0"
+                )
             try:
                 cloud = self._load_scan(typed[0])
                 break

@@ -36,10 +36,15 @@ class Terminal:
             self._open = bool(more)
             self._typed = (self._typed + more)[-LONGEST:]
         line, end, rest = self._typed.partition(b"\n")
-        if not end:
+        if not end and (self._open or not line):
             return None
         self._typed = rest
         return line.decode(errors="replace").strip()
+
+    @property
+    def left(self) -> bool:
+        """Whether nothing will be typed any more: standard input is at its end, and every line was taken."""
+        return not self._open and not self._typed
 
     def end(self) -> None:
         """Leave the last line."""
