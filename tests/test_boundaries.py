@@ -105,7 +105,7 @@ ROOMS: dict[str, Arrows] = {
     },
     "eitskin_tools": {
         "__init__": set(), "choices": set(),
-        "command_line": set(),
+        "command_line": {"errors"},
         "console": {"processes"},
         "errors": set(), "stages": set(), "flash": set(), "guided": {"console"},
         "mismatches": set(), "phantoms": set(), "pictures": set(),

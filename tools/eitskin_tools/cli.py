@@ -16,7 +16,7 @@ from typing import Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
-from eitskin_tools.command_line import files, needs
+from eitskin_tools.command_line import files, needs, overwriting
 from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.console.closed import replace_closed
 from eitskin_tools.console.journal import goes_to_journal, prefix
@@ -145,6 +145,7 @@ def _main(words: list[str]) -> int:
     module = importlib.import_module(f"eitskin_tools.commands.{COMMANDS[arguments.command][0]}")
     try:
         needs.check(arguments)
+        overwriting.check(arguments)
         return int(module.run(arguments))
     except BrokenPipeError:
         raise

@@ -1,0 +1,82 @@
+"""What a command reads is never what it writes."""
+
+from pathlib import Path
+
+import pytest
+
+from eitskin_tools import cli
+from eitskin_tools.command_line import overwriting
+from tests.tools.command_line import test_files
+
+MINE = "mine"
+"""Name of a file that is read, and must stay as it is."""
+
+OVER = {
+    "reinfer --out": ["reinfer", MINE, "--out", MINE],
+    "reinfer --plot": ["reinfer", MINE, "--plot", MINE],
+    "convert": ["convert", MINE, "--format", "npz", "--out", MINE],
+    "surface": ["surface", MINE, "--out", MINE],
+    "simulate": ["simulate", MINE, "--out", MINE],
+    "simulate --skin": ["simulate", "sample", "--skin", MINE, "--out", MINE],
+    "calibrate": ["calibrate", MINE, "--out", MINE],
+    "calibrate --skin": ["calibrate", "r.npz", "--skin", MINE, "--out", MINE],
+    "calibrate --surface": ["calibrate", MINE, "--guided", "--port", "/dev/null", "--surface", MINE, "--out", "s.toml"],
+    "reference --surface": ["reference", "--port", "/dev/null", "--surface", MINE, "--out", MINE],
+    "pair": ["pair", "free", MINE, "--out", MINE],
+    "demo --scene": ["demo", "--scene", MINE, "--record", MINE],
+    "virtual-skin --scene": ["virtual-skin", "--scene", MINE, "--log", MINE],
+    "evaluate --picture": ["evaluate", "--phantoms", MINE, "--picture", MINE],
+    "bench tradeoff": ["bench", "tradeoff", "--phantoms", MINE, "--plot", MINE],
+}
+OVER_WITH_TORCH = {
+    "build": ["build", MINE, "--out", MINE],
+    "adapt-skin": ["adapt-skin", MINE, "--skin", "lab", "--out", MINE],
+    "adapt-skin --presses": ["adapt-skin", "press", "--skin", "lab", "--presses", MINE, "--out", MINE],
+    "export --phantoms": ["export", "run", "--phantoms", MINE, "--out", MINE],
+}
+
+
+@pytest.mark.parametrize("command", [*OVER, *OVER_WITH_TORCH])
+@pytest.mark.parametrize("how", ["as it stands", "by another path", "by a link"])
+def test_what_is_read_is_not_written_over(
+    command: str, how: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if command in OVER_WITH_TORCH:
+        pytest.importorskip("torch", reason="training needs the extra 'train'")
+    monkeypatch.chdir(tmp_path)
+    Path(MINE).write_text("mine alone")
+    Path("link").symlink_to(MINE)
+    words = list((OVER | OVER_WITH_TORCH)[command])
+    place = max(index for index, word in enumerate(words) if word == MINE)
+    words[place] = {"as it stands": MINE, "by another path": f"{tmp_path}/./{MINE}", "by a link": "link"}[how]
+    assert cli.main(words) == 2
+    assert "is read too, and would be lost" in capsys.readouterr().err
+    assert Path(MINE).read_text() == "mine alone"
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["reinfer", "day.mcap", "--out", "x.png", "--plot", "x.png"],
+        ["demo", "--record", "x.png", "--picture", "./x.png"],
+        ["calibrate", "x.npz", "--guided", "--port", "/dev/null", "--out", "x.npz"],
+    ],
+)
+def test_two_things_are_not_written_to_one_file(
+    words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(words) == 2
+    assert "name one file" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_every_option_that_names_what_is_written_is_looked_at() -> None:
+    assert {f"--{name.replace('_', '-')}" for name in overwriting.WRITTEN} == set(test_files.WRITTEN)
+
+
+def test_a_bundle_takes_its_own_card(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "one.eitskin"
+    path.write_text("no bundle")
+    assert cli.main(["card", str(path), "--out", str(path)]) == 1  # refused for what it holds
+    assert "would be lost" not in capsys.readouterr().err
