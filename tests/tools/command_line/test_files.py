@@ -266,3 +266,19 @@ def test_a_scene_comes_from_a_stream_that_is_handed_over(tmp_path: Path) -> None
         )
     finally:
         os.close(reading)
+
+
+NAMING = {
+    "--bundle press": (
+        "run --port x", "demo", "reference --port x", "replay x", "reinfer x", "view x", "doctor",
+        "evaluate --untouched", "bench frame", "bench stability",
+    ),
+    "--skin hydrogel": ("run --port x", "reference --port x"),
+}  # fmt: skip
+"""Ways to name a bundle or a skin that comes with the package, of which only the file is handed on."""
+
+
+@pytest.mark.parametrize("words", [f"{command} {named}" for named in NAMING for command in NAMING[named]])
+def test_bundles_and_skins_that_come_with_the_package_have_their_names_in_every_command(words: str) -> None:
+    command, *_, option, _ = words.split()
+    assert vars(cli._parser(command).parse_args(words.split()))[option.removeprefix("--")].is_file()

@@ -3,10 +3,10 @@
 from pathlib import Path
 
 import pytest
+from tests.tools.command_line import test_files
 
 from eitskin_tools import cli
 from eitskin_tools.command_line import overwriting
-from tests.tools.command_line import test_files
 
 MINE = "mine"
 """Name of a file that is read, and must stay as it is."""

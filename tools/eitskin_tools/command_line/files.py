@@ -51,6 +51,10 @@ RECIPE: Final = Kind("a skin's description or a bundle's recipe as TOML", "eitsk
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 
+A_BUNDLE: Final = "a bundle, shipped or a file"
+"""What ``--bundle`` takes, for its help."""
+
+
 def find(name: str | Path, kind: Kind) -> Path:
     """Return the path of a file that was named: as it stands, or that of the shipped one of this name.
 
@@ -61,14 +65,30 @@ def find(name: str | Path, kind: Kind) -> Path:
     Raises:
         MissingFileError: There is neither.
     """
-    path = Path(name)
+    path = named(name, kind)
     if path.exists():
         return path
     shipped = kind.names()
-    if str(name) in shipped:
-        return Path(str(resources.files(kind.package) / f"{name}{kind.suffix}"))
     expected = f"expected {kind.what}" + (f", or one of the shipped: {', '.join(shipped)}" if shipped else "")
     raise MissingFileError(f"{_missing(path)}; {expected}{did_you_mean(path.name.removesuffix(kind.suffix), shipped)}")
+
+
+def named(name: str | Path, kind: Kind) -> Path:
+    """Return the path that a name stands for, as :func:`find`, whether anything is there or not."""
+    path = Path(name)
+    if not path.exists() and str(name) in kind.names():
+        return Path(str(resources.files(kind.package) / f"{name}{kind.suffix}"))
+    return path
+
+
+def bundle(name: str) -> Path:
+    """Return the path of ``--bundle``: a file, or a shipped bundle."""
+    return named(name, BUNDLE)
+
+
+def skin(name: str) -> Path:
+    """Return the path of ``--skin``: a file, or a description that comes with the package."""
+    return named(name, SKIN)
 
 
 def parent(path: str | Path) -> Path:

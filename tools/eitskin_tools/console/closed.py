@@ -22,7 +22,7 @@ def replace_closed() -> None:
             os.dup2(handle, number)
             os.close(handle)
             handle = number
-        setattr(sys, name, open(handle, mode, encoding="utf-8", closefd=False))
+        setattr(sys, name, open(handle, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 -- as long as we run
 
 
 def _free(number: int) -> bool:

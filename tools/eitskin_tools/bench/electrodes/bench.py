@@ -12,7 +12,6 @@ import json
 import sys
 import time
 from collections.abc import Callable
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.choices import chosen, several
@@ -34,7 +33,7 @@ Rows = list[dict[str, Any]]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the shipped one of unit labels)")
+    parser.add_argument("--bundle", type=files.bundle, help="bundle to use (default: the shipped one of unit labels)")
     parser.add_argument(
         "--phantoms", metavar="FILE", help="measure the accuracy left on these too: a file, paper_units or paper_mm"
     )

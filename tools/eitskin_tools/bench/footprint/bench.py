@@ -19,6 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 _PROBE: Final = """
@@ -78,7 +79,7 @@ ROWS: Final = {
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--repeats", type=int, default=5, metavar="N", help="fresh interpreters a row (default 5)")
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to load (default: the shipped one)")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to load (default: the shipped one)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -15,6 +15,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 RATES_HZ: Final = (200.0, 1000.0)
@@ -37,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--frames", type=int, default=20_000, metavar="N", help="frames at each rate (default 20000)")
     parser.add_argument("--calls", type=int, default=500, metavar="N", help="paced calls of each variant (default 500)")
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--rate", type=float, action="append", metavar="HZ", help="instead of 200 and 1000; repeatable")
     parser.add_argument("--solver", metavar="NAME", help="most accurate solver of the stream, as for 'eitskin run'")
     parser.add_argument("--core", type=int, metavar="CPU", help="run the runtime, all its threads, on this CPU only")

@@ -14,6 +14,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 SETTLING: Final = 0.25
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("--seconds", type=float, default=600.0, metavar="S", help="length of the stream (default 600)")
     parser.add_argument("--rate", type=float, default=1000.0, metavar="HZ", help="frames a second (default 1000)")
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

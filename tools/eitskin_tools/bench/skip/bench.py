@@ -19,6 +19,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 
@@ -29,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--touches", type=int, default=20, metavar="N", help="touches of each kind to wake an idling skin (default 20)"
     )
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to run (default: the shipped one)")
+    parser.add_argument("--bundle", type=files.bundle, metavar="FILE", help="bundle to run (default: the shipped one)")
     parser.add_argument("--seed", type=int, default=0, help="of the noise (default 0)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.choices import chosen, several
+from eitskin_tools.command_line import files
 from eitskin_tools.processes.threads import one_blas_thread
 
 if TYPE_CHECKING:
@@ -36,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--only", action="append", type=several(FAMILIES), metavar="NAME[,NAME]", help=f"of {', '.join(FAMILIES)}"
     )
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="bundle to stress (default: both shipped ones)")
+    parser.add_argument(
+        "--bundle", type=files.bundle, metavar="FILE", help="bundle to stress (default: both shipped ones)"
+    )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves into this PNG file")
     parser.add_argument("--json", action="store_true", help="print one JSON object: rows, curves, summary")
 
@@ -46,7 +49,6 @@ def run(arguments: argparse.Namespace) -> int:
     one_blas_thread()
     from eitskin.model.bundle import default_path
     from eitskin_tools.bench.stability.harness.sweep import FULL, QUICK
-    from eitskin_tools.command_line import files
 
     if arguments.plot:
         files.writable(arguments.plot)

@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
 COUNTS: Final = (1, 3, 6)
@@ -34,7 +35,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--deformations", type=int, default=20, metavar="N", help="bent sheets (default 20; 0: no trials)"
     )
     parser.add_argument("--each", type=int, default=5, metavar="N", help="touches at each deformation (default 5)")
-    parser.add_argument("--bundle", type=Path, metavar="FILE", help="the network (default: the shipped one for areas)")
+    parser.add_argument(
+        "--bundle", type=files.bundle, metavar="FILE", help="the network (default: the shipped one for areas)"
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -14,6 +14,7 @@ from typing import Any, Final
 
 from eitskin_tools.bench.skins.bench import cpu_s
 from eitskin_tools.bench.view.pages import readers
+from eitskin_tools.command_line import files
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.processes.children import Child, process_group
 
@@ -27,7 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--rounds", type=int, default=3, metavar="N", help="in which all cases take turns (3)")
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (200)")
     parser.add_argument("--file", type=Path, metavar="FILE.mcap", help="measure looking at this recording instead")
-    parser.add_argument("--bundle", type=Path, help="with --file: what computes its maps")
+    parser.add_argument("--bundle", type=files.bundle, help="with --file: what computes its maps")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

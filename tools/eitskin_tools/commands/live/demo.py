@@ -19,7 +19,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--rate", type=float, default=200.0, metavar="HZ", help="frames a second (default 200)")
     parser.add_argument(
-        "--bundle", type=Path, metavar="FILE", help="bundle to run (default: a shipped one that knows the touches)"
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, to run (default: a shipped one that knows the touches)",
     )
     touches.add_touches(parser, "those of the bundle, presses where it knows them or one that does is shipped")
     parser.add_argument(

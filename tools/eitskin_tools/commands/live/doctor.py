@@ -29,7 +29,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seconds", type=float, default=2.0, metavar="S", help="how long to look (default 2)")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference (default: the model's)")
-    parser.add_argument("--bundle", type=Path, help="bundle that knows healthy frames (default: the shipped one)")
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, that knows healthy frames (default: free)",
+    )
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

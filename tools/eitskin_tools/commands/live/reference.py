@@ -25,9 +25,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--frames", type=int, default=100, metavar="N", help="capture: how many frames (default 100)")
     parser.add_argument("--baud", type=int, help="bits per second on a real UART (default 2000000)")
     parser.add_argument(
-        "--bundle", type=Path, help="bundle whose flat sheet and gate it is held against (default: area)"
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: area)",
     )
-    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
+    parser.add_argument(
+        "--skin", type=files.skin, metavar="FILE", help="the skin's description, which the bundle must fit"
+    )
     parser.add_argument(
         "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
     )

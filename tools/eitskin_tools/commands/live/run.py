@@ -17,7 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from eitskin_tools.command_line import touches
+from eitskin_tools.command_line import files, touches
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.console.run_report import closing, report
@@ -46,10 +46,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reconnect", type=float, metavar="S", help="wait so long for a port that vanishes (default: end)"
     )
     parser.add_argument(
-        "--bundle", type=Path, help="bundle to use (default: the shipped one of area labels and of the touches)"
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, to use (default: the shipped one of area labels and of the touches)",
     )
     touches.add_touches(parser, "those of --skin, else raise")
-    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
+    parser.add_argument(
+        "--skin", type=files.skin, metavar="FILE", help="the skin's description, which the bundle must fit"
+    )
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")

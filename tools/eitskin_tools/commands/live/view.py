@@ -9,7 +9,7 @@ import threading
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import skins
+from eitskin_tools.command_line import files, skins
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
@@ -31,7 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="all skins of a robot, or of 'eitskin run --config' in a folder",
     )
     parser.add_argument(
-        "--bundle", type=Path, help="what computes a recording's maps (default: the one that was running)"
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, that computes a recording's maps (default: the one that was running)",
     )
     parser.add_argument("--port", type=int, default=PORT, metavar="N", help=f"of the page, 0 for any ({PORT})")
     parser.add_argument(

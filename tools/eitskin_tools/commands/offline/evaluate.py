@@ -55,7 +55,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--shift-px", type=float, default=0.0, metavar="P", help="move every touch by up to P pixels, at random"
     )
-    parser.add_argument("--bundle", metavar="FILE", help="the network; default: the shipped one with the same labels")
+    parser.add_argument(
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, with the network (default: the one with the same labels)",
+    )
     parser.add_argument(
         "--picture", metavar="FILE.png", help="with --phantoms: truth and every solver's map on the bent surface"
     )

@@ -20,9 +20,17 @@ PICTURES = 6
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("file", type=Path, metavar="FILE.mcap", help="made by 'eitskin record'")
-    parser.add_argument("--bundle", type=Path, help="bundle to use (default: the one that was running)")
     parser.add_argument(
-        "--recorded-bundle", type=Path, metavar="FILE", help="the one that was running, if it is not a shipped one"
+        "--bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help=f"{files.A_BUNDLE}, to use (default: the one that was running)",
+    )
+    parser.add_argument(
+        "--recorded-bundle",
+        type=files.bundle,
+        metavar="FILE",
+        help="the one that was running, if it is not a shipped one",
     )
     parser.add_argument(
         "--solver",
