@@ -110,7 +110,7 @@ ROOMS: dict[str, Arrows] = {
         "errors": set(), "stages": set(), "flash": set(), "guided": {"console"},
         "mismatches": set(), "phantoms": set(), "pictures": set(),
         "processes": set(),
-        "recording": {"command_line", "processes"},
+        "recording": {"command_line", "pictures", "processes"},
         "scans": {"command_line"},
         "scenes": set(),
         "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
@@ -124,7 +124,7 @@ ROOMS: dict[str, Arrows] = {
         "fault_injection": {"emulator", "flash", "recording", "virtual_skin"},
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
-            "build", "choices", "command_line", "demo", "errors", "evaluation", "processes", "recording",
+            "build", "choices", "command_line", "demo", "errors", "evaluation", "pictures", "processes", "recording",
             "scripted_scene", "stages", "view", "virtual_skin",
         },
         "commands": {

@@ -222,6 +222,13 @@ def test_a_target_that_is_no_regular_file_is_named_before_any_work(
     assert identity(path) == before
 
 
+@pytest.mark.parametrize("command", [name for name in WRITING | WRITING_WITH_TORCH if name[-4:] in ("plot", "ture")])
+def test_a_picture_that_cannot_be_drawn_is_refused_before_any_work(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert "ends in '.npz', expected one of .png" in said(capsys, [*taken(command), f"{tmp_path}/x.npz"])
+
+
 @pytest.mark.parametrize("command", WRITING | WRITING_WITH_TORCH)
 def test_a_stream_is_no_target(command: str, capsys: pytest.CaptureFixture[str]) -> None:
     before = identity(Path("/dev/stdout"))

@@ -51,6 +51,9 @@ RECIPE: Final = Kind("a skin's description or a bundle's recipe as TOML", "eitsk
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 
+PICTURES: Final = (".png", ".pdf", ".svg", ".jpg", ".jpeg", ".webp", ".tif", ".tiff", ".eps", ".ps")
+"""How the name of a picture may end; without an end it is a PNG."""
+
 A_BUNDLE: Final = "a bundle, shipped or a file"
 """What ``--bundle`` takes, for its help."""
 
@@ -111,6 +114,19 @@ def writable(path: str | Path) -> Path:
         FileError: It is there and no regular file: a rename would replace a device, a FIFO or a socket.
     """
     return check_target(parent(path))
+
+
+def picture(path: str | Path) -> Path:
+    """Return the path of a picture that is to be drawn, before the work that it shows.
+
+    Raises:
+        MissingFileError: See :func:`writable`.
+        FileError: See there; or its name ends in no format that can be drawn.
+    """
+    found = writable(path)
+    if found.suffix and found.suffix.lower() not in PICTURES:
+        raise FileError(f"{path} ends in {found.suffix!r}, expected one of {', '.join(PICTURES)}")
+    return found
 
 
 def folder(path: str | Path) -> Path:

@@ -10,9 +10,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.files.writing import replacing
 from eitskin_tools.demo.recorder import Record
 from eitskin_tools.pictures.draw import palette
+from eitskin_tools.pictures.saved import save
 
 LEAST_ANGLE_DEG: Final = 50.0
 """A frame worth showing is bent at least so far."""
@@ -100,8 +100,7 @@ def picture(record: Record, script: Any, start_us: int, path: Path) -> None:
         f"correlation with the truth {correlation(image, truth):.3f}"
     )
     try:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png")
+        save(figure, path)
     finally:
         pyplot.close(figure)
 

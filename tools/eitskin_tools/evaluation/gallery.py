@@ -8,12 +8,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.files.writing import replacing
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.evaluation.solvers import Request, named
+from eitskin_tools.pictures.saved import save
 
 Array = npt.NDArray[np.float64]
 
@@ -96,8 +96,7 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
             axes.text2D(0.5, 0.02, note, transform=axes.transAxes, ha="center", fontsize=8)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.01, top=0.97, wspace=0.0, hspace=0.0)
     try:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=Path(path).suffix.removeprefix(".") or "png")
+        save(figure, path)
     finally:
         pyplot.close(figure)
 

@@ -51,7 +51,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.bench.stability.harness.sweep import FULL, QUICK
 
     if arguments.plot:
-        files.writable(arguments.plot)
+        files.picture(arguments.plot)
     bundles = [arguments.bundle] if arguments.bundle else [default_path("units"), default_path("area")]
     effort = QUICK if arguments.quick else FULL
     start = time.process_time()

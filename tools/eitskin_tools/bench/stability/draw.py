@@ -12,8 +12,8 @@ from typing import Any, Final
 
 import numpy as np
 
-from eitskin_proto.files.writing import replacing
 from eitskin_tools.bench.stability.harness.rows import Curve
+from eitskin_tools.pictures.saved import save
 
 COLUMNS: Final = 5
 PANEL_INCH: Final = (3.3, 2.3)
@@ -95,8 +95,7 @@ def draw_curves(curves: Sequence[Curve], path: Path) -> None:
         below += " Nobody loses a tenth by: " + "; ".join(unharmed) + "."
     figure.supxlabel(fill(below, 44 * columns), fontsize=8)
     try:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png")
+        save(figure, path)
     finally:
         pyplot.close(figure)
 

@@ -72,7 +72,7 @@ def run(arguments: argparse.Namespace) -> int:
     if min(arguments.seeds, arguments.draws, arguments.deformations, arguments.each) < 1:
         raise UsageError("--seeds, --draws, --deformations and --each must be at least 1")
     if arguments.plot is not None:
-        files.writable(arguments.plot)
+        files.picture(arguments.plot)
     found: dict[str, list[dict[str, Any]]] = {}
     for panel in _panels(arguments):
         print(f"eitskin bench tradeoff: {panel.name}, {len(panel.cases)} maps", file=sys.stderr)

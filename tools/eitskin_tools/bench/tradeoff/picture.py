@@ -8,8 +8,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_proto.files.writing import replacing
 from eitskin_tools.bench.tradeoff.point_names import beside
+from eitskin_tools.pictures.saved import save
 
 SMALLEST_ERROR: Final = 1e-4
 """Where the axis ends."""
@@ -71,8 +71,7 @@ def plot(found: dict[str, list[dict[str, Any]]], path: Path) -> None:
         shown = _shown(rows)
         beside(axes, [_point(row) for row in shown], [row["variant"] for row in shown])
     try:
-        with replacing(path) as stream:
-            figure.savefig(stream, format=path.suffix.removeprefix(".") or "png", dpi=100)
+        save(figure, path)
     finally:
         pyplot.close(figure)
 

@@ -58,7 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
     ):
         raise UsageError("--deformations and --each must be at least 1, --sets and --budget-ms at least 0")
     if arguments.plot is not None:
-        files.writable(arguments.plot)
+        files.picture(arguments.plot)
     from eitskin_tools.bench.verify.printed import tables
 
     units, anywhere = _rows(arguments, _chosen(arguments.only))

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Any
 
-from eitskin_proto.files.writing import replacing
+from eitskin_tools.pictures.saved import save
 
 
 def draw(path: Path, stated: list[dict[str, Any]]) -> None:
@@ -31,5 +31,4 @@ def draw(path: Path, stated: list[dict[str, Any]]) -> None:
     axes.set_xlabel("stated: level of p")
     axes.set_ylabel("found: share of right answers below")
     axes.legend(fontsize=8)
-    with replacing(path) as stream:
-        figure.savefig(stream, format="png", dpi=120)
+    save(figure, path, dpi=120)

@@ -62,9 +62,10 @@ def run(arguments: argparse.Namespace) -> int:
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     if arguments.bundle is not None:
         files.find(arguments.bundle, files.BUNDLE)
-    for path in (arguments.record, arguments.picture):
-        if path is not None:
-            files.writable(path)
+    if arguments.record is not None:
+        files.writable(arguments.record)
+    if arguments.picture is not None:
+        files.picture(arguments.picture)
     bundle, kind = choose(arguments.bundle, touches.chosen(arguments))
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not (arguments.no_draw or arguments.view) and not arguments.json

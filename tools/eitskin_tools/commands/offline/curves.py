@@ -19,7 +19,7 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_training import curves
 
     if arguments.plot:
-        files.writable(arguments.plot)
+        files.picture(arguments.plot)
     folders = [Path(name) for name in arguments.runs]
     if len({folder.resolve() for folder in folders}) < len(folders):
         raise UsageError("a run is named twice")

@@ -201,7 +201,7 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
         print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
         return 0
     if arguments.picture is not None:
-        files.writable(arguments.picture)
+        files.picture(arguments.picture)
         from eitskin_tools.evaluation.gallery import collect, draw
 
         rows = collect(phantoms, conditions, arguments.bundle)

@@ -177,6 +177,7 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--every is {arguments.every}, expected at least 1")
     if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
         raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")
-    for path in (arguments.out, arguments.plot):
-        if path is not None:
-            files.writable(path)
+    if arguments.out is not None:
+        files.writable(arguments.out)
+    if arguments.plot is not None:
+        files.picture(arguments.plot)

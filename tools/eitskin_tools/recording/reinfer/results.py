@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from eitskin_proto.files.writing import replacing
+from eitskin_tools.pictures.saved import save
 from eitskin_tools.recording.layout import RecordingError
 from eitskin_tools.recording.reinfer.session import Maps, Reinferred
 
@@ -64,8 +65,7 @@ def draw(path: Path, found: Reinferred, most: int) -> None:
             axes.imshow(kept.maps[index], origin="lower", vmin=0.0, vmax=1.0, cmap="viridis")
             axes.set_title(f"{title}, frame {kept.sequence[index]}", fontsize=7)
             axes.set_axis_off()
-    with replacing(path) as stream:
-        figure.savefig(stream, format=path.suffix.removeprefix(".") or "png", dpi=120)
+    save(figure, path, dpi=120)
 
 
 def _kept(found: Reinferred) -> Maps:
