@@ -15,19 +15,22 @@ LONGEST_PROBE_S: Final = 0.3
 """How long connecting to a TCP address may take; a process on this machine answers at once."""
 
 
-def explain_silence(endpoint: str, waited_s: float) -> str:
+def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely: str = "") -> str:
     """Return why nothing may have come from an endpoint, and what to do about it, without a full stop.
 
     Args:
         endpoint: Where frames were waited for: ``ipc:///path`` or ``tcp://address:port``.
         waited_s: How long; looking takes at most a quarter of that, and 0.3 s.
+        what: Was waited for.
+        likely: What is the first to be thought of where somebody listens, as a clause.
     """
     found = _nobody(endpoint, min(LONGEST_PROBE_S, waited_s / 4))
     if found is None:
+        first = f"{likely}, or " if likely else ""
         return (
-            "somebody listens there, but sends no frame: it is not the runtime's publishing endpoint, or the runtime "
-            "still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing or "
-            "wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
+            f"somebody listens there, but sends no {what}: {first}it is not the runtime's publishing endpoint, or the "
+            "runtime still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing "
+            "or wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
         )
     elsewhere = [other for other, alive in default_endpoints().items() if alive and other != endpoint]
     if elsewhere:

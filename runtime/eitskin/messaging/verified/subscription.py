@@ -34,6 +34,10 @@ FIRST_S: Final = 5.0
 """How long the first message may take where no time was named."""
 
 
+START: Final = "start it as 'eitskin run --verify always'"
+"""What to do where nobody verifies."""
+
+
 class VerifiedSubscription(Subscriber):
     """An open subscription: iterate it, or call ``next_verified``; leave it with ``close`` or as a context manager.
 
@@ -105,8 +109,9 @@ class VerifiedSubscription(Subscriber):
 
     def _why(self, timeout_s: float) -> str:
         if self._frames and not self.received:
-            return "frames come, but nobody verifies them; start it as 'eitskin run --verify always'"
-        return explain_silence(self.endpoint, timeout_s)
+            return f"frames come, but nobody verifies them; {START}"
+        likely = "" if self.received else f"nobody verifies its frames ({START})"
+        return explain_silence(self.endpoint, timeout_s, "verdict", likely)
 
     def _take(self, message: bytes) -> VerifiedFrame | None:
         """Return what a message says of a frame; None for a frame, which is kept for its verdict."""
