@@ -60,6 +60,8 @@ def test_a_reference_alone_will_do(tmp_path):
             {"reference_cloud_mm": 1e-3 * flat_cloud()},
             "reference_cloud_mm: the cloud's sheet is .* in mm; without it the sheet lay flat",
         ),
+        ({"reference_V": np.full(104, 1e200)}, r"reference_V goes up to 1e\+200 V, expected at most 1e\+09"),
+        ({"protocol_id": np.array(7)}, r"r\.npz: protocol_id is int64 of shape \(\), expected one text"),
         ({"reference_frames": np.array(0)}, "expected one number from 1 on"),
         ({"reference_frames": np.array(1.0)}, "reference_frames is float64"),
     ],
@@ -67,6 +69,11 @@ def test_a_reference_alone_will_do(tmp_path):
 def test_what_cannot_be_used_is_refused(tmp_path, changes, text):
     with pytest.raises(RecordingError, match=text):
         load_recording(written(tmp_path, **changes), PAPER)
+
+
+def test_ids_may_be_bytes_as_in_other_measured_files(tmp_path):
+    ids = {"grid_id": np.array(PAPER.grid_id.encode()), "skin_digest": np.array(PAPER.digest.encode())}
+    assert len(load_recording(written(tmp_path, **ids), PAPER).reference_V) == 208
 
 
 def test_another_skin_or_protocol_is_refused(tmp_path):

@@ -19,13 +19,14 @@ Rows are those of :data:`eitskin_proto.sensor.table.TABLE`. Other arrays are lef
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.named_arrays import Array, Arrays, numbers, text
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import weak_rows
@@ -34,8 +35,6 @@ from eitskin_proto.skin.cloud import align_cloud, check_cloud
 from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-
-Array = npt.NDArray[np.float64]
 
 TOUCH_KINDS: Final[tuple[TouchKind, ...]] = ("lowering", "raising")
 """The kinds of touch."""
@@ -114,7 +113,7 @@ def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
         raise MeasuredFileError(f"{path}: {error}") from error
 
 
-def _of_recording(path: str | Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
+def _of_recording(path: str | Path) -> tuple[Arrays, str]:
     """Return the samples of a recording, no truth but what the gate said then, and what is wrong with its end."""
     from eitskin_tools.command_line.needs import require
 
@@ -126,20 +125,20 @@ def _of_recording(path: str | Path) -> tuple[dict[str, npt.NDArray[Any]], str]:
     return measured_arrays(script), script.ending
 
 
-def _measured(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Measured:
+def _measured(arrays: Arrays, skin: Skin) -> Measured:
     for name in ("reference_V", "voltages_V"):
         if name not in arrays:
             there = ", ".join(quoted(name) for name in list(arrays)[:12]) or "no array"
             raise ValueError(f"lacks {name}; found {there}; a measured file has {', '.join(KNOWN[:5])}")
-    reference = _numbers(arrays, "reference_V", (N_ROWS,))
+    reference = _voltages(arrays, "reference_V", (N_ROWS,))
     weak_rows(reference)  # refuses what nothing can be held against
-    voltages = _numbers(arrays, "voltages_V", (None, N_ROWS))
+    voltages = _voltages(arrays, "voltages_V", (None, N_ROWS))
     n = len(voltages)
     if not n:
         raise ValueError("voltages_V holds no sample; expected at least one")
     clouds, index = _clouds(arrays, n, skin)
     at_reference = (
-        _numbers(arrays, "reference_cloud_mm", skin.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
+        numbers(arrays, "reference_cloud_mm", skin.grid.cloud_shape) if "reference_cloud_mm" in arrays else None
     )
     if at_reference is not None:
         _check_cloud(at_reference, "reference_cloud_mm", skin)
@@ -158,35 +157,24 @@ def _measured(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Measured:
     )
 
 
-def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int | None, ...]) -> Array:
-    """Return an array of finite numbers; None in its shape is any length."""
-    found = arrays[name]
-    if found.dtype.kind not in "fiu":
-        raise ValueError(f"{name} holds {found.dtype}, expected real numbers")
-    if found.ndim != len(shape) or any(
-        size not in (None, given) for given, size in zip(found.shape, shape, strict=True)
-    ):
-        wanted = ", ".join("n" if size is None else str(size) for size in shape) + ("," if len(shape) == 1 else "")
-        full = found.ndim == len(shape) and found.shape[-1] == N_FULL_ROWS and shape[-1] == N_ROWS
-        remedy = "; of 208 rows keep eitskin_proto.sensor.table.ROW_IN_FULL" if full else ""
-        raise ValueError(f"{name} has shape {found.shape}, expected ({wanted}){remedy}")
-    finite = np.isfinite(found)
-    if not finite.all():
-        where = tuple(int(i) for i in np.argwhere(~finite)[0])
+def _voltages(arrays: Arrays, name: str, shape: tuple[int | None, ...]) -> Array:
+    """Return V in the order of the table; of a full scan, which rows to keep is said."""
+    found = arrays[name].shape
+    if len(found) == len(shape) and found[-1] == N_FULL_ROWS:
         raise ValueError(
-            f"{name}{list(where)} is {found[where]}, expected finite numbers; {int((~finite).sum())} are not: leave "
-            "such samples out"
+            f"{name} has shape {found}, expected {N_ROWS} rows; of {N_FULL_ROWS} rows keep "
+            "eitskin_proto.sensor.table.ROW_IN_FULL"
         )
-    return np.asarray(found, dtype=np.float64)
+    return numbers(arrays, name, shape)
 
 
-def _clouds(arrays: dict[str, npt.NDArray[Any]], n: int, skin: Skin) -> tuple[Array, npt.NDArray[np.intp]]:
+def _clouds(arrays: Arrays, n: int, skin: Skin) -> tuple[Array, npt.NDArray[np.intp]]:
     given = [name for name in ("cloud_mm", "cloud_index") if name in arrays]
     if not given:
         return np.zeros((0, *skin.grid.cloud_shape)), np.full(n, -1)
     if len(given) == 1:
         raise ValueError(f"has {given[0]} alone; expected cloud_mm and cloud_index, or neither of them")
-    clouds = _numbers(arrays, "cloud_mm", (None, *skin.grid.cloud_shape))
+    clouds = numbers(arrays, "cloud_mm", (None, *skin.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
         _check_cloud(cloud, f"cloud_mm[{number}]", skin)
     index = arrays["cloud_index"]
@@ -208,15 +196,15 @@ def _check_cloud(cloud: Array, name: str, skin: Skin) -> None:
         raise ValueError(f"{name}: {error}") from error
 
 
-def _truth(arrays: dict[str, npt.NDArray[Any]], n: int, skin: Skin) -> Array:
-    truth = _numbers(arrays, "truth", (n, *skin.grid.shape))
+def _truth(arrays: Arrays, n: int, skin: Skin) -> Array:
+    truth = numbers(arrays, "truth", (n, *skin.grid.shape))
     low, high = float(truth.min()), float(truth.max())
     if low < -ROUNDING or high > 1.0 + ROUNDING:
         raise ValueError(f"truth goes from {low:g} to {high:g}; expected touched shares from 0 to 1")
     return truth
 
 
-def _kinds(arrays: dict[str, npt.NDArray[Any]], n: int, truth: Array | None) -> tuple[str, ...]:
+def _kinds(arrays: Arrays, n: int, truth: Array | None) -> tuple[str, ...]:
     touched = None if truth is None else [bool(one.any()) for one in truth]
     if "kind" not in arrays:
         if touched is None:
@@ -232,28 +220,20 @@ def _kinds(arrays: dict[str, npt.NDArray[Any]], n: int, truth: Array | None) -> 
     return kinds
 
 
-def _text(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:
-    found = arrays[name]
-    if found.dtype.kind not in "US" or found.size != 1:
-        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}, expected one text")
-    one = found.reshape(-1)[0]
-    return one.decode("utf-8") if isinstance(one, bytes) else str(one)
-
-
-def _touch_kind(arrays: dict[str, npt.NDArray[Any]]) -> TouchKind | None:
+def _touch_kind(arrays: Arrays) -> TouchKind | None:
     if "touch_kind" not in arrays:
         return None
-    found = _text(arrays, "touch_kind")
+    found = text(arrays, "touch_kind")
     if found not in TOUCH_KINDS:
         raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
     return "lowering" if found == "lowering" else "raising"
 
 
-def _check_ids(arrays: dict[str, npt.NDArray[Any]], path: str | Path, skin: Skin) -> None:
+def _check_ids(arrays: Arrays, path: str | Path, skin: Skin) -> None:
     hint = "write it again with the rows and the grid that 'eitskin --version' names"
-    if "protocol_id" in arrays and (found := _text(arrays, "protocol_id")) != PROTOCOL_ID:
+    if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
         raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
-    given = {name: _text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
+    given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
     check_made_for(
         str(path), skin, grid_id=given.get("grid_id", skin.grid_id), skin_digest=given.get("skin_digest"), hint=hint
     )

@@ -195,7 +195,7 @@ def _descend(
         if far < (CLOSE if last else ROUGHLY) and not damped:
             return z, residuals, jacobian, step
     raise UnsettledError(
-        f"after {MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still falls", residuals
+        f"after {done + MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still falls", residuals
     )
 
 

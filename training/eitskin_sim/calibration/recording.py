@@ -16,13 +16,13 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
-import numpy.typing as npt
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.named_arrays import Array, Arrays, numbers, text
 from eitskin_proto.files.plain import quoted, stated
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, ROW_IN_FULL
@@ -31,10 +31,10 @@ from eitskin_proto.skin.made_for import check_made_for
 from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import Skin
 
-Array = npt.NDArray[np.float64]
-
 LARGEST_FILE: Final = 1 << 28
 SMALLEST_V: Final = 1e-9
+LARGEST_V: Final = 1e9
+"""Nothing that was measured is larger, whatever its unit."""
 STAMP_MM: Final = (3.0, 60.0)
 MOST_MOMENTS: Final = 200
 """Of a kind: each costs a solve and a step."""
@@ -87,23 +87,29 @@ def load_recording(path: str | Path, skin: Skin) -> Recording:
         OSError: It cannot be read.
     """
     arrays = read_npz(path, LARGEST_FILE)
-    hint = "record it again with this skin, or name its own with --skin"
-    if "protocol_id" in arrays and (found := _text(arrays, "protocol_id")) != PROTOCOL_ID:
-        raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
-    if "grid_id" in arrays:
-        digest = _text(arrays, "skin_digest") if "skin_digest" in arrays else None
-        check_made_for(str(path), skin, grid_id=_text(arrays, "grid_id"), skin_digest=digest, hint=hint)
     try:
+        _check_ids(arrays, path, skin)
         return _recording(arrays, skin)
+    except MismatchError:
+        raise
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from error
 
 
-def _recording(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Recording:
+def _check_ids(arrays: Arrays, path: str | Path, skin: Skin) -> None:
+    hint = "record it again with this skin, or name its own with --skin"
+    if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
+        raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
+    if "grid_id" in arrays:
+        digest = text(arrays, "skin_digest") if "skin_digest" in arrays else None
+        check_made_for(str(path), skin, grid_id=text(arrays, "grid_id"), skin_digest=digest, hint=hint)
+
+
+def _recording(arrays: Arrays, skin: Skin) -> Recording:
     reference = _rows(_numbers(arrays, "reference_V"), "reference_V")
     frames, cloud = _frames(arrays, "reference_frames"), None
     if "reference_cloud_mm" in arrays:
-        cloud = _shaped(arrays, "reference_cloud_mm", skin.grid.cloud_shape)
+        cloud = _numbers(arrays, "reference_cloud_mm", skin.grid.cloud_shape)
         try:
             cloud, _ = check_sheet(cloud, skin)
         except ValueError as error:
@@ -111,18 +117,18 @@ def _recording(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> Recording:
     return Recording(reference, frames, _bents(arrays, skin), _presses(arrays, skin), cloud)
 
 
-def _frames(arrays: dict[str, npt.NDArray[Any]], name: str) -> int:
+def _frames(arrays: Arrays, name: str) -> int:
     frames = arrays.get(name, np.array(1))
     if frames.dtype.kind not in "iu" or frames.size != 1 or int(frames.reshape(-1)[0]) < 1:
         raise ValueError(f"{name} is {frames.dtype} of shape {frames.shape}, expected one number from 1 on")
     return int(frames.reshape(-1)[0])
 
 
-def _bents(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ...]:
+def _bents(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
     if not _together(arrays, ("bent_V", "bent_cloud_mm")):
         return ()
     volts, frames = _moments(arrays, "bent_V"), _frames(arrays, "bent_frames")
-    clouds = _shaped(arrays, "bent_cloud_mm", (len(volts), *skin.grid.cloud_shape))
+    clouds = _numbers(arrays, "bent_cloud_mm", (len(volts), *skin.grid.cloud_shape))
     for number, cloud in enumerate(clouds):
         try:
             align_cloud(check_cloud(cloud, skin.grid), skin.grid)
@@ -131,11 +137,11 @@ def _bents(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ...]
     return tuple(Later(one, frames, cloud) for one, cloud in zip(volts, clouds, strict=True))
 
 
-def _presses(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ...]:
+def _presses(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
     if not _together(arrays, ("press_V", "press_xy_mm", "stamp_mm")):
         return ()
     volts, frames = _moments(arrays, "press_V"), _frames(arrays, "press_frames")
-    places, stamp = _shaped(arrays, "press_xy_mm", (len(volts), 2)), _numbers(arrays, "stamp_mm").reshape(-1)
+    places, stamp = _numbers(arrays, "press_xy_mm", (len(volts), 2)), _numbers(arrays, "stamp_mm").reshape(-1)
     length, width = skin.outline.size_mm
     for number, (x, y) in enumerate(places):
         if not (0.0 <= x <= length and 0.0 <= y <= width):
@@ -152,7 +158,7 @@ def _presses(arrays: dict[str, npt.NDArray[Any]], skin: Skin) -> tuple[Later, ..
     return tuple(Later(one, frames, None, place, size) for one, place in zip(volts, places, strict=True))
 
 
-def _together(arrays: dict[str, npt.NDArray[Any]], names: tuple[str, ...]) -> bool:
+def _together(arrays: Arrays, names: tuple[str, ...]) -> bool:
     """Return whether all of some arrays are there.
 
     Raises:
@@ -165,33 +171,21 @@ def _together(arrays: dict[str, npt.NDArray[Any]], names: tuple[str, ...]) -> bo
     return bool(there)
 
 
-def _moments(arrays: dict[str, npt.NDArray[Any]], name: str) -> Array:
+def _moments(arrays: Arrays, name: str) -> Array:
     """Return (n, 104) V."""
     volts = _numbers(arrays, name)
     if volts.ndim != 2 or volts.shape[1] not in (N_ROWS, N_FULL_ROWS) or not 1 <= len(volts) <= MOST_MOMENTS:
         raise ValueError(
             f"{name} has shape {volts.shape}, expected (n, {N_ROWS}) or (n, {N_FULL_ROWS}), n from 1 to {MOST_MOMENTS}"
         )
+    _check_size(volts, name)
     return volts[:, ROW_IN_FULL] if volts.shape[1] == N_FULL_ROWS else volts
 
 
-def _shaped(arrays: dict[str, npt.NDArray[Any]], name: str, shape: tuple[int, ...]) -> Array:
-    found = _numbers(arrays, name)
-    if found.shape != shape:
-        raise ValueError(f"{name} has shape {found.shape}, expected {shape}")
-    return found
-
-
-def _numbers(arrays: dict[str, npt.NDArray[Any]], name: str) -> Array:
+def _numbers(arrays: Arrays, name: str, shape: tuple[int, ...] | None = None) -> Array:
     if name not in arrays:
         raise ValueError(f"lacks {name}; found {', '.join(quoted(one) for one in list(arrays)[:12]) or 'no array'}")
-    found = arrays[name]
-    if found.dtype.kind not in "fiu":
-        raise ValueError(f"{name} holds {found.dtype}, expected real numbers")
-    if not np.isfinite(found).all():
-        where = [int(one) for one in np.argwhere(~np.isfinite(found))[0]]
-        raise ValueError(f"{name}{where} is {found[tuple(where)]}, expected finite numbers; leave such samples out")
-    return np.asarray(found, dtype=np.float64)
+    return numbers(arrays, name, shape)
 
 
 def _rows(volts: Array, name: str) -> Array:
@@ -200,11 +194,11 @@ def _rows(volts: Array, name: str) -> Array:
     small = np.flatnonzero(np.abs(volts) < SMALLEST_V)
     if small.size:
         raise ValueError(f"{name}: row {small[0]} is {volts[small[0]]:.3g} V: is its electrode connected?")
+    _check_size(volts, name)
     return volts
 
 
-def _text(arrays: dict[str, npt.NDArray[Any]], name: str) -> str:
-    found = arrays[name]
-    if found.dtype.kind != "U" or found.size != 1:
-        raise ValueError(f"{name} is {found.dtype} of shape {found.shape}, expected one text")
-    return str(found.reshape(-1)[0])
+def _check_size(volts: Array, name: str) -> None:
+    largest = float(np.abs(volts).max())
+    if largest > LARGEST_V:
+        raise ValueError(f"{name} goes up to {largest:.3g} V, expected at most {LARGEST_V:g}: no front end gives that")
