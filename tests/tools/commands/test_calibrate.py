@@ -157,9 +157,9 @@ def test_a_search_or_a_press_that_fails_is_one_line_and_nothing_is_written(recor
         (["--guided", "--port", "/dev/none", "--stamp", "x"], "--stamp is 'x', expected a diameter"),
         (["--guided", "--port", "/dev/none", "--bends", "-1"], "--bends is -1, expected at least 0"),
         (["--guided", "--port", "/dev/none", "--json"], "--guided talks on standard output"),
-        (["--port", "/dev/none"], "--port, --stamp, --surface and --full-scan belong to --guided"),
-        (["--full-scan"], "--port, --stamp, --surface and --full-scan belong to --guided"),
-        (["--surface", "lies.npz"], "--port, --stamp, --surface and --full-scan belong to --guided"),
+        (["--port", "/dev/none"], "without --guided nothing is recorded now: leave --port out"),
+        (["--full-scan"], "without --guided nothing is recorded now: leave --full-scan out"),
+        (["--surface", "lies.npz"], "without --guided nothing is recorded now: leave --surface out"),
         (["--snr-db", "3"], "--snr-db is 3, expected 10 to 120"),
     ],
 )

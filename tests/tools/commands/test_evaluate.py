@@ -116,7 +116,8 @@ def test_head_is_fed_the_prediction_from_each_scan_against_the_models_own_flat_s
     ],
 )
 def test_trials_print_one_object(tiny, capsys, words, kind):
-    few = ["--deformations", "1", "--each", "1", "--bundle", str(tiny), "--json"]
+    few = ["--deformations", "1", "--bundle", str(tiny), "--json"]
+    few += [] if kind == "untouched" else ["--each", "1"]
     assert cli.main(["evaluate", *words, *few]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["trial"]["kind"] == kind
@@ -149,6 +150,14 @@ def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
         (["--single", "10", "--all"], "--phantoms"),
         (["--single", "10", "--labels", "units"], "--labels"),
         (["--single", "10", "--shift-px", "3"], "from 0 to 1"),
+        (["--single", "10", "--seed", "5"], "--seed does nothing with --single: leave it out; it belongs to --devices"),
+        (["--untouched", "--each", "4"], "--each does nothing with --untouched"),
+        (["--phantoms", "paper_mm", "--family", "B"], "--family does nothing with --phantoms"),
+        (["--phantoms", "paper_mm", "--disc"], "--disc does nothing with --phantoms"),
+        (["--devices", "lab", "--seeds", "3"], "--seeds does nothing with --devices"),
+        (["--measured", "x.npz", "--noise", "N1"], "--noise does nothing with --measured"),
+        (["--tank", "x.npz", "--solver", "sbl"], "--solver does nothing with --tank"),
+        (["--single", "10", "--snr-db", "nan"], "--snr-db is nan, expected 0 to 200"),
     ],
 )
 def test_trials_that_cannot_be_are_bad_usage(capsys, words, text):

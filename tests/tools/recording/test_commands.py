@@ -47,6 +47,8 @@ def one_line(capsys: Capture, *words: str) -> tuple[int, str]:
         (["convert", "a.mcap", "--out", "a.xlsx"], ".parquet"),
         (["record", "--out", "a.mcap", "--every", "0"], "--every"),
         (["record", "--out", "a.mcap", "--wire-only", "--maps"], "--wire-only"),
+        (["record", "--out", "a.mcap", "--wire-only", "--pictures-hz", "5"], "--wire-only keeps neither"),
+        (["record", "--out", "a.mcap", "--every", "5"], "--every says which maps are kept: it goes with --maps"),
         (["record", "--out", "a.mcap", "--pictures-hz", "-1"], "--pictures-hz"),
     ],
 )

@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 
 from eitskin_tools.command_line import files, touches
+from eitskin_tools.command_line.noise import check_seed
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.commands.live.run import SOLVERS
 from eitskin_tools.errors import UsageError
@@ -57,6 +58,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--seconds is {seconds:g}; expected above 0")
     if not 0.0 < arguments.rate <= 1e5:
         raise UsageError(f"--rate is {arguments.rate:g}; expected above 0 frames/s")
+    check_seed(arguments.seed)
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)

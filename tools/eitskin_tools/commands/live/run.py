@@ -245,6 +245,8 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
     if arguments.check and arguments.config is None:
         raise UsageError("--check goes with --config: it looks at a robot.toml")
+    if arguments.force_reference and arguments.reference is not None:
+        raise UsageError("--force-reference takes one that is captured now: leave it out, or --reference")
     bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
     for name, least in bounds.items():
         value = getattr(arguments, name)

@@ -5,6 +5,7 @@ import os
 from pathlib import Path
 
 from eitskin_tools.command_line import files, skins, touches
+from eitskin_tools.command_line.noise import check_seed, check_snr
 from eitskin_tools.errors import UsageError
 
 
@@ -52,6 +53,10 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"--seconds is {arguments.seconds:g}; expected above 0")
     if not 0 <= arguments.clock_us < 1 << 32:
         raise UsageError(f"--clock-us is {arguments.clock_us}; expected 0 to {(1 << 32) - 1}")
+    if arguments.scene is not None and arguments.touches is not None:
+        raise UsageError("--touches is what the script's touches do; those of --scene are as it says: leave it out")
+    check_snr(arguments.snr_db)
+    check_seed(arguments.seed)
     files.find(arguments.config, files.CONFIGURATION)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
     for path in (arguments.wire_times, arguments.log):

@@ -7,10 +7,17 @@ import argparse
 import json
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.errors import UsageError
+
+GUIDED: Final[dict[str, Any]] = {
+    "port": None, "baud": None, "full_scan": None, "surface": None, "bends": 3, "presses": 6, "stamp": None,
+    "frames": 40,
+}  # fmt: skip
+"""What belongs to ``--guided``, and what holds there where nothing was said."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -35,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     guided.add_argument(
         "--full-scan",
         action="store_true",
+        default=None,
         help="flash the device to scan all 208 rows for the recording, and back after it: reciprocity then tells the "
         "front end",
     )
@@ -44,10 +52,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="CLOUD.npz",
         help="scan of the sheet as it lies for reference and presses, by 'eitskin surface' (default: it lies flat)",
     )
-    guided.add_argument("--bends", type=int, default=3, metavar="N", help="bends to ask for (default 3)")
-    guided.add_argument("--presses", type=int, default=6, metavar="N", help="presses to ask for (default 6)")
+    guided.add_argument("--bends", type=int, metavar="N", help="bends to ask for (default 3)")
+    guided.add_argument("--presses", type=int, metavar="N", help="presses to ask for (default 6)")
     guided.add_argument("--stamp", metavar="MM", help="a disc's diameter, as 16, or length x width, as 20x10")
-    guided.add_argument("--frames", type=int, default=40, metavar="N", help="of a bend or a press (default 40)")
+    guided.add_argument("--frames", type=int, metavar="N", help="of a bend or a press (default 40)")
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -68,8 +76,8 @@ def run(arguments: argparse.Namespace) -> int:
     check_contacts(skin)
     if arguments.guided:
         _record(arguments, skin)
-    elif arguments.port or arguments.stamp or arguments.full_scan or arguments.surface:
-        raise UsageError("--port, --stamp, --surface and --full-scan belong to --guided")
+    elif given := [flag(name) for name in GUIDED if getattr(arguments, name) is not None]:
+        raise UsageError(f"without --guided nothing is recorded now: leave {', '.join(given)} out")
     recording = load_recording(files.find(arguments.recording, files.MEASURED), skin)
 
     def tell(step: int, misfit: float) -> None:
@@ -154,7 +162,8 @@ def _lying(path: Path | None, skin: Any) -> Any:
 
 
 def _at_least(arguments: argparse.Namespace, name: str, least: int) -> int:
-    found = int(getattr(arguments, name))
+    said = getattr(arguments, name)
+    found = int(GUIDED[name] if said is None else said)
     if found < least:
         raise UsageError(f"--{name} is {found}, expected at least {least}")
     return found

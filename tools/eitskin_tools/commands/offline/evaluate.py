@@ -9,108 +9,12 @@ from dataclasses import asdict, replace
 from typing import Any
 
 from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line.noise import check_snr
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
+from eitskin_tools.evaluation.options import add_arguments, way_of
 
-
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Add the subcommand's arguments."""
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--phantoms", metavar="FILE", help="JSON list of phantoms: a file, paper_units or paper_mm")
-    what.add_argument(
-        "--single", type=float, metavar="MM", help="trial: one touch of this size, anywhere; a hard square"
-    )
-    what.add_argument("--pair", type=float, metavar="MM", help="trial: two 10 mm touches this far apart, edge to edge")
-    what.add_argument("--random", metavar="K-L", help="trial: K to L random touches, such as 2-4 or 5-6")
-    what.add_argument("--untouched", action="store_true", help="trial: bent sheets with no touch at all")
-    what.add_argument(
-        "--measured", metavar="FILE.npz", help="samples that somebody measured (docs/evaluation.md), or FILE.mcap"
-    )
-    what.add_argument("--tank", metavar="FILE.npz", help="frames of a round tank: objects by sector and sign")
-    what.add_argument(
-        "--devices", metavar="NAME", help="trials on devices unlike the nominal one: lab, random, single, drift or FILE"
-    )
-    parser.add_argument(
-        "--solver",
-        default="vd2t",
-        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three "
-        "take the grid of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
-    )
-    parser.add_argument(
-        "--all",
-        "--markdown",
-        dest="all",
-        action="store_true",
-        help="with --phantoms: every solver and reference as Markdown, beside the paper's Table II",
-    )
-    parser.add_argument("--noise", default="N2", choices=("N1", "N2", "N3", "none"), help="default: N2")
-    parser.add_argument("--snr-db", type=float, default=50.0, metavar="S", help="default: 50")
-    parser.add_argument(
-        "--reference",
-        choices=("pre", "post", "predicted"),
-        help="what the voltages are compared with: the flat sheet, the bent sheet, or V_pred from its cloud (default: "
-        "post for the classical solvers; a network takes pre by design, and V_pred besides if its head has that input)",
-    )
-    parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws for each phantom (default: 1)")
-    parser.add_argument(
-        "--shift-px", type=float, default=0.0, metavar="P", help="move every touch by up to P pixels, at random"
-    )
-    parser.add_argument(
-        "--bundle",
-        type=files.bundle,
-        metavar="FILE",
-        help=f"{files.A_BUNDLE}, with the network (default: the one with the same labels)",
-    )
-    parser.add_argument(
-        "--picture", metavar="FILE.png", help="with --phantoms: truth and every solver's map on the bent surface"
-    )
-    _add_ablations(parser)
-    _add_trials(parser)
-    skins.add_skin(
-        parser, "model, map and clouds of the solvers, and the sheet of trials and of what phantoms leave out"
-    )
-    parser.add_argument("--json", action="store_true", help="print one JSON object")
-
-
-def _add_ablations(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("ablations")
-    group.add_argument(
-        "--prediction",
-        default="scan",
-        choices=("scan", "none", "true"),
-        help="second input of a network's head: V_pred of the cloud, nothing, or the true untouched voltages",
-    )
-    group.add_argument(
-        "--cloud",
-        default="scan",
-        choices=("scan", "flat", "other"),
-        help="the shape that solvers are told: as measured, flat, or that of another deformation (default: scan)",
-    )
-
-
-def _add_trials(parser: argparse.ArgumentParser) -> None:
-    group = parser.add_argument_group("trials")
-    group.add_argument("--family", default="A", choices=("A", "B"), help="where deformations are drawn (default: A)")
-    group.add_argument("--deformations", type=int, default=20, metavar="N", help="how many (default: 20)")
-    group.add_argument("--each", type=int, default=5, metavar="N", help="touch sets at each of them (default: 5)")
-    group.add_argument(
-        "--labels",
-        default=None,
-        choices=("units", "area"),
-        help="of --random and --untouched: touches on the unit grid or anywhere (default: area)",
-    )
-
-    devices = parser.add_argument_group("devices")
-    devices.add_argument("--draws", type=int, default=3, metavar="N", help="devices of each mismatch (default: 3)")
-    devices.add_argument("--seed", type=int, default=0, metavar="S", help="names the devices drawn (default: 0)")
-    every = "mm,units,single,press04,press06"
-    devices.add_argument("--trials", default=every, metavar="A,B", help="which trials (default: all five)")
-    drifts = "left in, or taken out as the runtime does: met after a start, or followed since the reference"
-    devices.add_argument("--drift", choices=("left", "met", "followed"), default="left", help=drifts)
-    contrast = "of --single: conductivity over the sheet's, below 1 for a press (default: 50)"
-    group.add_argument("--contrast", type=float, metavar="C", help=contrast)
-    group.add_argument("--border", type=float, metavar="MM", help="of --single: width of a graded border (default: 0)")
-    group.add_argument("--disc", action="store_true", help="of --single: a disc, not a square")
+__all__ = ["add_arguments", "run"]
 
 
 def run(arguments: argparse.Namespace) -> int:
@@ -119,41 +23,38 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_tools.evaluation.solvers import NAMES, Request
 
+    way = way_of(arguments)
     if arguments.seeds < 1:
         raise UsageError(f"--seeds {arguments.seeds}: expected at least 1")
     if arguments.solver not in NAMES:
         raise UsageError(expected_one_of("--solver", arguments.solver, NAMES))
     if not 0.0 <= arguments.shift_px <= 1.0:
         raise UsageError(f"--shift-px {arguments.shift_px:g}: expected from 0 to 1")
-    if arguments.all and arguments.phantoms is None:
+    check_snr(arguments.snr_db)
+    if arguments.all and way != "phantoms":
         raise UsageError("--all needs --phantoms: the table stands beside the paper's")
     skin = skins.chosen(arguments)
     conditions = Conditions(
         arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud, skin
     )
     request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
-    if arguments.picture is not None and (arguments.phantoms is None or arguments.all or arguments.shift_px):
-        raise UsageError("--picture needs --phantoms, and neither --all nor --shift-px")
-    _softness(arguments)
-    if arguments.drift != "left" and arguments.devices is None:
-        raise UsageError(f"--drift {arguments.drift} needs --devices: nothing else drifts")
-    if arguments.measured is not None:
+    if arguments.picture is not None and (arguments.all or arguments.shift_px):
+        raise UsageError("--picture goes with neither --all nor --shift-px")
+    if way == "measured":
         return _measured(arguments, request)
-    if arguments.tank is not None:
+    if way == "tank":
         return _tank(arguments)
-    if arguments.devices is not None:
+    if way == "devices":
         return _devices(arguments, request)
-    if arguments.phantoms is None:
-        return _trial(arguments, request, conditions)
-    return _phantoms(arguments, request, conditions)
+    if way == "phantoms":
+        return _phantoms(arguments, request, conditions)
+    return _trial(arguments, request, conditions)
 
 
 def _measured(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_tools.evaluation.measured import evaluate_measured, table
     from eitskin_tools.evaluation.measured_file import load_measured
 
-    if arguments.shift_px or arguments.cloud != "scan":
-        raise UsageError("--shift-px and --cloud do not go with --measured: its scans and its truth are what they are")
     measured = load_measured(files.find(arguments.measured, files.MEASURED), skins.chosen(arguments))
     if measured.ending:
         print(f"eitskin evaluate: {arguments.measured}{measured.ending}", file=sys.stderr)
@@ -223,9 +124,7 @@ def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
     from eitskin_tools.evaluation.trial_runs import touched_trial, untouched_trial
 
     family, deformations, each = arguments.family, arguments.deformations, arguments.each
-    labels: trials.Labels = arguments.labels or "area"
-    if arguments.labels == "units" and (arguments.single or arguments.pair):
-        raise UsageError("--labels units: --single and --pair lie anywhere; leave it out")
+    labels: trials.Labels = arguments.labels
     trial: dict[str, Any] = {"family": family, "n_deformations": deformations, "each": each, "labels": labels}
     softness = _softness(arguments)
     if arguments.untouched:
@@ -249,10 +148,7 @@ def _softness(arguments: argparse.Namespace) -> Any:
     from eitskin_sim.evaluation.trials import HARD
 
     asked = {"contrast": arguments.contrast, "border_mm": arguments.border, "disc": arguments.disc or None}
-    given = {name: value for name, value in asked.items() if value is not None}
-    if given and arguments.single is None:
-        raise UsageError("--contrast, --border and --disc belong to --single; phantoms say it in their scenes")
-    return replace(HARD, **given)
+    return replace(HARD, **{name: value for name, value in asked.items() if value is not None})
 
 
 def _counts(text: str) -> tuple[int, int]:

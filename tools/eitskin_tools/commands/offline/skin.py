@@ -21,7 +21,7 @@ ACTIONS = ("show", "check")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("action", choices=ACTIONS, help="print the whole description, or one line if it can be")
-    parser.add_argument("file", metavar="FILE", help="a skin.toml, or one that comes with the package: paper, hydrogel")
+    parser.add_argument("file", metavar="FILE", help="a skin.toml, or one that comes with the package: paper, lab, hydrogel")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 

@@ -25,6 +25,9 @@ LEAST_S = 0.03
 SILENCE_S = 1.0
 """Where nothing has come for so long, nothing is on its way."""
 
+PICTURES_HZ = 30.0
+"""Pictures a second, unless it is said."""
+
 FIRST_S = 10.0
 """How long a runtime may take to say what skin it has."""
 
@@ -34,14 +37,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
     parser.add_argument("--out", type=Path, required=True, metavar="FILE.mcap", help="file to write; it must be new")
     parser.add_argument("--maps", action="store_true", help="keep the maps; without, a digest of each")
-    parser.add_argument("--every", type=int, default=1, metavar="N", help="with --maps: one map in N (default 1)")
+    parser.add_argument("--every", type=int, metavar="N", help="with --maps: one map in N (default 1)")
     parser.add_argument(
         "--wire-only",
         action="store_true",
         help="neither digests nor pictures: the runtime computes no map for the recorder's sake",
     )
     parser.add_argument(
-        "--pictures-hz", type=float, default=30.0, metavar="HZ", help="pictures for Foxglove a second (default 30)"
+        "--pictures-hz", type=float, metavar="HZ", help=f"pictures for Foxglove a second (default {PICTURES_HZ:g})"
     )
     parser.add_argument("--rotate-mb", type=float, metavar="MB", help="go on in a new file after so many megabytes")
     parser.add_argument("--rotate-minutes", type=float, metavar="M", help="go on in a new file after so many minutes")
@@ -84,7 +87,8 @@ def run(arguments: argparse.Namespace) -> int:
         return subscribe_streams(arguments.endpoint, timeout_s=POLL_S, keys=keys)
 
     sources = [streams] if arguments.wire_only else [streams, frames]
-    kept = Kept(arguments.maps, arguments.every, 0.0 if arguments.wire_only else arguments.pictures_hz)
+    pictures_hz = PICTURES_HZ if arguments.pictures_hz is None else arguments.pictures_hz
+    kept = Kept(arguments.maps, arguments.every or 1, 0.0 if arguments.wire_only else pictures_hz)
     recorder = Recorder(opener, kept)
     with contextlib.ExitStack() as stack:
         intake = Intake(sources)
@@ -185,13 +189,15 @@ def _summary(recorder: Any, intake: Any) -> dict[str, Any]:
 def _check(arguments: argparse.Namespace) -> None:
     if (arguments.server_key is None) != (arguments.client_key is None):
         raise UsageError("--server-key and --client-key belong together")
-    if arguments.wire_only and arguments.maps:
-        raise UsageError("--wire-only keeps no maps: leave --maps out")
+    if arguments.wire_only and (arguments.maps or arguments.pictures_hz):
+        raise UsageError("--wire-only keeps neither maps nor pictures: leave --maps and --pictures-hz out")
+    if arguments.every is not None and not arguments.maps:
+        raise UsageError("--every says which maps are kept: it goes with --maps")
     for name in ("every", "rotate_mb", "rotate_minutes", "seconds", "frames", "timeout_s"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
-    if not 0.0 <= arguments.pictures_hz <= 1000.0:
+    if arguments.pictures_hz is not None and not 0.0 <= arguments.pictures_hz <= 1000.0:
         raise UsageError(f"--pictures-hz is {arguments.pictures_hz:g}, expected 0 to 1000")
     files.writable(arguments.out)
     if arguments.out.exists():
