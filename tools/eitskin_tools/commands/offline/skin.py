@@ -13,7 +13,7 @@ from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.symmetry import Image, images
 from eitskin_proto.skin.toml import TABLES, to_toml
-from eitskin_tools.command_line import needs, skins
+from eitskin_tools.command_line import files, needs, skins
 
 ACTIONS = ("show", "check")
 
@@ -21,7 +21,7 @@ ACTIONS = ("show", "check")
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument("action", choices=ACTIONS, help="print the whole description, or one line if it can be")
-    parser.add_argument("file", metavar="FILE", help="a skin.toml, or one that comes with the package: paper, lab, hydrogel")
+    parser.add_argument("file", metavar="FILE", help=f"a skin.toml, or one of {', '.join(files.SKIN.names())}")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
