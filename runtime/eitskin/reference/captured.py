@@ -247,7 +247,7 @@ def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Refer
         raise BadReference(f"reference {where} is damaged ({error}); {hint}") from error
     if claimed != found:
         raise BadReference(
-            f"reference {where} is damaged: sha256 found {found[:16]}, expected {quoted(claimed)[:18]}; {hint}"
+            f"reference {where} is damaged: sha256 found {found[:16]}, expected {stated(claimed)[:16]}; {hint}"
         )
     try:
         reference = Reference(

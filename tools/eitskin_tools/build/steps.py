@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build import missing_lesson, press_lesson
 from eitskin_tools.build.folder import keep, stored
@@ -125,7 +126,7 @@ def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tupl
     from eitskin_training.run_files import data_of, trained
 
     out, said = folder / "exported.eitskin", folder / "exported.json"
-    if out.exists() and (known := stored(said)) is not None:
+    if (known := _exported_before(out, said)) is not None:
         return out, known
     found = trained(run)
     bends, gate_steps = _gate(recipe)
@@ -136,6 +137,19 @@ def export_run(recipe: BuildRecipe, folder: Path, run: Path, tell: Tell) -> tupl
     return out, result
 
 
+def _exported_before(bundle: Path, said: Path) -> dict[str, Any] | None:
+    """Return what the export said of a bundle that is there and whole; None where it has to be exported again."""
+    from eitskin.model.bundle import load_bundle
+
+    known = stored(said)
+    if known is None or not {"bundle", "labels", "touches", "gate"} <= known.keys():
+        return None
+    try:
+        return known if load_bundle(bundle).id == known["bundle"] else None
+    except SkinError:
+        return None
+
+
 def make_card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, tell: Tell) -> dict[str, Any]:
     """Try the bundle, part by part, and return its card."""
     from eitskin_tools.evaluation import card
@@ -144,7 +158,7 @@ def make_card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, te
     for name in card.parts(bundle):
         path = folder / "card" / f"{name}.json"
         part = stored(path)
-        if part is None or part.get("bundle") != identity:
+        if part is None or part.get("bundle") != identity or "found" not in part:
             tell(f"card: {name}")
             work = recipe.card
             part = {"bundle": identity, "found": card.part(name, bundle, work.deformations, work.each, work.draws)}
