@@ -89,11 +89,6 @@ def bundle(name: str) -> Path:
     return named(name, BUNDLE)
 
 
-def skin(name: str) -> Path:
-    """Return the path of ``--skin``: a file, or a description that comes with the package."""
-    return named(name, SKIN)
-
-
 def parent(path: str | Path) -> Path:
     """Return the path of what is to be written, after a look whether its folder is there.
 

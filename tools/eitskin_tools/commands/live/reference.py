@@ -30,9 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: area)",
     )
-    parser.add_argument(
-        "--skin", type=files.skin, metavar="FILE", help="the skin's description, which the bundle must fit"
-    )
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument(
         "--against", type=Path, metavar="FILE", help="older reference to hold it against (default: what --out replaces)"
     )

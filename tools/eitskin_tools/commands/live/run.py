@@ -52,9 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help=f"{files.A_BUNDLE}, to use (default: the shipped one of area labels and of the touches)",
     )
     touches.add_touches(parser, "those of --skin, else raise")
-    parser.add_argument(
-        "--skin", type=files.skin, metavar="FILE", help="the skin's description, which the bundle must fit"
-    )
+    parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
