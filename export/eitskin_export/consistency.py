@@ -7,7 +7,6 @@ asks for ten such frames of fourteen, so that noise alone names no electrode; a 
 these few, does.
 """
 
-import io
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final
@@ -19,6 +18,7 @@ from eitskin.health.correction import NAMES
 from eitskin.health.electrodes import NEEDED, WINDOW, ElectrodeWatch
 from eitskin.health.imputation import Consistency as Deployed
 from eitskin.health.untouched import estimates
+from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.recipes import Recipe
@@ -55,9 +55,7 @@ class Healthy:
 
     def to_npz(self) -> bytes:
         """Return the arrays as the bytes of an .npz file; float64, since the precision has a condition of 1e7."""
-        buffer = io.BytesIO()
-        np.savez(buffer, **self.arrays)  # type: ignore[arg-type]
-        return buffer.getvalue()
+        return pack_arrays(self.arrays)
 
     def facts(self) -> dict[str, object]:
         """Return what a manifest states."""

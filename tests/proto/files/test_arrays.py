@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from eitskin_proto.files.arrays import parse_npy, parse_npz, read_npz
+from eitskin_proto.files.arrays import pack_arrays, parse_npy, parse_npz, read_npz, save_arrays
 from eitskin_proto.files.reading import FileError
 
 
@@ -88,3 +88,25 @@ def test_a_directory_of_many_members_is_refused_before_it_is_read() -> None:
             archive.writestr(str(number), b"")
     with pytest.raises(FileError, match="lists 5000 members"):
         parse_npz(out.getvalue(), 1 << 20)
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+def test_a_file_holds_the_arrays_that_were_given_and_no_other(tmp_path, monkeypatch, compressed):
+    """As with numpy 1.26 to 2.1, to which every keyword is an array."""
+    name = "savez_compressed" if compressed else "savez"
+    whole = getattr(np, name)
+
+    def older(file, *arrays, **named):
+        return whole(file, *arrays, **{key.replace("allow_pickle", "_allow_pickle"): one for key, one in named.items()})
+
+    monkeypatch.setattr(np, name, older)
+    with open(tmp_path / "a.npz", "wb") as stream:
+        save_arrays(stream, {"a": np.arange(3), "told": "text"}, compressed=compressed)
+    found = read_npz(tmp_path / "a.npz", 1 << 20)
+    assert sorted(found) == ["a", "told"]
+    assert str(found["told"]) == "text"
+
+
+def test_arrays_of_objects_are_not_written():
+    with pytest.raises(ValueError, match="array 'a' holds objects"):
+        pack_arrays({"a": np.array([None])})

@@ -8,9 +8,9 @@ from typing import Any
 import pytest
 
 from eitskin_proto.errors import ProtocolError
-from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.arrays import pack_arrays, read_npz
 from eitskin_proto.files.digest import sha256_of
-from eitskin_sim.dataset.generate import generate, pack_arrays
+from eitskin_sim.dataset.generate import generate
 from eitskin_sim.dataset.plan import make_plan
 from eitskin_sim.dataset.reader import load
 

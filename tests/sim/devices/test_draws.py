@@ -10,7 +10,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import IDEAL
 from eitskin_sim.devices.draws import MOST_DRIFT, MOST_MM, draw_device, draw_drift, draw_moment
-from eitskin_sim.devices.readings import fine_differences, readings
+from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.scene.parts import Bend, Electrodes
 
 LAB = named("lab")
@@ -32,8 +32,8 @@ def test_a_skin_without_doubts_has_the_ideal_device_alone() -> None:
     bend = Bend(stretch_along=1.1, twist_deg=5.0)
     assert drawn.bent(bend) == bend
     assert drawn.reference_bend == Bend()
-    found = fine_differences(drawn.device.since(moment.late), bend)
-    assert found == pytest.approx(fine_differences(IDEAL, bend), rel=1e-12)
+    found = sheet_differences(drawn.device.since(moment.late), bend)
+    assert found == pytest.approx(sheet_differences(IDEAL, bend), rel=1e-12)
     assert readings(drawn.device, found) == pytest.approx(readings(IDEAL, found), rel=1e-9)
     assert np.all(draw_drift(PAPER, 50, rng(0)) == 1.0)
     assert (moment.scan_factor, moment.scan_amplitude) == (1.0, 1.0)

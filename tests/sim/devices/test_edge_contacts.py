@@ -14,7 +14,7 @@ from eitskin_sim.dataset.shards import make_shard, shard_job
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import draw_device
 from eitskin_sim.devices.loose_contacts import loose_contacts
-from eitskin_sim.devices.readings import corrected, drive_differences, fine_differences, readings
+from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
 from eitskin_sim.fem.forward import Factor, flat_metric
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.mesh import shared_mesh, shared_system
@@ -66,7 +66,7 @@ def sheet(skin: Skin, device: Device) -> InvertedSheet:
 
 @pytest.fixture(scope="module")
 def ratio(device: Device, sheet: InvertedSheet) -> np.ndarray:
-    return np.where(np.eye(16), 1.0, fine_differences(device, BEND) / drive_differences(sheet.at_terminals))
+    return np.where(np.eye(16), 1.0, sheet_differences(device, BEND) / drive_differences(sheet.at_terminals))
 
 
 @pytest.fixture(scope="module")
@@ -96,7 +96,7 @@ def test_free_touches_are_near_a_scene_of_the_same_device(
     response = set_responses([sheet], own, electrodes=device.electrodes, skin=skin)[0, 0]
     plain = Device(device.sheet, device.electrodes)  # a scene has no front end
     found = readings(plain, corrected(drive_differences(response), ratio))
-    found = found / readings(plain, fine_differences(device, BEND)) - 1.0
+    found = found / readings(plain, sheet_differences(device, BEND)) - 1.0
     exact = of_scene(device, TOUCHES.touches(number)) / bare - 1.0
     assert np.linalg.norm(found - exact) < 0.05 * np.linalg.norm(exact)
     assert np.linalg.norm(exact) > 0.1

@@ -6,7 +6,7 @@ import pytest
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import draw_device
-from eitskin_sim.devices.readings import corrected, drive_differences, fine_differences, readings, responses_of
+from eitskin_sim.devices.readings import corrected, drive_differences, readings, responses_of, sheet_differences
 from eitskin_sim.fem.forward import Factor
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.freeform.sheet import InvertedSheet, inverted_sheet, sheet_blocks
@@ -43,7 +43,7 @@ def sheet(device: Device) -> InvertedSheet:
 
 @pytest.fixture(scope="module")
 def ratio(device: Device, sheet: InvertedSheet) -> np.ndarray:
-    return np.where(np.eye(16), 1.0, fine_differences(device, BEND) / drive_differences(sheet.at_terminals))
+    return np.where(np.eye(16), 1.0, sheet_differences(device, BEND) / drive_differences(sheet.at_terminals))
 
 
 def of_scene(device: Device, touches: tuple[Touch, ...]) -> np.ndarray:
@@ -65,7 +65,7 @@ def test_free_touches_are_near_a_scene_of_the_same_device(
     response = set_responses([sheet], TOUCHES.chosen(np.array([number])), electrodes=device.electrodes)[0, 0]
     plain = Device(device.sheet, device.electrodes)  # a scene has no front end
     found = readings(plain, corrected(drive_differences(response), ratio))
-    found = found / readings(plain, fine_differences(device, BEND)) - 1.0
+    found = found / readings(plain, sheet_differences(device, BEND)) - 1.0
     exact = of_scene(device, TOUCHES.touches(number)) / of_scene(device, ()) - 1.0
     assert np.linalg.norm(found - exact) < 0.05 * np.linalg.norm(exact)
     assert np.linalg.norm(exact) > 0.1
@@ -90,7 +90,7 @@ def test_units_are_exact_and_near_a_scene_of_the_same_device(device: Device, con
 
 
 def test_untouched_readings_are_those_of_the_fine_mesh(device: Device, sheet: InvertedSheet, ratio: np.ndarray) -> None:
-    fine = fine_differences(device, BEND)
+    fine = sheet_differences(device, BEND)
     again = drive_differences(responses_of(corrected(drive_differences(sheet.at_terminals), ratio)))
     assert again == pytest.approx(fine, rel=1e-9)
     assert np.abs(drive_differences(sheet.at_terminals) / fine - 1.0).max() > 1e-4

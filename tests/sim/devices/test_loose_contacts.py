@@ -7,7 +7,7 @@ import pytest
 
 from eitskin_sim.devices.device import IDEAL, Device
 from eitskin_sim.devices.loose_contacts import loose_contacts
-from eitskin_sim.devices.readings import fine_differences, readings
+from eitskin_sim.devices.readings import readings, sheet_differences
 from eitskin_sim.fem.forward import flat_metric
 from eitskin_sim.fem.mesh import TensorMesh
 from eitskin_sim.freeform.mesh import shared_mesh, shared_system
@@ -40,10 +40,10 @@ def test_a_contact_covers_its_square_wherever_it_lies() -> None:
 # On lines it is 0.06 %, here 0.6.
 def test_untouched_voltages_are_near_those_of_a_mesh_that_follows_the_contacts() -> None:
     device = replace(IDEAL, electrodes=LOOSE)
-    fine = readings(device, fine_differences(device, BEND))
+    fine = readings(device, sheet_differences(device, BEND))
     coarse = shared_system(BEND, device=device).factorise().voltages()
     assert coarse == pytest.approx(fine, rel=1e-2)
-    assert np.abs(fine / readings(IDEAL, fine_differences(IDEAL, BEND)) - 1.0).max() > 0.05
+    assert np.abs(fine / readings(IDEAL, sheet_differences(IDEAL, BEND)) - 1.0).max() > 0.05
 
 
 def test_two_electrodes_in_one_element_are_refused() -> None:

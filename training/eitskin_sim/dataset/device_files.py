@@ -22,7 +22,7 @@ from eitskin_proto.skin.toml import parse
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
-from eitskin_sim.devices.readings import corrected, drive_differences, fine_differences, readings
+from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
 from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
@@ -78,7 +78,7 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
     skin = job_skin(job)
     rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
     drawn = draw_device(skin, rng)
-    before = fine_differences(drawn.device, drawn.reference_bend)
+    before = sheet_differences(drawn.device, drawn.reference_bend)
     for _ in range(ATTEMPTS):
         found = readings(drawn.device, before)
         share = found / nominal
@@ -127,7 +127,7 @@ def device_file(
     moment = moment_of(job, number)
     own, nominal = references
     scale = nominal / own
-    fine, coarse = fine_differences(device, bend), drive_differences(made[1])
+    fine, coarse = sheet_differences(device, bend), drive_differences(made[1])
     ratio = np.divide(fine, coarse, out=np.ones_like(fine), where=~np.eye(len(fine), dtype=np.bool_))
     drift = draw_drift(job_skin(job), len(made[0]), np.random.default_rng([job["seed"], DRIFT, number]))
     touched = drift[:, None, None] * corrected(drive_differences(made[0]), ratio)

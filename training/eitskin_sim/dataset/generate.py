@@ -5,7 +5,6 @@ keeps the shards that are there and makes the rest; with another plan it refuses
 place and renamed.
 """
 
-import io
 import json
 import multiprocessing
 import os
@@ -15,9 +14,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.files.digest import id_of, sha256_of
 from eitskin_proto.files.reading import FileError, read_bytes
 from eitskin_proto.files.writing import write_bytes
@@ -27,7 +25,7 @@ from eitskin_sim.dataset.cluster import Certificates, Made, shards_on_cluster
 from eitskin_sim.dataset.index import FORMAT, HINT, VERSION, VERSION_OF_SOFT
 from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.dataset.reader import LARGEST_FILE
-from eitskin_sim.dataset.shards import Arrays, make_shard, shard_job, touches_file
+from eitskin_sim.dataset.shards import make_shard, shard_job, touches_file
 
 Progress = Callable[[int, int], None]
 """Called with samples done and samples in all."""
@@ -145,13 +143,6 @@ def _one_thread() -> Iterator[None]:
                 del os.environ[name]
             else:
                 os.environ[name] = value
-
-
-def pack_arrays(arrays: Arrays) -> bytes:
-    """Return an uncompressed ``.npz``; the same arrays give the same bytes."""
-    buffer = io.BytesIO()
-    np.savez(buffer, allow_pickle=False, **arrays)
-    return buffer.getvalue()
 
 
 def _is_whole(path: Path) -> bool:

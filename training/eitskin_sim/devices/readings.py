@@ -45,9 +45,9 @@ def corrected(differences: Array, ratio: Array) -> Array:
     return np.asarray(found)
 
 
-def fine_differences(device: Device, bend: Bend) -> Array:
+def sheet_differences(device: Device, bend: Bend, element_size_mm: float = FINE_MM) -> Array:
     """Return D (16, 16) of a device's bent, untouched sheet, on a mesh of its own."""
-    scene = Scene(sheet=device.sheet, electrodes=device.electrodes, bend=bend, element_size_mm=FINE_MM)
+    scene = Scene(sheet=device.sheet, electrodes=device.electrodes, bend=bend, element_size_mm=element_size_mm)
     return factorise_scene(scene).differences()
 
 

@@ -18,7 +18,6 @@ bends of families A and B that were not learned from; half of those choose it an
 gate judges the rows of the few drives that an idle device scans.
 """
 
-import io
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -28,6 +27,7 @@ import torch
 from torch import nn
 
 from eitskin_proto.errors import SkinError
+from eitskin_proto.files.arrays import pack_arrays
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.wire.scan_rows import drives_to_list, table_rows
 from eitskin_training.gate import filters
@@ -80,9 +80,7 @@ class Gate:
 
     def to_npz(self) -> bytes:
         """Return the arrays as the bytes of an .npz file."""
-        buffer = io.BytesIO()
-        np.savez(buffer, **self.arrays)  # type: ignore[arg-type]
-        return buffer.getvalue()
+        return pack_arrays(self.arrays)
 
     def audited(self, pixels: int) -> "Gate":
         """Return the same gate, overruled by maps with at least so many touched pixels."""

@@ -5,7 +5,6 @@ and what it was made of: data set, seed and version. A gate asks nothing of the 
 that was adapted, keeps it.
 """
 
-import io
 import json
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -15,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.arrays import pack_arrays, read_npz
 from eitskin_proto.files.reading import FileError, parse_json, read_bytes
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
@@ -118,10 +117,8 @@ def _write(path: Path, found: RunGate, origin: dict[str, Any]) -> None:
     arrays: dict[str, npt.NDArray[np.generic]] = {_GATE + name: value for name, value in found.gate.arrays.items()}
     arrays |= {_SHEETS + name: getattr(found.bends, name) for name in _KEPT}
     texts = {"made_of": json.dumps(origin), "measures": json.dumps(found.gate.measures)}
-    buffer = io.BytesIO()
-    np.savez(buffer, **arrays, **{name: np.array(text) for name, text in texts.items()})  # type: ignore[arg-type]
     path.parent.mkdir(parents=True, exist_ok=True)
-    write_bytes(path, buffer.getvalue())
+    write_bytes(path, pack_arrays({**arrays, **texts}))
 
 
 def _read(path: Path, expected: dict[str, Any]) -> RunGate | None:

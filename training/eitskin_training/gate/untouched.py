@@ -28,13 +28,10 @@ from eitskin_sim.scene import bend as surfaces
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.scene.parts import Bend
-from eitskin_training.gate.moments import drawn_moments, moments
+from eitskin_training.gate.moments import COARSE_MM, drawn_moments, moments
 from eitskin_training.gate.touches import PROBE_SEED, Probe, probes, small_touches
 from eitskin_training.gate.wide_bends import wide_bends
 from eitskin_training.samples.batches import TrainingData
-
-COARSE_MM: Final = 4.5
-"""Element size: 0.05 s a bend, and log(V / V0) to 2e-4."""
 
 TRAIN_SEED: Final = 701
 HELD_OUT_SEED: Final = 702

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_proto.errors import SkinError
-from eitskin_proto.files.arrays import read_npz
+from eitskin_proto.files.arrays import read_npz, save_arrays
 from eitskin_proto.files.digest import id_of
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.table import N_FULL_ROWS, ROW_IN_FULL
@@ -109,7 +109,7 @@ def write(folder: Path, recording: Recording, data: TrainingData) -> None:
     }
     folder.mkdir(parents=True, exist_ok=True)
     with replacing(folder / NAME) as file:
-        np.savez(file, allow_pickle=False, **arrays)
+        save_arrays(file, arrays)
 
 
 def load(folder: str | Path) -> TrainingData:

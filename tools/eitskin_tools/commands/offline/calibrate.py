@@ -104,6 +104,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     from eitskin.acquisition.ports import open_line
     from eitskin.acquisition.serial_port import DEFAULT_BAUD
     from eitskin.acquisition.transport import Transport
+    from eitskin_proto.files.arrays import save_arrays
     from eitskin_proto.files.writing import replacing
     from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.sensor.table import N_ROWS
@@ -145,7 +146,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
             talk.end()
             line.close()
         with replacing(arguments.recording) as file:  # before anything else can go wrong
-            np.savez(file, allow_pickle=False, **arrays, **{name: np.array(value) for name, value in ids.items()})
+            save_arrays(file, {**arrays, **ids})
 
 
 def _lying(path: Path | None, skin: Any) -> Any:

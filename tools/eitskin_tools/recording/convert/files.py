@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_tools.recording.convert.table import Table
@@ -34,7 +35,7 @@ def write_npz(path: Path, found: Table, script: Script) -> None:
     if found.maps is not None:
         arrays["map"] = found.maps
     with replacing(path) as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
+        save_arrays(stream, arrays, compressed=True)
 
 
 def write_parquet(path: Path, found: Table, script: Script) -> None:

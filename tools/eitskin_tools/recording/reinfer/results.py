@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from eitskin_proto.files.arrays import save_arrays
 from eitskin_proto.files.writing import replacing
 from eitskin_tools.pictures.saved import save
 from eitskin_tools.recording.layout import RecordingError
@@ -33,7 +34,7 @@ def write(path: Path, found: Reinferred) -> None:
         arrays["p_value"] = np.array([np.nan if one is None else one.p_value for one in maps.judged])
         arrays["flagged"] = np.array([one is not None and one.flagged for one in maps.judged], dtype=np.bool_)
     with replacing(path) as stream:
-        np.savez_compressed(stream, allow_pickle=False, **arrays)
+        save_arrays(stream, arrays, compressed=True)
 
 
 def draw(path: Path, found: Reinferred, most: int) -> None:
