@@ -107,7 +107,7 @@ ROOMS: dict[str, Arrows] = {
         "__init__": set(), "choices": set(),
         "command_line": {"errors"},
         "console": {"processes"},
-        "errors": set(), "stages": set(), "flash": set(), "guided": {"console"},
+        "errors": set(), "stages": set(), "flash": {"processes"}, "guided": {"console"},
         "mismatches": set(), "phantoms": set(), "pictures": set(),
         "processes": set(),
         "recording": {"command_line", "pictures", "processes"},

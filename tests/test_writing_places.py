@@ -27,6 +27,8 @@ EXCEPTED = {
     "tools/eitskin_tools/bench/skip/waking.py open": OWN,
     "tools/eitskin_tools/bench/skip/waking.py savez": OWN,
     "tools/eitskin_tools/cli.py os.open": "/dev/null, in place of a standard output that nobody reads any more",
+    "tools/eitskin_tools/console/closed.py open": "/dev/null, in place of a stream that was closed",
+    "tools/eitskin_tools/console/closed.py os.open": "the same",
     "tools/eitskin_tools/demo/recorder.py savez": OWN,
     "tools/eitskin_tools/demo/show.py write_text": OWN,
     "tools/eitskin_tools/emulator/board.py open": OWN,
@@ -55,6 +57,7 @@ FLAGS = {"O_WRONLY", "O_RDWR", "O_CREAT", "O_APPEND", "O_TRUNC", "O_TMPFILE"}
 
 FILE_OF = {
     "save": 0, "savez": 0, "savez_compressed": 0, "savefig": 0, "tofile": 0, "torch.save": 1, "write_table": 1,
+    "save_arrays": 0,
 }  # fmt: skip
 """Functions that write into a file or to a name: which argument that is."""
 

@@ -9,7 +9,9 @@ electrodes were found elsewhere, and takes what was made for that.
 """
 
 from eitskin_proto.errors import MismatchError
+from eitskin_proto.files.named_arrays import Arrays, text
 from eitskin_proto.files.plain import stated
+from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 
 
@@ -33,3 +35,23 @@ def check_made_for(what: str, skin: Skin, *, grid_id: object, skin_digest: objec
     if grid_id != skin.grid_id:
         expected = f"{skin.grid_id} ({skin.name})"
         raise MismatchError(f"{what}: grid_id", found=stated(grid_id), expected=expected, hint=hint)
+
+
+def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> None:
+    """Refuse arrays of a file whose ``protocol_id``, ``grid_id`` or ``skin_digest`` is of another release or skin.
+
+    Args:
+        what: What to call them: a path, mostly.
+        skin: The one in use.
+        arrays: By name; those that it lacks are not held against anything.
+        hint: What to do.
+
+    Raises:
+        MismatchError: With what was found and what was expected.
+        ValueError: One of them is no text.
+    """
+    if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
+        raise MismatchError(f"{what}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
+    given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
+    grid_id, digest = given.get("grid_id", skin.grid_id), given.get("skin_digest")
+    check_made_for(what, skin, grid_id=grid_id, skin_digest=digest, hint=hint)

@@ -24,6 +24,7 @@ from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
 from eitskin_sim.surface.predict import flat_voltages, predict
 from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.measured_file import Measured
+from eitskin_tools.evaluation.printed import cell
 from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, named
 
 Array = npt.NDArray[np.float64]
@@ -165,14 +166,10 @@ def table(found: dict[str, Any]) -> str:
         "kind            samples      CC   worst  rms mm  missed  gate missed  false touch",
     ]
     for kind, row in found["by_kind"].items():
-        cells = [_cell(row["cc"], 8, ".3f"), _cell(row["cc_worst"], 8, ".3f")]
-        cells += [_cell(row["localisation_rms_mm"], 8, ".2f"), _cell(row["missed"], 8, ".1%")]
-        cells += [_cell(row["gate_missed"], 13, ".1%"), _cell(row["false_touch"], 13, ".1%")]
+        cells = [cell(row["cc"], 8, ".3f"), cell(row["cc_worst"], 8, ".3f")]
+        cells += [cell(row["localisation_rms_mm"], 8, ".2f"), cell(row["missed"], 8, ".1%")]
+        cells += [cell(row["gate_missed"], 13, ".1%"), cell(row["false_touch"], 13, ".1%")]
         lines.append(f"{plain(kind):16}{row['samples']:7d}{''.join(cells)}")
     if found["ignored"]:
         lines.append(f"not read: {plain(', '.join(found['ignored']))}")
     return "\n".join(lines)
-
-
-def _cell(value: float | None, width: int, form: str) -> str:
-    return f"{'-':>{width}}" if value is None else f"{value:{width}{form}}"

@@ -27,12 +27,11 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
 from eitskin_proto.files.named_arrays import Array, Arrays, numbers, text
-from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.normalise import weak_rows
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
-from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.made_for import check_arrays_made_for
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 
@@ -105,7 +104,8 @@ def load_measured(path: str | Path, skin: Skin = PAPER) -> Measured:
     else:
         arrays = read_npz(path, LARGEST_FILE)
     try:
-        _check_ids(arrays, path, skin)
+        hint = "write it again with the rows and the grid that 'eitskin --version' names"
+        check_arrays_made_for(str(path), skin, arrays, hint)
         return replace(_measured(arrays, skin), ending=ending)
     except MismatchError:
         raise
@@ -227,13 +227,3 @@ def _touch_kind(arrays: Arrays) -> TouchKind | None:
     if found not in TOUCH_KINDS:
         raise ValueError(f"touch_kind is {quoted(found)}, expected one of {', '.join(TOUCH_KINDS)}")
     return "lowering" if found == "lowering" else "raising"
-
-
-def _check_ids(arrays: Arrays, path: str | Path, skin: Skin) -> None:
-    hint = "write it again with the rows and the grid that 'eitskin --version' names"
-    if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
-        raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
-    given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
-    check_made_for(
-        str(path), skin, grid_id=given.get("grid_id", skin.grid_id), skin_digest=given.get("skin_digest"), hint=hint
-    )

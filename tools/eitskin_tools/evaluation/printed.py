@@ -18,14 +18,15 @@ def print_report(found: dict[str, Any]) -> None:
     rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
     papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
     for row, theirs in zip(rows, papers, strict=True):
-        line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{_cell(row['rie'], 9, 4)}"
+        line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{cell(row['rie'], 9, '.4f')}"
         line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
-        line += f"{_cell(row['two_point_mm'], 14, 1)}{_cell(row['distance_error'], 8, 4)}"
+        line += f"{cell(row['two_point_mm'], 14, '.1f')}{cell(row['distance_error'], 8, '.4f')}"
         print(line if theirs is None else f"{line}{theirs:12.4f}")
 
 
-def _cell(value: float | None, width: int, digits: int) -> str:
-    return f"{'-':>{width}}" if value is None else f"{value:{width}.{digits}f}"
+def cell(value: float | None, width: int, form: str) -> str:
+    """Return a number of some width, in the form of ``format``; a dash where there is none."""
+    return f"{'-':>{width}}" if value is None else f"{value:{width}{form}}"
 
 
 def print_trial(found: dict[str, Any], as_json: bool) -> int:

@@ -9,7 +9,7 @@ touches match the phantoms, unless one is named.
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, Literal, get_args
+from typing import TYPE_CHECKING, Any, Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -40,9 +40,6 @@ if TYPE_CHECKING:
 
 Prediction = Literal["scan", "none", "true"]
 """What a head's second input is: V_pred of the cloud, nothing, or the true untouched voltages, which no robot has."""
-
-PREDICTIONS: Final[tuple[str, ...]] = get_args(Prediction)
-"""The kinds of second input."""
 
 NETWORKS: Final = ("vd2t", "vd2t-int8", "vd2t-small")
 """Solvers that a bundle provides."""

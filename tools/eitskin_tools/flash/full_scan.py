@@ -10,11 +10,10 @@ scans 208 rows, and ``eitskin flash rollback``, or the next calibration, brings 
 """
 
 import signal
-import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
-from typing import Any, Final
+from typing import Final
 
 from eitskin.acquisition.transport import Transport
 from eitskin.errors import SkinError
@@ -25,6 +24,7 @@ from eitskin_proto.wire.scan_rows import ALL_DRIVES
 from eitskin_tools.flash import procedure
 from eitskin_tools.flash.exchange import Exchange
 from eitskin_tools.flash.stored import FlashError, show
+from eitskin_tools.processes.signals import met_by
 
 NAME: Final = "calib208"
 """Of the configuration that is written for the while; short enough to stand beside a skin."""
@@ -63,7 +63,7 @@ def scanning_all_rows(opened: Opened, tell: Tell) -> Iterator[None]:
         SkinError: It did not answer, or refused; it is as it was.
         TransportError: There is no line.
     """
-    with _ended_as_by_ctrl_c():
+    with met_by(signal.default_int_handler, *ENDINGS):
         changed = _begin(opened, tell)
         try:
             yield
@@ -117,27 +117,6 @@ def _back(opened: Opened, tell: Tell) -> str:
     return ""
 
 
-@contextmanager
-def _ended_as_by_ctrl_c() -> Iterator[None]:
-    with _handlers(signal.default_int_handler, ENDINGS):
-        yield
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
+def _deaf() -> AbstractContextManager[None]:
     """Hear no Ctrl-C."""
-    with _handlers(signal.SIG_IGN, (signal.SIGINT, *ENDINGS)):
-        yield
-
-
-@contextmanager
-def _handlers(handler: Any, numbers: tuple[signal.Signals, ...]) -> Iterator[None]:
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, handler) for number in numbers}
-    try:
-        yield
-    finally:
-        for number, one in before.items():
-            signal.signal(number, one)
+    return met_by(signal.SIG_IGN, signal.SIGINT, *ENDINGS)

@@ -9,7 +9,6 @@ import ctypes
 import signal
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
@@ -17,6 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from eitskin_proto.errors import SkinError
+from eitskin_tools.processes.signals import met_by
 
 GRACE_S: Final = 20.0
 """How long a child may take to end after it was asked to; far more than it needs, since a busy machine is no hang."""
@@ -121,23 +121,9 @@ def process_group() -> Iterator[list[Child]]:
     try:
         yield children
     finally:
-        with _deaf():
+        with met_by(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM):  # no second Ctrl-C
             for child in reversed(children):
                 child.stop()
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Hear no second Ctrl-C while the children are ended."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = {number: signal.signal(number, signal.SIG_IGN) for number in (signal.SIGINT, signal.SIGTERM)}
-    try:
-        yield
-    finally:
-        for number, handler in before.items():
-            signal.signal(number, handler)
 
 
 def die_with_parent() -> None:

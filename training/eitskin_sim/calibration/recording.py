@@ -22,12 +22,11 @@ import numpy as np
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.arrays import read_npz
-from eitskin_proto.files.named_arrays import Array, Arrays, numbers, text
-from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.sensor.ids import PROTOCOL_ID
+from eitskin_proto.files.named_arrays import Array, Arrays, numbers
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.sensor.table import N_FULL_ROWS, N_ROWS, ROW_IN_FULL
 from eitskin_proto.skin.cloud import align_cloud, check_cloud
-from eitskin_proto.skin.made_for import check_made_for
+from eitskin_proto.skin.made_for import check_arrays_made_for
 from eitskin_proto.skin.sheet_cloud import check_sheet
 from eitskin_proto.skin.skin import Skin
 
@@ -88,21 +87,13 @@ def load_recording(path: str | Path, skin: Skin) -> Recording:
     """
     arrays = read_npz(path, LARGEST_FILE)
     try:
-        _check_ids(arrays, path, skin)
+        hint = "record it again with this skin, or name its own with --skin"
+        check_arrays_made_for(str(path), skin, arrays, hint)
         return _recording(arrays, skin)
     except MismatchError:
         raise
     except ValueError as error:
         raise RecordingError(f"{path}: {error}") from error
-
-
-def _check_ids(arrays: Arrays, path: str | Path, skin: Skin) -> None:
-    hint = "record it again with this skin, or name its own with --skin"
-    if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
-        raise MismatchError(f"{path}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
-    if "grid_id" in arrays:
-        digest = text(arrays, "skin_digest") if "skin_digest" in arrays else None
-        check_made_for(str(path), skin, grid_id=text(arrays, "grid_id"), skin_digest=digest, hint=hint)
 
 
 def _recording(arrays: Arrays, skin: Skin) -> Recording:

@@ -133,15 +133,3 @@ class TouchedSheet:
         place[solved.dofs] = np.arange(len(solved.dofs))
         own = self.grid.dofs[element]
         return np.where((own >= 0)[:, :, None], solved.fields[place[own]], 0.0)
-
-    def all_fields(self, solved: Solved) -> Array:
-        """Return (n_dofs, 16) fields on the whole sheet under touches."""
-        sheet = self.sheet
-        if not len(solved.dofs):
-            return sheet.to_terminals
-        change = np.zeros((len(self.grid.sharing) + 1, 16))
-        flow = (solved.base.blocks - sheet.before[solved.base.element]) @ self.element_fields(
-            solved, solved.base.element
-        )
-        np.add.at(change, self.grid.dofs[solved.base.element], flow)
-        return np.asarray(sheet.to_terminals - sheet.inverse[:, solved.dofs] @ change[solved.dofs])

@@ -7,6 +7,7 @@ import argparse
 import json
 import sys
 from pathlib import Path
+from shlex import quote
 from typing import Any, Final
 
 from eitskin_tools.command_line import files, skins
@@ -90,7 +91,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(report))
     else:
         print(table(report))
-        print(f"next: eitskin adapt-skin press --skin {arguments.out} --out BUNDLE")
+        print(f"next: eitskin adapt-skin press --skin {quote(str(arguments.out))} --out BUNDLE")
     return 0
 
 

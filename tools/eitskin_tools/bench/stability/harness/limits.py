@@ -21,9 +21,6 @@ from eitskin_tools.bench.stability.harness.samples import Sample, voltages_of
 
 Array = npt.NDArray[np.float64]
 
-Spread = Callable[[Sample, float], Array]
-"""From a sample and a level to the (104,) V standard deviation of each row."""
-
 
 def touch_change(sample: Sample) -> Array:
     """Return (104,) dV that the touch alone makes, against the flat reference."""
