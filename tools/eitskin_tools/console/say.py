@@ -14,3 +14,8 @@ def say(line: str, *, error: bool = False) -> None:
     """
     stream = sys.stderr if error else sys.stdout
     print(plain(line), file=stream, flush=stream.isatty())
+
+
+def note(line: str) -> None:
+    """Print one line on stderr, of what goes on."""
+    say(line, error=True)

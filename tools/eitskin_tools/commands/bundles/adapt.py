@@ -2,8 +2,9 @@
 
 import argparse
 import json
-import sys
 from pathlib import Path
+
+from eitskin_tools.console.say import note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -41,7 +42,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(f"{out} holds a run already; name another folder with --out, or remove it")
     found = trained(source)
     data = data_of(found, arguments.data)
-    adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=_tell)
+    adapted = adapt.adapt(found.model, found.recipe, data, plan, seed=arguments.seed, tell=note)
     content = {**found.content, "data": arguments.data or found.content["data"]}
     path = adapt.write(out, content, adapted)
     stored.hand_on(source, out)
@@ -54,7 +55,3 @@ def run(arguments: argparse.Namespace) -> int:
         print(f"{name:10s}  {before[name]:.4f} -> {value:.4f}, {value / after['whole']:.4f} of whole")
     print(f"next: eitskin export {out} --out {out}.eitskin")
     return 0
-
-
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -5,10 +5,11 @@ It may be stopped at any point, by Ctrl-C or by force; the same command goes on 
 
 import argparse
 import json
-import sys
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
+
+from eitskin_tools.console.say import note
 
 if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
@@ -86,7 +87,7 @@ def make(
         torch.set_num_threads(arguments.threads)
     began = time.monotonic()
     with Stages() as tell:
-        making = Making(steps.processes(arguments.workers), tell, _say)
+        making = Making(steps.processes(arguments.workers), tell, note)
         if small is None:
             made = making.whole(asked, work, hours_asked, presses=presses)
             identity = made.finish(arguments.out)
@@ -120,7 +121,3 @@ def make(
         print(line)
     print(f"{work} may be removed")
     return 0
-
-
-def _say(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)

@@ -2,9 +2,10 @@
 
 import argparse
 import json
-import sys
 from pathlib import Path
 from typing import Any
+
+from eitskin_tools.console.say import note
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -87,10 +88,6 @@ def _gate_line(gate: dict[str, Any]) -> str:
     return found
 
 
-def _tell(text: str) -> None:
-    print(text, file=sys.stderr, flush=True)
-
-
 def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[str, Any]:
     """Return {file: {solver: {noise: report}}} of both heads on the phantoms whose truth has the bundle's labels."""
     from eitskin_sim.evaluation.harness import Conditions
@@ -103,9 +100,9 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
     for path in paths:
         phantoms = [one for one in load_phantoms(files.find(path, files.PHANTOMS)) if one.truth == labels]
         if not phantoms:
-            _tell(f"{path} holds no phantoms with {labels} labels; left out")
+            note(f"{path} holds no phantoms with {labels} labels; left out")
             continue
-        _tell(f"scoring {len(phantoms)} phantoms of {path}")
+        note(f"scoring {len(phantoms)} phantoms of {path}")
         requests = [Request(name, bundle=bundle) for name in NETWORKS]
         by_noise = {
             noise: evaluate_requests(phantoms, requests, Conditions(noise=noise, snr_db=50.0, seeds=seeds))  # type: ignore[arg-type]
