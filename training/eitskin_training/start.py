@@ -1,6 +1,6 @@
 """Where a training run begins: not with random weights, but with those of another run, or of a bundle."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -55,10 +55,16 @@ class Start:
             MismatchError: It was of another shape, or of another map or symmetry.
         """
         what, hint = "network to start from", "start from one of this"
-        if (found := self.architecture) != architecture:
-            raise MismatchError(what, found=found, expected=architecture, hint=f"{hint} recipe")
         if (map_found := _map_of(self.skin, architecture)) != (map_expected := _map_of(skin, architecture)):
             raise MismatchError(f"{what}: map", found=map_found, expected=map_expected, hint=f"{hint} map")
+        names = [one.name for one in fields(architecture)]
+        unlike = [name for name in names if getattr(self.architecture, name) != getattr(architecture, name)]
+        if unlike:
+            found, expected = (
+                ", ".join(f"{name} {getattr(one, name)}" for name in unlike)
+                for one in (self.architecture, architecture)
+            )
+            raise MismatchError(what, found=found, expected=expected, hint=f"{hint} recipe")
 
 
 def _map_of(skin: Skin, architecture: Architecture) -> str:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from eitskin.model.bundle import load_bundle
+from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.symmetry import images
-from eitskin_proto.skin.toml import named, to_toml
+from eitskin_proto.skin.toml import load, named, to_toml
 from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.freeform.voltages import set_voltages
 from eitskin_sim.scene.parts import Bend
@@ -21,6 +22,10 @@ from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
+from eitskin_training.start import Start
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "skin.toml"
+"""A sheet of 220 x 90 mm."""
 
 STATED = named("hydrogel")
 RING = STATED.electrodes
@@ -67,6 +72,15 @@ def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
     found = adapted("press")
     (leg,) = found.training
     steps.start_of(found, leg).require(steps.fitted_to(found, leg, TWIN).architecture, TWIN)
+
+
+def test_a_sheet_of_another_map_is_refused_before_its_data_is_made(monkeypatch):
+    found = replace(adapted("press"), skin=load(EXAMPLE))
+    own = steps.fitted_to(found, found.training[0], STATED).architecture
+    monkeypatch.setattr(steps, "start_of", lambda *_: Start({}, own, STATED, {}))
+    with pytest.raises(MismatchError, match=r"network to start from: map: found 30 x 45 .*, expected 18 x 45 pixels"):
+        steps._check_start(found, found.training[0])
+    steps._check_start(adapted("press"), found.training[0])
 
 
 def test_of_a_bundle_with_two_networks_both_are_adapted():

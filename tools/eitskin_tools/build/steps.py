@@ -46,7 +46,7 @@ def _plan(data: Data, skin: Skin) -> Any:
 
 
 def check(recipe: BuildRecipe) -> None:
-    """Refuse what would fail hours later: data that cannot be planned, a start that is not there.
+    """Refuse what would fail hours later: data that cannot be planned, a start that is not there or does not fit.
 
     Raises:
         SkinError: A file is missing or is no bundle.
@@ -59,7 +59,19 @@ def check(recipe: BuildRecipe) -> None:
             raise ValueError(f"[data.{name}] {error}") from error
     for leg in recipe.training:
         _network(recipe, leg)
-    start_of(recipe, recipe.training[0])
+    _check_start(recipe, recipe.training[0])
+
+
+def _check_start(recipe: BuildRecipe, leg: Leg) -> None:
+    """Refuse a network to start from that is of another shape, or of another map than what it is to learn."""
+    from eitskin_training.narrowed import fits
+
+    if (start := start_of(recipe, leg)) is None:
+        return
+    skin = recipe.skin_of(next(recipe.data[name] for name in leg.data or recipe.data))
+    wanted = fitted_to(recipe, leg, skin)
+    if not fits(start, wanted):
+        start.require(wanted.architecture, skin)
 
 
 def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> None:
