@@ -11,7 +11,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, 
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random
 from eitskin_sim.scene.parts import Phantom, Scene
-from eitskin_sim.verification.free.found import FreeTouch
+from eitskin_sim.verification.free.found import FreeTouch, map_of
 from eitskin_sim.verification.free.search import FreeVerdict
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitTouch
@@ -19,7 +19,8 @@ from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools.bench.verify.conditions import Condition, anywhere_conditions, unit_conditions
 from eitskin_tools.cli import main
 from eitskin_tools.evaluation.solvers import Request, named
-from eitskin_tools.evaluation.verified.shapes import LEAST_SHARE, VerifiedFree, network_share
+from eitskin_tools.evaluation.verified.shapes import VerifiedFree
+from eitskin_tools.evaluation.verified.share import LEAST_SHARE, map_error, network_share
 from eitskin_tools.evaluation.verified.units import Checked, Verified, add_verdicts
 
 
@@ -97,19 +98,54 @@ def test_a_network_that_sees_nothing_is_mended_from_an_independent_mesh() -> Non
         assert truth_map(one).any()
 
 
-def test_the_less_surely_physics_tells_the_area_the_more_is_the_network_s() -> None:
-    def sure_to(area_error_mm2: float, p_value: float = 0.5) -> FreeVerdict:
-        touch = FreeTouch(
-            "ellipse", (50.0, 50.0), (0.1, 0.1), (16.0, 16.0), (0.1, 0.1), 0.0, 200.0, area_error_mm2, 0.4, (0.3, 0.5),
-            4.0, -183.0, 1.0, 0.0, (190.0, 210.0),
-        )  # fmt: skip
-        return FreeVerdict((touch,), 100.0, 104, p_value, 0.01, 5, 1e-3)
+def sure_to(scatter_mm: float, p_value: float = 0.5) -> FreeVerdict:
+    """Return a verdict on a square whose left border may be off by so much."""
+    touch = FreeTouch(
+        "rectangle", (50.0, 50.0), (0.1, 0.1), (20.0, 20.0), (0.1, 0.1), 0.0, 400.0, 1.0, 40.0, (30.0, 50.0), 0.0,
+        1480.0, 1.0, 0.0, (390.0, 410.0),
+    )  # fmt: skip
+    scatter = np.zeros((1, 1, 7))
+    scatter[0, 0, [0, 2]] = -0.5 * scatter_mm, 0.5 * scatter_mm
+    return FreeVerdict(
+        (touch,), 100.0, 104, p_value, 0.01, 5, 1e-3, pieces=SQUARE, likely=((1.0, SQUARE),), scatter=scatter
+    )
 
-    shares = [network_share(sure_to(error), 1) for error in (0.0, 10.0, 50.0, 100.0, 1e6)]
+
+SQUARE = np.array([[0.0, 50.0, 50.0, 20.0, 20.0, 0.0, 40.0, 0.0]])
+
+
+def shown(doubt: float) -> np.ndarray:
+    """Return a network's map of the square, which it doubts by so much."""
+    return (1.0 - doubt) * map_of(SQUARE)
+
+
+def test_the_less_surely_physics_draws_touches_the_more_is_the_network_s() -> None:
+    grid = PAPER.grid
+    shares = [network_share(sure_to(error), shown(0.02), 1, grid) for error in (0.0, 0.3, 1.0, 3.0)]
     assert shares == sorted(shares)
-    assert shares[0] == LEAST_SHARE
-    assert shares[2] == pytest.approx(1.0 - (1.0 - LEAST_SHARE) / 2.0), "as unsure as the network is: half of the rest"
-    assert shares[-1] == pytest.approx(1.0, abs=1e-6)
-    assert network_share(sure_to(10.0, p_value=1e-4), 1) == 1.0
-    assert network_share(replace(sure_to(1.0), touches=()), 0) == LEAST_SHARE
-    assert network_share(sure_to(1e6), 0) == LEAST_SHARE, "the network does not show the touch at all"
+    assert shares[0] == pytest.approx(LEAST_SHARE, abs=0.01)
+    assert 0.2 < shares[-1] < 1.0
+    doubts = [network_share(sure_to(1.0), shown(doubt), 1, grid) for doubt in (0.0, 0.05, 0.2)]
+    assert doubts == sorted(doubts, reverse=True), "the more the network doubts, the less is its own"
+    assert network_share(sure_to(0.3, p_value=1e-4), shown(0.02), 1, grid) == 1.0
+    assert network_share(replace(sure_to(0.3), pieces=SQUARE[:0], touches=()), shown(0.0), 0, grid) == LEAST_SHARE
+    assert network_share(sure_to(3.0), np.zeros(grid.shape), 0, grid) == LEAST_SHARE, "it shows no touch at all"
+
+
+def test_a_network_that_is_sure_of_another_shape_counts_as_much_as_it_differs() -> None:
+    grid, other = PAPER.grid, SQUARE + np.array([0.0, 0.0, 0.0, 10.0, 0.0, 0.0, 0.0, 0.0])
+    near, far = (network_share(sure_to(0.0), map_of(one), 1, grid) for one in (SQUARE, other))
+    assert near < 0.2
+    assert far > 0.5
+
+
+def test_the_error_of_a_map_is_that_of_its_borders_and_alike_for_ellipses() -> None:
+    grid = PAPER.grid
+    one, two = (map_error(SQUARE, sure_to(error).scatter, grid) for error in (0.5, 1.0))
+    # A border of a square of 20 mm that is off by s changes its map's square by at most s / 20, less in cut pixels.
+    assert 0.0 < one < np.sqrt(0.5 / 20.0)
+    assert 1.3 < two / one < 2.1
+    disc = SQUARE.copy()
+    disc[:, 0] = 1.0
+    assert 0.3 < map_error(disc, sure_to(1.0).scatter, grid) / two < 2.0
+    assert map_error(SQUARE, np.zeros((0, 1, 7)), grid) == 0.0

@@ -13,7 +13,7 @@ from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import bounded, refine
-from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.found import map_of, scatter_of
 from eitskin_sim.verification.free.model import Model
 from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import followed, presses_of, shares_of, starts_of
@@ -124,6 +124,16 @@ def test_a_fit_ends_where_a_step_would_gain_nothing_and_its_derivatives_serve_it
     done = refine(frame, refine(frame, frame.at(SQUARE), 20), 20)
     assert refine(frame, done, 20) is done
     assert done._linear
+    assert done.errors is done.linear
+
+
+def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() -> None:
+    frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
+    near = refine(frame, refine(frame, frame.at(SQUARE), 20), 20)
+    best = refine(frame, frame.at(near.pieces + np.array([0, 0.1, 0.1, 0, 0, 0, 0, 0])))
+    assert not best._linear, "its last step gained next to nothing"
+    told, own = scatter_of(best), scatter_of(frame.at(best.pieces))
+    assert np.sqrt(np.square(told).sum(axis=0)) == pytest.approx(np.sqrt(np.square(own).sum(axis=0)), rel=0.2)
 
 
 def test_waves_keep_the_border_and_their_rates_are_quotients() -> None:

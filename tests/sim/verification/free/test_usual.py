@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -12,10 +12,22 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.verification.free import improve
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import _free, _heavy, _prior
+from eitskin_sim.verification.free.fit import Frame
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, closed, left_out, too_small, unseen
-from eitskin_sim.verification.free.usual import usual_of
+from eitskin_sim.verification.free.improve import AGAINST_JOINT
+from eitskin_sim.verification.free.prior.costs import costs, heavy, own_parameters, prior
+from eitskin_sim.verification.free.prior.joints import Joints
+from eitskin_sim.verification.free.seen import (
+    BESIDE,
+    DECISIVE,
+    closed,
+    joints_of,
+    left_out,
+    together,
+    too_small,
+    unseen,
+)
+from eitskin_sim.verification.free.usual import Usual, usual_of
 
 SQUARE = np.array([[0, 60.0, 45.0, 12.0, 10.0, 0.0, 50.0, 0.0]])
 OTHER = np.array([[0, 110.0, 70.0, 10.0, 10.0, 0.0, 50.0, 0.0]])
@@ -54,6 +66,43 @@ def test_a_crack_within_one_touch_of_the_map_is_closed_and_gaps_between_two_stay
     wide = ell + np.array([[0.0] * 8, [0, 4.0, 0, 0, 0, 0, 0, 0]])
     assert np.array_equal(closed(wide, whole, PAPER.grid), wide)
     assert np.array_equal(closed(ell, whole[:0], PAPER.grid), ell)
+
+
+def test_shapes_that_are_one_touch_of_the_map_hang_together_and_cracks_and_two_contrasts_cost() -> None:
+    ell = np.array([[0, 45.0, 50.0, 10.0, 40.0, 0.0, 80.0, 0.0], [0, 60.5, 35.0, 19.0, 10.0, 0.0, 20.0, 0.0]])
+    whole, grid = map_of(ell)[None], PAPER.grid
+    assert joints_of(ell, whole, grid) == ((1, 0),)
+    assert joints_of(ell, shares_of(ell), grid) == (), "the network shows two"
+    turned, far = ell.copy(), ell + np.array([[0.0] * 8, [0, 4.0, 0, 0, 0, 0, 0, 0]])
+    turned[0, 5] = 20.0
+    assert joints_of(turned, whole, grid) == joints_of(far, whole, grid) == joints_of(ell[:1], whole, grid) == ()
+    body = together(ell, ((1, 0),), whole, grid)
+    assert body[:, 6] == pytest.approx([40.0, 40.0])
+    usual, own = usual_of("raising"), own_parameters(ell, False)
+    more = [
+        float(np.sum(np.square(costs(one, own, usual, ((1, 0),))))) - float(np.sum(np.square(costs(one, own, usual))))
+        for one in (ell, body)
+    ]
+    assert more[0] > 100.0
+    assert more[1] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(("more", "bound"), [(AGAINST_JOINT - 1.0, True), (AGAINST_JOINT + 1.0, False)])
+def test_what_the_network_shows_as_one_is_made_one_unless_the_frame_speaks_against_it(
+    monkeypatch: pytest.MonkeyPatch, more: float, bound: bool
+) -> None:
+    ell = np.array([[0, 45.0, 50.0, 10.0, 40.0, 0.0, 50.0, 0.0], [0, 60.5, 35.0, 19.0, 10.0, 0.0, 50.0, 0.0]])
+    frame = Frame(SimpleNamespace(skin=PAPER), *[cast(Any, None)] * 4)  # type: ignore[arg-type]
+    fit: Any = SimpleNamespace(pieces=ell, chi_squared=100.0, turning=False)
+
+    def fitted(frame: Frame, pieces: np.ndarray, turning: bool, effort: Effort, over: object) -> Any:
+        assert frame.joints == ((1, 0),)
+        return SimpleNamespace(pieces=pieces, chi_squared=100.0 + more)
+
+    monkeypatch.setattr(improve, "fitted", fitted)
+    found = improve.joined(frame, fit, map_of(ell)[None], Effort(100.0))
+    assert (found is not fit) == bound
+    assert improve.joined(frame, fit, shares_of(ell), Effort(100.0)) is fit
 
 
 def test_no_touch_is_much_smaller_than_the_skin_s() -> None:
@@ -97,23 +146,30 @@ def test_contrast_and_size_are_what_the_skin_states() -> None:
 
 def test_a_prior_of_aspects_has_heavy_tails_and_its_slope_is_a_quotient() -> None:
     for value in (-2.0, -0.3, 1e-9, 0.2, 1.4):
-        here, slope = _heavy(value, 0.35)
-        assert slope == pytest.approx((_heavy(value + 1e-6, 0.35)[0] - _heavy(value - 1e-6, 0.35)[0]) / 2e-6, rel=1e-4)
+        here, slope = heavy(value, 0.35)
+        assert slope == pytest.approx((heavy(value + 1e-6, 0.35)[0] - heavy(value - 1e-6, 0.35)[0]) / 2e-6, rel=1e-4)
         assert np.sign(here) == np.sign(value)
-    assert _heavy(1e-3, 0.35)[0] == pytest.approx(1e-3 / 0.35, rel=1e-4)
-    assert _heavy(2.0, 0.35)[0] < 0.6 * 2.0 / 0.35
+    assert heavy(1e-3, 0.35)[0] == pytest.approx(1e-3 / 0.35, rel=1e-4)
+    assert heavy(2.0, 0.35)[0] < 0.6 * 2.0 / 0.35
 
 
 def test_the_prior_s_derivatives_are_quotients() -> None:
     pieces = np.vstack([SQUARE, OTHER])
     pieces[1, 4], pieces[1, 7] = 30.0, 2.0
-    own, usual = _free(pieces, False), usual_of("raising")
-    _, by = _prior(pieces, own, usual)
+    own, usual = own_parameters(pieces, False), usual_of("raising")
+    agree(pieces, own, usual, ())
+    apart = np.vstack([SQUARE, SQUARE + np.array([0, 13.0, 2.0, 0, 0, 0, 10.0, 0])])
+    agree(apart, own_parameters(apart, False), usual, ((1, 0),))
+
+
+def agree(pieces: np.ndarray, own: np.ndarray, usual: Usual, joints: Joints) -> None:
+    """Check derivatives of the prior against quotients."""
+    _, by = prior(pieces, own, usual, joints)
     columns = {3: (3, 0.5), 4: (4, 0.5)}  # half length, half width: of the table's column, and its factor
     for number, (row, parameter) in enumerate(zip(*np.nonzero(own), strict=True)):
         column, factor = columns.get(int(parameter) + 1, (int(parameter) + 1, 1.0))
         step = np.zeros_like(pieces)
         step[row, column] = 1e-5
-        found = [_prior(pieces + sign * step, own, usual)[0] for sign in (1.0, -1.0)]
+        found = [prior(pieces + sign * step, own, usual, joints)[0] for sign in (1.0, -1.0)]
         scale = pieces[row, 6] if column == 6 else 1.0 / factor
         assert scale * (found[0] - found[1]) / 2e-5 == pytest.approx(by[:, number], rel=1e-4, abs=1e-6)

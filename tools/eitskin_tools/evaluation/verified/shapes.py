@@ -2,8 +2,8 @@
 
 Touches of the network's map, as the stream finds them, are where the search starts
 (:mod:`eitskin_sim.verification.free`). The map is drawn from the shapes that were found, with a share of the network's
-own: the two err in part independently, so both together are nearer to the truth than either. The less surely physics
-tells how large the touches are, the more is the network's. Where physics cannot explain the frame by its shapes, the
+own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part independently, so both together are nearer to
+the truth than either. Where physics cannot explain the frame by its shapes, the
 network's own map stays, and the frame is flagged. Making the model of a shape,
 once or twice more where the frame shows that the sheet is stretched otherwise than its scan, counts as set-up: it
 serves all frames of the shape.
@@ -11,7 +11,6 @@ serves all frames of the shape.
 
 import time
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -24,36 +23,8 @@ from eitskin_sim.evaluation.metrics import TOUCHED
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
+from eitskin_tools.evaluation.verified.share import network_share
 from eitskin_tools.evaluation.verified.units import Checked
-
-LEAST_SHARE: Final = 0.25
-"""The network's share of a map of touches that are known exactly; 0.2 to 0.3 is alike, for all that were tried."""
-
-NETWORK_ERROR: Final = 0.25
-"""The network's own relative error of an area, by which that of the shapes is judged; 0.2 to 0.3 is alike."""
-
-
-def network_share(verdict: FreeVerdict, shown: int) -> float:
-    """Return the network's share of a map, from ``LEAST_SHARE`` to 1, which it is of a flagged frame.
-
-    With r the relative error of the area that is touched ::
-
-        1 - share  =  (1 - LEAST_SHARE) e^2 / (e^2 + r^2)          e = NETWORK_ERROR
-
-    as two estimates whose errors are independent are weighted. A network that shows fewer touches than there are has
-    the least: it errs in more than their size.
-
-    Args:
-        verdict: What physics says.
-        shown: How many touches the network shows.
-    """
-    touched_mm2 = sum(touch.area_mm2 for touch in verdict.touches)
-    if verdict.flagged:
-        return 1.0
-    if shown < len(verdict.touches) or not touched_mm2:
-        return LEAST_SHARE
-    r = sum(touch.area_error_mm2 for touch in verdict.touches) / touched_mm2
-    return 1.0 - (1.0 - LEAST_SHARE) / (1.0 + (r / NETWORK_ERROR) ** 2)
 
 
 class VerifiedFree:
@@ -114,5 +85,5 @@ class VerifiedFree:
         setup_ms = 1e3 * (verifier.setup_cpu_s - before)
         touched = (image >= TOUCHED).ravel()
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
-        share = network_share(verdict, found.count)
+        share = network_share(verdict, image, found.count, grid)
         return image if verdict.flagged else (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)

@@ -1,16 +1,12 @@
 """Touches fitted to one frame: Levenberg and Marquardt's steps on whitened residuals, with a prior on what touches are.
 
-What is minimised is chi-squared, what is unseen of the sheet fitted along within its bounds, and the prior's cost ::
-
-    size        log sqrt(area) about that of touches; log(length / width) about 0, with heavy tails
-    contrast    its logarithm: the mean of all touches about what this skin's are, each about that mean
-    border      of those that have a graded one
-
-Every touch costs the logarithm of the places where it might be besides (:mod:`eitskin_sim.verification.prior`).
+What is minimised is chi-squared, what is unseen of the sheet fitted along within its bounds, and the prior's cost
+(:mod:`eitskin_sim.verification.free.prior.costs`). Every touch costs the logarithm of the places where it might be
+besides (:mod:`eitskin_sim.verification.prior`).
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -19,20 +15,20 @@ import numpy.typing as npt
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import (
-    ANGLE,
     BORDER,
     HALF_LENGTH,
     HALF_WIDTH,
     LOG_CONTRAST,
     X,
     Y,
-    free,
     parameters_of,
     pieces_of,
 )
 from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification.free.effort import never
 from eitskin_sim.verification.free.model import Model
+from eitskin_sim.verification.free.prior.costs import costs, own_parameters, prior
+from eitskin_sim.verification.free.prior.joints import Joints
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
 
@@ -50,13 +46,10 @@ STEPS: Final = np.array([6.0, 6.0, 3.0, 3.0, 0.3, 0.7, 1.5])
 Linear = tuple[Array, Array, npt.NDArray[np.bool_]]
 """Residuals, derivatives, and what is free."""
 
-TAIL: Final = 2.0
-"""Of the law of aspects: the smaller, the heavier."""
-
 AGAINST: Final = 8.0
 """What each touch costs that the start has not: what the network shows, or the last frame had, is evidence too."""
 
-ENOUGH: Final = 0.3
+ENOUGH: Final = 1.0
 """A step that gains less of what is minimised is the last."""
 
 KEPT: Final = 1
@@ -67,9 +60,6 @@ AGREES: Final = 0.3
 
 SLOW: Final = 0.02
 """A step that gains less of what chi-squared has more than rows is the last, too: something else is wrong."""
-
-SMALL: Final = 1e-6
-"""Residual below which a heavy tail is a square."""
 
 NOTHING: Final = 0.1
 """A step that should gain less is not tried."""
@@ -88,6 +78,8 @@ class Frame:
     """(104,) dV beside the touches."""
     shown: int = 0
     """Touches of the start."""
+    joints: Joints = ()
+    """Which of the touches that are fitted hang together; none for a search, which adds and removes some."""
 
     def at(self, pieces: Array, turning: bool = False) -> "Fit":
         """Return touches as they stand.
@@ -97,7 +89,7 @@ class Frame:
         """
         solved, change = self.model.solve(pieces)
         residual = self.white.whiten(self.change - self.expected - change)
-        cost = _costs(pieces, _free(pieces, turning), self.usual)
+        cost = costs(pieces, own_parameters(pieces, turning), self.usual, self.joints)
         price = self.usual.touches.per_touch * len(pieces) + AGAINST * max(len(pieces) - self.shown, 0)
         return Fit(pieces, turning, solved, residual, float(cost @ cost), price, self)
 
@@ -120,6 +112,13 @@ class Fit:
     """What it was fitted to."""
     _linear: "list[Linear]" = field(default_factory=list, repr=False)
     """Its derivatives, once somebody asked for them."""
+    _before: "Linear | None" = field(default=None, repr=False)
+    """Derivatives before the last step, which gained next to nothing."""
+
+    @property
+    def errors(self) -> "Linear":
+        """Return the same as ``linear``, to tell errors by: derivatives from one short step before serve as well."""
+        return self._before if self._before is not None and not self._linear else self.linear
 
     @property
     def linear(self) -> "Linear":
@@ -132,8 +131,8 @@ class Fit:
 
     def residuals(self) -> "Linear":
         """Return the (rows + p,) residuals, the prior's (p, r) derivatives, and what is free."""
-        own = _free(self.pieces, self.turning)
-        cost, rate = _prior(self.pieces, own, self.frame.usual)
+        own = own_parameters(self.pieces, self.turning)
+        cost, rate = prior(self.pieces, own, self.frame.usual, self.frame.joints)
         return np.concatenate([self.residual, cost]), rate, own
 
     @property
@@ -147,61 +146,10 @@ class Fit:
         return self.chi_squared + self.prior + self.price + 3.0 * self.turning
 
 
-def _free(pieces: Array, turning: bool) -> npt.NDArray[np.bool_]:
-    found = free(pieces)
-    found[:, ANGLE] &= turning
-    return found
-
-
-def _costs(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> Array:
-    """Return the (p,) residuals of the prior; the last is that of the mean contrast."""
-    if not len(pieces):
-        return np.zeros(0)
-    values = parameters_of(pieces)
-    length, width, log = values[:, HALF_LENGTH], values[:, HALF_WIDTH], values[:, LOG_CONTRAST]
-    graded = own[:, BORDER]
-    return np.concatenate(
-        [
-            0.5 * np.log(4.0 * length * width / usual.touches.size_mm**2) / usual.touches.size_log_sd,
-            _heavy(np.log(length / width), usual.aspect_sd)[0],
-            (log - log.mean()) / usual.own_sd,
-            (values[graded, BORDER] - usual.border_mm) / usual.border_sd,
-            [(log.mean() - usual.log_contrast) / usual.common_sd],
-        ]
-    )
-
-
-def _prior(pieces: Array, own: npt.NDArray[np.bool_], usual: Usual) -> tuple[Array, Array]:
-    """Return (p,) residuals of the prior and (p, r) their derivatives by the free parameters."""
-    cost, n = _costs(pieces, own, usual), len(pieces)
-    if not n:
-        return cost, np.zeros((0, 0))
-    values, each, graded = parameters_of(pieces), np.arange(n), np.flatnonzero(own[:, BORDER])
-    length, width = values[:, HALF_LENGTH], values[:, HALF_WIDTH]
-    slope = _heavy(np.log(length / width), usual.aspect_sd)[1]
-    by = np.zeros((len(cost), *own.shape))
-    by[each, each, HALF_LENGTH] = 0.5 / length / usual.touches.size_log_sd
-    by[each, each, HALF_WIDTH] = 0.5 / width / usual.touches.size_log_sd
-    by[n + each, each, HALF_LENGTH], by[n + each, each, HALF_WIDTH] = slope / length, -slope / width
-    by[2 * n : 3 * n, :, LOG_CONTRAST] = (np.eye(n) - 1.0 / n) / usual.own_sd
-    by[3 * n + np.arange(len(graded)), graded, BORDER] = 1.0 / usual.border_sd
-    by[-1, :, LOG_CONTRAST] = 1.0 / n / usual.common_sd
-    return cost, by[:, own]
-
-
 def held_prior(fit: Fit) -> float:
     """Return the prior's cost of a fit's touches, but for their mean contrast."""
-    cost = _costs(fit.pieces, _free(fit.pieces, fit.turning), fit.frame.usual)
+    cost = costs(fit.pieces, own_parameters(fit.pieces, fit.turning), fit.frame.usual, fit.frame.joints)
     return float(cost[:-1] @ cost[:-1])
-
-
-def _heavy(value: Array, sd: float) -> tuple[Array, Array]:
-    """Return residuals whose squares are the cost of Student's law with ``TAIL`` degrees of freedom, and slopes."""
-    square = value * value / (TAIL * sd * sd)
-    residual = np.copysign(np.sqrt(TAIL * np.log1p(square)), value)
-    small = np.abs(residual) < SMALL
-    slope = value / (sd * sd * (1.0 + square) * np.where(small, 1.0, residual))
-    return np.where(small, value / sd, residual), np.where(small, 1.0 / sd, slope)
 
 
 def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never) -> Fit:
@@ -245,14 +193,20 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
                 return fit
             by = None
             continue
-        by, stale = _secant(by, fit, best, own, scale, stale)
-        gained = fit.cost - best.cost
+        gained, before, used = fit.cost - best.cost, fit, by
         fit = best
+        if gained < max(ENOUGH, SLOW * (fit.chi_squared - len(fit.residual))):
+            return _served(fit, used) if gained < ENOUGH else fit
+        by, stale = _secant(by, before, fit, own, scale, stale)
         if first:
             damping = max(damping / 5.0, 1e-4)
-        if gained < max(ENOUGH, SLOW * (fit.chi_squared - len(fit.residual))):
-            return fit
     return fit
+
+
+def _served(fit: Fit, by: Array) -> Fit:
+    """Return a fit whose errors are told by derivatives (rows + p, r) that were taken a short step before."""
+    residual, rate, own = fit.residuals()
+    return replace(fit, _before=(residual, np.concatenate([by[: len(fit.residual)], rate]), own))
 
 
 def _secant(

@@ -15,8 +15,11 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
-from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
+from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
 from eitskin_sim.verification.free.fit import Fit
+
+LEAST_SEEN: Final = 1e-12
+"""Of the curvature along what is known best: what is known less counts as that."""
 
 WITHIN: Final = 2.0
 """Standard deviations of the ranges."""
@@ -59,7 +62,7 @@ def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
     """
     if not len(fit.pieces):
         return ()
-    _, by, own = fit.linear
+    _, by, own = fit.errors
     covariance = np.linalg.pinv(by.T @ by, hermitian=True)
     number = np.full(own.shape, -1)
     number[own] = np.arange(own.sum())
@@ -108,12 +111,23 @@ def _reaching(span: tuple[float, float], others: Sequence[float]) -> tuple[float
     return float(min([span[0], *others])), float(max([span[1], *others]))
 
 
+def scatter_of(fit: Fit) -> Array:
+    """Return (k, n, 7) independent ways in which a fit's parameters may be off, each of one standard deviation."""
+    own = np.zeros((0, 0)) if not len(fit.pieces) else fit.errors[2]
+    found = np.zeros((int(own.sum()), len(fit.pieces), COUNT))
+    if len(found):
+        by = fit.errors[1]
+        size, way = np.linalg.eigh(by.T @ by)
+        found[:, own] = (way / np.sqrt(np.maximum(size, LEAST_SEEN * size.max()))).T
+    return found
+
+
 def degrees_of_freedom(fit: Fit) -> int:
     """Return how many of the frame's rows are left once what is free has been fitted, the prior counted."""
     rows = len(fit.residual)
     if not len(fit.pieces):
         return rows
-    _, by, _ = fit.linear
+    _, by, _ = fit.errors
     whole, data = by.T @ by, by[:rows].T @ by[:rows]
     return rows - round(float(np.trace(np.linalg.solve(whole + 1e-9 * np.diag(np.diag(whole) + 1e-9), data))))
 

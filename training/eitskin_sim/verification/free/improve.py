@@ -4,6 +4,7 @@ Each returns what it was given where nothing pays or time is over.
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -13,7 +14,7 @@ from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, refine
 from eitskin_sim.verification.free.moves import Move, moves
-from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, unseen
+from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, joints_of, together, unseen
 
 ALMOST: Final = 3
 """Derivatives taken of a move before it is judged."""
@@ -32,6 +33,9 @@ LONG: Final = 1.6
 
 APART: Final = 0.28
 """The two lie by so much of its length to either side of its centre."""
+
+AGAINST_JOINT: Final = 10.0
+"""Chi-squared that each joint may leave more: beyond it is one of a hundred bodies, as two degrees of freedom have."""
 
 IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
 """What touches raise that cannot be."""
@@ -94,6 +98,29 @@ def confirmed(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> tuple[Fi
         elif effort.over():
             return fit, False  # more time for what is left might have explained the frame as well
     return fit, True
+
+
+def joined(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> Fit:
+    """Return the fit with what the network shows as one touch made one body, unless a frame speaks against it.
+
+    Its frame has the joints then: errors and other contrasts are those of the body.
+
+    Args:
+        frame: The frame.
+        fit: Of it.
+        shares: (n, rows, columns) of the network's map.
+        effort: Time.
+    """
+    grid = frame.model.skin.grid
+    joints = joints_of(fit.pieces, shares, grid)
+    if not joints or effort.searched():
+        return fit
+    try:
+        bound = replace(frame, joints=joints)
+        found = fitted(bound, together(fit.pieces, joints, shares, grid), fit.turning, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return found if found.chi_squared - fit.chi_squared < AGAINST_JOINT * len(joints) else fit
 
 
 def without(frame: Frame, fit: Fit, number: int, effort: Effort) -> Fit:

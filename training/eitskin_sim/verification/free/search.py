@@ -23,11 +23,12 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.shapes.parameters import COUNT
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, refine
-from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, touches_of
-from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, moved, parted, usually
+from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, scatter_of, touches_of
+from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, joined, moved, parted, usually
 from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.starts import followed, presses_of, starts_of
@@ -69,6 +70,8 @@ class FreeVerdict(Verdict[FreeTouch]):
     or time did not suffice to find or to confirm them."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
+    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
+    """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
 
     def map(self, grid: Grid = PAPER.grid) -> Array:
         """Return the (rows, columns) map: what depends on a contrast that nobody knows is drawn in part."""
@@ -166,7 +169,8 @@ class FreeVerifier:
         if trail:
             fit = fewer(frame, fit, effort)
         fit, confirmed_all = confirmed(frame, fit, shares, effort)
-        every = likely(frame, fit, effort)
+        fit = joined(frame, fit, shares, effort)
+        every = likely(fit.frame, fit, effort)
         self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
         freedom = max(degrees_of_freedom(fit), 1)
@@ -187,6 +191,7 @@ class FreeVerifier:
             or left_out(fit.pieces, shares, self._skin.grid)
             or too_small(fit.pieces, self._skin.touches.size_mm[0]),
             drawn_whole,
+            scatter_of(fit),
         )
 
     def _frame(self, change: Array) -> Frame:

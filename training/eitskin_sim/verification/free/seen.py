@@ -11,9 +11,10 @@ import numpy as np
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_sim.scene.gap import gap_mm
-from eitskin_sim.scene.touch_table import Array, cover, pixel_lines
-from eitskin_sim.shapes.parameters import areas_mm2
+from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
+from eitskin_sim.shapes.parameters import areas_mm2, parameters_of
 from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.prior.joints import Joints, crack
 
 SEEN: Final = 0.2
 """Share of a touch that must be in the other's map."""
@@ -55,19 +56,45 @@ def closed(pieces: Array, shares: Array, grid: Grid) -> Array:
         shares: (n, rows, columns) of the network's map.
         grid: Of the map.
     """
-    if len(pieces) < 2 or not len(shares):
-        return pieces
     found = pieces.copy()
+    for one, other in joints_of(pieces, shares, grid):
+        wide, axis = crack(parameters_of(found), (one, other))
+        if wide > 0.0:
+            small, large = sorted((one, other), key=lambda number: float(found[number, 3 + axis]))
+            way = np.sign(found[large, 1 + axis] - found[small, 1 + axis])
+            found[small, 3 + axis] += wide
+            found[small, 1 + axis] += way * wide / 2.0
+    return found
+
+
+def joints_of(pieces: Array, shares: Array, grid: Grid) -> Joints:
+    """Return which touches the network shows as one and physics less than a pixel apart, in pairs.
+
+    Args:
+        pieces: (m, 8) touches.
+        shares: (n, rows, columns) of the network's map.
+        grid: Of the map.
+    """
+    if len(pieces) < 2 or not len(shares):
+        return ()
     owner = np.array([np.einsum("rc,nrc->n", map_of(one[None], grid), shares).argmax() for one in pieces])
-    for one in range(len(found)):
-        for other in range(one):
-            if owner[one] == owner[other] and 0.0 < gap_mm(found[one][None], found[other][None])[0] < CRACK_MM:
-                apart = np.abs(found[one, 1:3] - found[other, 1:3]) - (found[one, 3:5] + found[other, 3:5]) / 2.0
-                axis = int(np.argmax(apart))
-                small, large = sorted((one, other), key=lambda number: float(found[number, 3 + axis]))
-                way = np.sign(found[large, 1 + axis] - found[small, 1 + axis])
-                found[small, 3 + axis] += apart[axis]
-                found[small, 1 + axis] += way * apart[axis] / 2.0
+    upright = (pieces[:, 0] == RECTANGLE) & (pieces[:, 5] == 0.0)
+    pairs = ((one, other) for one in range(len(pieces)) for other in range(one))
+    return tuple(
+        pair
+        for pair in pairs
+        if len(set(owner[list(pair)])) == 1
+        and upright[list(pair)].all()
+        and gap_mm(*(pieces[one][None] for one in pair))[0] < CRACK_MM
+    )
+
+
+def together(pieces: Array, joints: Joints, shares: Array, grid: Grid) -> Array:
+    """Return touches without cracks, those that hang together with their mean log contrast."""
+    found = closed(pieces, shares, grid)
+    for _ in joints:  # a chain evens out
+        for pair in joints:
+            found[list(pair), 6] = np.exp(np.log(found[list(pair), 6]).mean())
     return found
 
 
