@@ -16,7 +16,7 @@ from eitskin_sim.verification.free.fit import Frame
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.improve import AGAINST_JOINT
 from eitskin_sim.verification.free.prior.costs import costs, heavy, own_parameters, prior
-from eitskin_sim.verification.free.prior.joints import Joints
+from eitskin_sim.verification.free.prior.joints import Joints, bodies
 from eitskin_sim.verification.free.seen import (
     BESIDE,
     DECISIVE,
@@ -76,6 +76,7 @@ def test_shapes_that_are_one_touch_of_the_map_hang_together_and_cracks_and_two_c
     turned, far = ell.copy(), ell + np.array([[0.0] * 8, [0, 4.0, 0, 0, 0, 0, 0, 0]])
     turned[0, 5] = 20.0
     assert joints_of(turned, whole, grid) == joints_of(far, whole, grid) == joints_of(ell[:1], whole, grid) == ()
+    assert (bodies(2, ()), bodies(2, ((1, 0),)), bodies(4, ((1, 0), (2, 1), (2, 0)))) == (2, 1, 2)
     body = together(ell, ((1, 0),), whole, grid)
     assert body[:, 6] == pytest.approx([40.0, 40.0])
     usual, own = usual_of("raising"), own_parameters(ell, False)

@@ -2,8 +2,8 @@
 
 Both are estimates of one map whose errors are independent in part, so each counts by the inverse of its squared error.
 What physics does not know is how touches may be off, drawn: a border that may lie anywhere within a millimetre. What
-the network does not know it says itself: a value between 0 and 1. By what the two differ beyond that, physics errs: it
-may have ended in another valley, with arms of an L that lie elsewhere, and knows only its own.
+the network does not know it says itself: a value between 0 and 1. By what the two differ beyond both, either errs:
+physics may have ended in another valley, with arms of an L that lie elsewhere, and the network blurs more than it says.
 """
 
 from typing import Final
@@ -26,6 +26,9 @@ ERRS: Final = 0.5
 """Root of the network's squared error over what its values' own doubt is, v (1 - v), added up: 0.32 of hard squares to
 0.55 of pairs, as a pixel that a border cuts is between 0 and 1 without doubt."""
 
+LEAST: Final = 1e-12
+"""A squared error below which there is none."""
+
 DRAWS: Final = 16
 """Of touches as they may be."""
 
@@ -35,7 +38,7 @@ def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) ->
 
     With p and n the relative errors of physics' map and of the network's, and d by what they differ ::
 
-        share  =  LEAST_SHARE + (1 - LEAST_SHARE) p^2 / (p^2 + n^2)          p^2 at least d^2 - n^2
+        share  =  LEAST_SHARE + (1 - LEAST_SHARE) (p^2 + b) / (p^2 + n^2 + 2 b)      2 b = d^2 - p^2 - n^2, or 0
 
     A network that shows fewer touches than there are has the least: it errs in more than it says.
 
@@ -47,18 +50,19 @@ def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) ->
     """
     if verdict.flagged:
         return 1.0
-    if shown < len(verdict.touches) or not len(verdict.pieces):
+    if shown < verdict.bodies or not len(verdict.pieces):
         return LEAST_SHARE
-    drawn, network = verdict.map(grid), network_error(image)
-    differ = float(np.sum(np.square(drawn - np.clip(image, 0.0, 1.0))) / max(float(np.sum(drawn * drawn)), 1e-12))
-    physics = max(map_error(verdict.pieces, verdict.scatter, grid) ** 2, differ - network**2)
-    return LEAST_SHARE + (1.0 - LEAST_SHARE) * physics / (physics + network**2 + 1e-12)
+    drawn, network = verdict.map(grid), network_error(image) ** 2
+    physics = map_error(verdict.pieces, verdict.scatter, grid) ** 2
+    differ = float(np.sum(np.square(drawn - np.clip(image, 0.0, 1.0))) / max(float(np.sum(drawn * drawn)), LEAST))
+    beyond = max(differ - physics - network, 0.0) / 2.0
+    return LEAST_SHARE + (1.0 - LEAST_SHARE) * (physics + beyond) / (physics + network + 2.0 * beyond + LEAST)
 
 
 def network_error(image: Array) -> float:
     """Return how large the error of a network's (rows, columns) map is over the map itself, as its values say."""
     value = np.clip(image, 0.0, 1.0)
-    return ERRS * float(np.sqrt(np.sum(value * (1.0 - value)) / max(float(np.sum(value * value)), 1e-12)))
+    return ERRS * float(np.sqrt(np.sum(value * (1.0 - value)) / max(float(np.sum(value * value)), LEAST)))
 
 
 def map_error(pieces: Array, scatter: Array, grid: Grid) -> float:
@@ -77,7 +81,7 @@ def map_error(pieces: Array, scatter: Array, grid: Grid) -> float:
         values[:, [HALF_LENGTH, HALF_WIDTH]] = np.maximum(values[:, [HALF_LENGTH, HALF_WIDTH]], LEAST_HALF_MM)
         maps += _covers(pieces_of(np.full(DRAWS, piece[0]), values), grid)
     maps = np.minimum(maps, 1.0)
-    return float(np.sqrt(maps.var(axis=0).sum() / max(float(np.square(maps).mean(axis=0).sum()), 1e-12)))
+    return float(np.sqrt(maps.var(axis=0).sum() / max(float(np.square(maps).mean(axis=0).sum()), LEAST)))
 
 
 def _covers(pieces: Array, grid: Grid) -> Array:

@@ -30,6 +30,7 @@ from eitskin_sim.verification.free.fit import Fit, Frame, refine
 from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, scatter_of, touches_of
 from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, joined, moved, parted, usually
 from eitskin_sim.verification.free.model import Model, model_of_cloud
+from eitskin_sim.verification.free.prior.joints import Joints, bodies
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.starts import followed, presses_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
@@ -72,6 +73,13 @@ class FreeVerdict(Verdict[FreeTouch]):
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
     scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
     """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
+    joints: Joints = ()
+    """Which of ``pieces`` hang together, as the network shows them and the frame allows."""
+
+    @property
+    def bodies(self) -> int:
+        """Return how many touches there are, shapes that hang together counted once."""
+        return bodies(len(self.pieces), self.joints)
 
     def map(self, grid: Grid = PAPER.grid) -> Array:
         """Return the (rows, columns) map: what depends on a contrast that nobody knows is drawn in part."""
@@ -192,6 +200,7 @@ class FreeVerifier:
             or too_small(fit.pieces, self._skin.touches.size_mm[0]),
             drawn_whole,
             scatter_of(fit),
+            fit.frame.joints,
         )
 
     def _frame(self, change: Array) -> Frame:

@@ -21,6 +21,14 @@ Joints = tuple[tuple[int, int], ...]
 """Numbers of upright rectangles that hang together, in pairs."""
 
 
+def bodies(count: int, joints: Joints) -> int:
+    """Return how many touches so many shapes are, if some of them hang together."""
+    owner = np.arange(count)
+    for i, j in joints:
+        owner[owner == owner[i]] = owner[j]
+    return len(np.unique(owner))
+
+
 def joint_costs(values: Array, joints: Joints) -> Array:
     """Return (2 j,) residuals of j joints: cracks, then differences of log contrasts.
 
