@@ -1,8 +1,8 @@
 """The blocks of the elements that touches cover or cut, and how they change with every parameter of every touch.
 
 Blocks are those of the generators (:mod:`eitskin_sim.freeform.sheet`), by the one rule for cut elements; where touches
-overlap an element is covered once. A rate is a difference quotient of a touch's own few elements, all parameters at
-once: no system is solved for it, and whatever the rule is, these are its own derivatives, to ``STEP``.
+overlap an element is covered once. A rate is a difference quotient of a touch's own few elements, all moves at once
+(:mod:`eitskin_sim.shapes.ways`): no system is solved for it, and whatever the rule is, these are its own derivatives.
 """
 
 from dataclasses import dataclass
@@ -12,16 +12,12 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
-from eitskin_sim.fem.mesh import Index, TensorMesh
+from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import with_contacts, without_middle
 from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
-from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import Array, TouchTable
-from eitskin_sim.shapes.parameters import BORDER, COUNT, parameters_of, pieces_of
-
-STEP: Final = 1e-5
-"""mm, rad, or of log contrast."""
+from eitskin_sim.shapes.parameters import COUNT
+from eitskin_sim.shapes.ways import neighbours, ways_of
 
 BLOCK: Final = 9
 """Unknowns of an element: its eight outer nodes and the electrode over it."""
@@ -41,29 +37,32 @@ class Blocks:
 
 @dataclass(frozen=True, slots=True)
 class Rates:
-    """How blocks change with r parameters."""
+    """How blocks change with c moves of touches, of which r parameters are made."""
 
-    touch: Index
-    """(r,) whose parameter."""
-    parameter: Index
-    """(r,) which."""
+    mix: Array
+    """(c, r)"""
     element: Index
-    """(q,) elements, parameter after parameter."""
+    """(q,) elements, move after move."""
     first: Index
-    """(r + 1,) where those of each begin."""
+    """(c + 1,) where those of each begin."""
     blocks: Array
     """(q, 9, 9) S by mm, rad, or 1."""
 
 
-def touched(sheet: InvertedSheet, sets: list[Array]) -> Blocks:
+def touched(sheet: InvertedSheet, sets: list[Array], among: Index | None = None) -> Blocks:
     """Return what touch sets, (n, 8) pieces each, make of a sheet's elements, sorted by set and element.
+
+    Args:
+        sheet: The deformation.
+        sets: (n, 8) pieces each.
+        among: Set times elements of the mesh, plus element, of those alone that are looked at; None for all.
 
     Raises:
         ValueError: A border cannot be represented, or a piece would change nothing.
     """
     first = np.concatenate([[0], np.cumsum([len(one) for one in sets])]).astype(np.int64)
     table = TouchTable(np.concatenate(sets), first)
-    cuts = find_cuts(table, np.arange(len(sets)), sheet.system.mesh)
+    cuts = find_cuts(table, np.arange(len(sets)), sheet.system.mesh, among)
     blocks, density = touched_blocks(sheet, cuts)
     own = _once(cuts, len(sheet.before))
     element = cuts.element[own]
@@ -89,56 +88,26 @@ def rates(sheet: InvertedSheet, pieces: Array, free: npt.NDArray[np.bool_], base
         free: (n, 7) bool, by which parameters.
         base: The set's blocks.
     """
-    touch, parameter = np.nonzero(free)
-    kinds, values = pieces[:, 0], parameters_of(pieces)
-    near = _neighbours(pieces, sheet.system.mesh)
-    sets = []
-    for one, which in zip(touch.tolist(), parameter.tolist(), strict=True):
-        moved = values.copy()
-        # A border may be as wide as its touch already, or as narrow as one may be.
-        moved[one, which] += _sign(pieces[one], which) * STEP
-        sets.append(pieces_of(kinds, moved)[near[one]])
-    if not sets:
+    mesh = sheet.system.mesh
+    ways = ways_of(pieces, free, mesh)
+    if not len(ways.touch):
         none = np.zeros(0, dtype=np.intp)
-        return Rates(touch, parameter, none, np.zeros(1, dtype=np.intp), np.zeros((0, BLOCK, BLOCK)))
-    varied = touched(sheet, sets)
+        return Rates(ways.mix, none, np.zeros(1, dtype=np.intp), np.zeros((0, BLOCK, BLOCK)))
+    near, sets = neighbours(pieces, mesh), []
+    for one, row in zip(ways.touch.tolist(), ways.moved, strict=True):
+        own = pieces[near[one]]
+        own[near[one] == one] = row
+        sets.append(own)
+    varied = touched(sheet, sets, np.flatnonzero(ways.reach))
     place = np.full(len(sheet.before), -1, dtype=np.intp)
     place[base.element] = np.arange(len(base.element))
     at = place[varied.element]
     before = np.where((at >= 0)[:, None, None], base.blocks[at], sheet.before[varied.element])
-    signs = [_sign(pieces[one], which) for one, which in zip(touch.tolist(), parameter.tolist(), strict=True)]
-    sign = STEP * np.array(signs)[varied.of_set]
-    change = (varied.blocks - before) / sign[:, None, None]
-    # A neighbour's elements that the moved touch does not reach stay as they were but for rounding, and the element of
-    # a neighbour that is left out of this set is not among them.
-    own = np.abs(varied.blocks - before).max(axis=(1, 2)) > 1e-13 * np.abs(before).max(axis=(1, 2))
-    reach = _reach(pieces, sheet.system.mesh)
-    own &= reach[touch[varied.of_set], varied.element]
-    of_set = varied.of_set[own]
-    first = np.searchsorted(of_set, np.arange(len(touch) + 1))
-    return Rates(touch, parameter, varied.element[own], first.astype(np.intp), change[own])
-
-
-def _sign(piece: Array, parameter: int) -> float:
-    """Return which way a parameter may go: a border not beyond its bounds, nor a width below the border."""
-    return -1.0 if parameter == BORDER and piece[7] > LEAST_BORDER_MM + STEP else 1.0
-
-
-def _reach(pieces: Array, mesh: TensorMesh) -> Array:
-    """Return (n, n_elements) which elements meet the box around a touch and its border."""
-    half = half_extents_mm(pieces) + pieces[:, 7:8] / 2 + 10 * STEP * 100.0
-    low, high = pieces[:, 1:3] - half, pieces[:, 1:3] + half
-    x, y = mesh.x_lines_mm, mesh.y_lines_mm
-    across = (x[1:] > low[:, :1]) & (x[:-1] < high[:, :1])
-    up = (y[1:] > low[:, 1:]) & (y[:-1] < high[:, 1:])
-    return np.asarray((up[:, :, None] & across[:, None, :]).reshape(len(pieces), -1))
-
-
-def _neighbours(pieces: Array, mesh: TensorMesh) -> list[Index]:
-    """Return for every touch those that share an element with it, itself among them."""
-    reach = _reach(pieces, mesh)
-    shared = reach.astype(np.float32) @ reach.T.astype(np.float32)
-    return [np.flatnonzero(row) for row in shared > 0.0]
+    change = (varied.blocks - before) / ways.step[varied.of_set][:, None, None]
+    # A neighbour's elements that the moved touch does not reach stay as they were but for rounding.
+    changed = np.abs(varied.blocks - before).max(axis=(1, 2)) > 1e-13 * np.abs(before).max(axis=(1, 2))
+    first = np.searchsorted(varied.of_set[changed], np.arange(len(ways.touch) + 1))
+    return Rates(ways.mix, varied.element[changed], first.astype(np.intp), change[changed])
 
 
 __all__ = ["COUNT", "Blocks", "Rates", "rates", "touched"]

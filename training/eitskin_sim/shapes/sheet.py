@@ -122,10 +122,12 @@ class TouchedSheet:
         """
         found = rates(self.sheet, solved.pieces, free, solved.base)
         fields = self.element_fields(solved, found.element)
-        power = np.swapaxes(fields, 1, 2) @ (found.blocks @ fields)
-        total = np.zeros((len(found.touch), 16, 16))
-        np.add.at(total, np.repeat(np.arange(len(found.touch)), np.diff(found.first)), power)
-        return np.asarray(to_voltages(-total).T), found
+        power = (np.swapaxes(fields, 1, 2) @ (found.blocks @ fields)).reshape(-1, 256)
+        total = np.zeros((len(found.first) - 1, 256))
+        some = np.flatnonzero(np.diff(found.first))
+        if len(some):
+            total[some] = np.add.reduceat(power, found.first[some], axis=0)
+        return np.asarray(to_voltages(-total.reshape(-1, 16, 16)).T @ found.mix), found
 
     def element_fields(self, solved: Solved, element: Index) -> Array:
         """Return (e, 9, 16) fields on the unknowns of touched elements."""
