@@ -2,8 +2,9 @@
 
 Both are estimates of one map whose errors are independent in part, so each counts by the inverse of its squared error.
 What physics does not know is how touches may be off, drawn: a border that may lie anywhere within a millimetre. What
-the network does not know it says itself: a value between 0 and 1. By what the two differ beyond both, either errs:
-physics may have ended in another valley, with arms of an L that lie elsewhere, and the network blurs more than it says.
+the network does not know it says itself: a value between 0 and 1. A body of several shapes, as an L, is put together of
+them in many ways that explain a frame alike, and a fit knows only how its own may be off: there what the network does
+not doubt, and physics draws otherwise, counts as physics' error.
 """
 
 from typing import Final
@@ -36,9 +37,9 @@ DRAWS: Final = 16
 def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) -> float:
     """Return the network's share of a map, from ``LEAST_SHARE`` to 1, which it is of a flagged frame.
 
-    With p and n the relative errors of physics' map and of the network's, and d by what they differ ::
+    With p and n the relative errors of physics' map and of the network's ::
 
-        share  =  LEAST_SHARE + (1 - LEAST_SHARE) (p^2 + b) / (p^2 + n^2 + 2 b)      2 b = d^2 - p^2 - n^2, or 0
+        share  =  LEAST_SHARE + (1 - LEAST_SHARE) p^2 / (p^2 + n^2)
 
     A network that shows fewer touches than there are has the least: it errs in more than it says.
 
@@ -52,11 +53,13 @@ def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) ->
         return 1.0
     if shown < verdict.bodies or not len(verdict.pieces):
         return LEAST_SHARE
-    drawn, network = verdict.map(grid), network_error(image) ** 2
+    network = network_error(image) ** 2
     physics = map_error(verdict.pieces, verdict.scatter, grid) ** 2
-    differ = float(np.sum(np.square(drawn - np.clip(image, 0.0, 1.0))) / max(float(np.sum(drawn * drawn)), LEAST))
-    beyond = max(differ - physics - network, 0.0) / 2.0
-    return LEAST_SHARE + (1.0 - LEAST_SHARE) * (physics + beyond) / (physics + network + 2.0 * beyond + LEAST)
+    if verdict.joints:
+        drawn = verdict.map(grid)
+        differ = float(np.sum(np.square(drawn - np.clip(image, 0.0, 1.0))) / max(float(np.sum(drawn * drawn)), LEAST))
+        physics = max(physics, differ - network)
+    return LEAST_SHARE + (1.0 - LEAST_SHARE) * physics / (physics + network + LEAST)
 
 
 def network_error(image: Array) -> float:
