@@ -2,9 +2,7 @@
 
 Both are estimates of one map whose errors are independent in part, so each counts by the inverse of its squared error.
 What physics does not know is how touches may be off, drawn: a border that may lie anywhere within a millimetre. What
-the network does not know it says itself: a value between 0 and 1. A body of several shapes, as an L, is put together of
-them in many ways that explain a frame alike, and a fit knows only how its own may be off: there what the network does
-not doubt, and physics draws otherwise, counts as physics' error.
+the network does not know it says itself: a value between 0 and 1.
 """
 
 from typing import Final
@@ -55,10 +53,6 @@ def network_share(verdict: FreeVerdict, image: Array, shown: int, grid: Grid) ->
         return LEAST_SHARE
     network = network_error(image) ** 2
     physics = map_error(verdict.pieces, verdict.scatter, grid) ** 2
-    if verdict.joints:
-        drawn = verdict.map(grid)
-        differ = float(np.sum(np.square(drawn - np.clip(image, 0.0, 1.0))) / max(float(np.sum(drawn * drawn)), LEAST))
-        physics = max(physics, differ - network)
     return LEAST_SHARE + (1.0 - LEAST_SHARE) * physics / (physics + network + LEAST)
 
 
