@@ -34,14 +34,13 @@ def test_every_shipped_recipe_can_be_planned(name: str) -> None:
 
 
 def test_a_recipe_says_skin_data_and_legs() -> None:
-    found = recipes.load("press")
-    assert found.skin == named("hydrogel")
+    found = recipes.load("free")
+    assert found.skin == named("lab")
     plans = {name: plan_of(found, replace(one, deformations=1, kept=0)) for name, one in found.data.items()}
     assert (plans["hard"].skin.name, plans["hard"].devices, plans["hard"].touches) == ("paper", "ideal", "hard")
-    assert (plans["presses"].skin.name, plans["presses"].devices, plans["presses"].touches) == (
-        "hydrogel", "random", "press",
-    )  # fmt: skip
-    assert [leg.data for leg in found.training] == [("hard",), ("presses",), ("presses-more",)]
+    assert (plans["raise"].skin.name, plans["raise"].devices, plans["raise"].touches) == ("lab", "random", "raise")
+    assert [leg.data[0] for leg in found.training] == ["hard", "lab", "lab"]
+    assert [leg.start_from for leg in recipes.load("press").training] == ["free"]
 
 
 def test_training_has_the_noise_of_a_skin_s_own_front_end(tmp_path: Path) -> None:
