@@ -89,13 +89,16 @@ def _gate_line(gate: dict[str, Any]) -> str:
 
 
 def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[str, Any]:
-    """Return {file: {solver: {noise: report}}} of both heads on the phantoms whose truth has the bundle's labels."""
+    """Return {file: {solver: {noise: report}}} of a bundle's heads on the phantoms whose truth has its labels."""
+    from eitskin.model.bundle import load_bundle
+    from eitskin.model.engine import solvers
     from eitskin_sim.evaluation.harness import Conditions
     from eitskin_sim.measurement.noise import KINDS
     from eitskin_sim.scene.scene import load_phantoms
     from eitskin_tools.command_line import files
     from eitskin_tools.evaluation.solvers import NETWORKS, Request, evaluate_requests
 
+    heads = [name for name in solvers(load_bundle(bundle, lazily=True)) if name in NETWORKS]
     found: dict[str, Any] = {}
     for path in paths:
         phantoms = [one for one in load_phantoms(files.find(path, files.PHANTOMS)) if one.truth == labels]
@@ -103,7 +106,7 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
             note(f"{path} holds no phantoms with {labels} labels; left out")
             continue
         note(f"scoring {len(phantoms)} phantoms of {path}")
-        requests = [Request(name, bundle=bundle) for name in NETWORKS]
+        requests = [Request(name, bundle=bundle) for name in heads]
         by_noise = {
             noise: evaluate_requests(phantoms, requests, Conditions(noise=noise, snr_db=50.0, seeds=seeds))  # type: ignore[arg-type]
             for noise in KINDS
@@ -111,6 +114,6 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
         }
         found[Path(path).name] = {
             name: {noise: reports[number] for noise, reports in by_noise.items()}
-            for number, name in enumerate(NETWORKS)
+            for number, name in enumerate(heads)
         }
     return found
