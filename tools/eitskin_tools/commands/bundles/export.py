@@ -113,7 +113,6 @@ def _phantoms(paths: list[str], seeds: int, labels: str, bundle: Path) -> dict[s
             if noise != "none"
         }
         found[Path(path).name] = {
-            name: {noise: reports[number] for noise, reports in by_noise.items()}
-            for number, name in enumerate(heads)
+            name: {noise: reports[number] for noise, reports in by_noise.items()} for number, name in enumerate(heads)
         }
     return found
