@@ -1,7 +1,8 @@
 """Frames of several skins in one iterator: by name, in turn, newest or all; a silent one is named, the others go on."""
 
+import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 
 import numpy as np
 import pytest
@@ -60,6 +61,24 @@ def wait_for(skins, topic=EVERY_FRAME):
             one.publisher.look()
         time.sleep(0.002)
     assert all(one.publisher.topics.get(topic) for one in skins.values())
+
+
+@contextmanager
+def sending(skin, **how):
+    """Send one frame after the other, as a stream does: whoever connects anew meanwhile misses some."""
+    done = threading.Event()
+
+    def send():
+        while not done.wait(0.01):
+            skin.send(**how)
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        yield
+    finally:
+        done.set()
+        thread.join()
 
 
 def test_all_frames_of_all_skins_come_by_name_and_in_order(robot):
@@ -159,8 +178,7 @@ def test_a_stale_frame_is_an_error_with_the_name(robot):
     path, skins = robot
     with eitskin.subscribe_all(path, timeout_s=PATIENCE_S, max_age_s=1.0) as frames:
         wait_for(skins)
-        skins["left"].send(age_us=2_000_000)
-        with pytest.raises(StaleFrame, match="of skin left is 2"):
+        with sending(skins["left"], age_us=2_000_000), pytest.raises(StaleFrame, match="of skin left is 2"):
             next(frames)
 
 
