@@ -2,10 +2,10 @@
 
 ::
 
-size        log sqrt(area) about that of touches; log(length / width) about 0, with heavy tails
-contrast    its logarithm: the mean of all touches about what this skin's are, each about that mean
-border      of those that have a graded one
-joints      shapes that are one touch have no crack between them, and one contrast
+    size        log sqrt(area) about that of touches; log(length / width) about 0, with heavy tails
+    contrast    its logarithm: the mean of all touches about what this skin's are, each about that mean
+    border      of those that have a graded one
+    joints      shapes that are one touch have no crack between them, and one contrast
 """
 
 from typing import Final
