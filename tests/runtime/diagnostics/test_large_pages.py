@@ -1,5 +1,6 @@
 """Memory on large pages holds what it held, and no system is too odd to be asked."""
 
+import ctypes
 import mmap
 from pathlib import Path
 
@@ -17,10 +18,22 @@ def memory():
         yield found
 
 
-def huge_kB():
-    """Return how much of this process's memory lies on large pages."""
-    rollup = Path("/proc/self/smaps_rollup").read_text().splitlines()
-    return sum(int(line.split()[1]) for line in rollup if line.startswith("AnonHugePages"))
+def address(memory):
+    """Return where memory begins."""
+    return ctypes.addressof(ctypes.c_char.from_buffer(memory))
+
+
+def huge_kB(begin):
+    """Return how much lies on large pages in the area of memory that holds an address."""
+    held = False
+    for line in Path("/proc/self/smaps").read_text().splitlines():
+        name, *values = line.split()
+        if not name.endswith(":"):
+            low, high = (int(at, 16) for at in name.split("-"))
+            held = low <= begin < high
+        elif held and name == "AnonHugePages:":
+            return int(values[0])
+    raise AssertionError(f"no area of memory holds {begin:#x}")
 
 
 def resident_kB():
@@ -29,13 +42,22 @@ def resident_kB():
     return next(int(line.split()[1]) for line in status if line.startswith("VmRSS"))
 
 
-def test_memory_in_use_gets_large_pages_and_keeps_what_it_holds(memory):
+def test_memory_in_use_gets_large_pages_and_keeps_what_it_holds(memory, monkeypatch, tmp_path):
+    begin = address(memory)
+    maps = tmp_path / "maps"
+    maps.write_text(f"{begin:x}-{begin + BYTES:x} rw-p 00000000 00:00 0\n")
+    monkeypatch.setattr(large_pages, "MAPS", maps)  # other memory may be given back before it is counted
     got = large_pages.use_large_pages()
     assert memory[:] == bytes(range(256)) * (BYTES // 256)
     if not got:
         pytest.skip("this kernel lays nothing on large pages when asked")
     assert got % int(large_pages.SIZE.read_text()) == 0
-    assert 1024 * huge_kB() >= got
+    assert 1024 * huge_kB(begin) >= got
+
+
+def test_a_whole_process_may_be_laid_on_large_pages(memory):
+    assert large_pages.use_large_pages() >= 0
+    assert memory[:] == bytes(range(256)) * (BYTES // 256)
 
 
 def test_memory_that_is_hardly_used_stays_as_it_is():
