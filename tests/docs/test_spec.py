@@ -38,7 +38,7 @@ def test_the_reasons_for_withholding_are_all_listed(page):
 
 def test_limits_and_queues_are_those_of_the_code():
     publishing, control = "messaging/publish.py", "messaging/control*.py"
-    assert f"up to {constant('QUEUE_FRAMES', publishing)} frames wait" in FLAT
+    assert f"{constant('QUEUE_FRAMES', publishing)} frames at least" in FLAT
     assert f"more than {constant('LARGEST_SUBSCRIPTION', publishing)} bytes" in FLAT
     topics = "messaging/admission/topics.py"
     assert f"More than {constant('MOST_TOPICS', topics)} topics of one subscriber" in FLAT

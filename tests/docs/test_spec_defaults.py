@@ -80,7 +80,7 @@ FRAMES = [
     f"time at the end of {', '.join(f'`{name}`' for name in frame.STAGES)}",
     f"totals since the runtime started: {', '.join(f'`{name}`' for name in frame.COUNTS)}",
     f"list of 1 to {regions.MOST} [int, int, int, int]",
-    f"up to {publish.QUEUE_FRAMES} frames wait for a subscriber at the runtime",
+    f"{publish.QUEUE_FRAMES} frames at least (and up to {publish.MOST_WAITING}) wait for a subscriber at the runtime",
     f"all do at least every {stillness.REFRESH_FRAMES} frames",
     f"has a dV that is not finite or beyond {normaliser.LARGEST_CHANGE:.0e}".replace("+0", ""),
     "has no row that reaches a thousandth of its reference",

@@ -68,6 +68,23 @@ def test_a_recorder_that_is_too_slow_even_for_its_queue_counts_the_gap(publisher
         assert recorder.received + recorder.lost == recorder._number
 
 
+@pytest.mark.parametrize("read", [0, 60, 120, 150, 180])
+def test_as_many_frames_wait_as_are_promised_whatever_was_read_before(publisher, packer, read):
+    with zmq.Context() as context, context.socket(zmq.SUB) as reader:
+        reader.setsockopt(zmq.RCVHWM, 1)  # it is the publisher's queue that is asked for
+        reader.setsockopt(zmq.RCVTIMEO, 60_000)
+        reader.setsockopt(zmq.SUBSCRIBE, EVERY_FRAME)
+        reader.connect(publisher.endpoint)
+        wait_until_wanted(publisher)
+        for number in range(1, read + 1):
+            send(publisher, packer, number)
+            reader.recv()
+        for number in range(read + 1, read + publish.QUEUE_FRAMES + 1):
+            send(publisher, packer, number)
+        waited = [msgpack.unpackb(reader.recv())["n"] for _ in range(publish.QUEUE_FRAMES)]
+    assert waited == list(range(read + 1, read + publish.QUEUE_FRAMES + 1))
+
+
 def test_silence_and_old_frames_are_errors_that_are_also_timeouts(publisher, packer):
     with eitskin.subscribe(publisher.endpoint, timeout_s=60, max_age_s=60.5) as frames:
         wait_until_wanted(publisher)
