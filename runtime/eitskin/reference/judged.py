@@ -59,6 +59,9 @@ REMEDY: Final = (
     "'eitskin reference --force' (force=True)"
 )
 
+ANOTHER_SHEET: Final = "a sheet that the bundle was not made for needs a bundle of its own: --bundle FILE"
+"""What else a large difference from the bundle's sheet may mean."""
+
 
 @dataclass(frozen=True, slots=True)
 class Yardstick:
@@ -123,6 +126,8 @@ def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tupl
     if yardstick.flat_V is not None:
         model = _difference(found.voltages_V, yardstick.flat_V, usable, noise)
         _compare(model, MODEL_DIFFERENCE, "the bundle's flat, untouched sheet", refusals, remarks)
+        if model > MODEL_DIFFERENCE[1]:
+            refusals[-1] += f" ({ANOTHER_SHEET})"
     touched = None
     if (before := _same_device(found, yardstick.older)) is not None:
         both = usable & ~lost_rows(before.voltages_V, before.spread_V)

@@ -99,6 +99,7 @@ def test_force_takes_it_and_says_what_was_found(bundle, flat, hello):
     found = capture(frames_of(bent), hello, yardstick_of(bundle), force=True)
     assert found.judgement.refusals
     assert "differs from the bundle's flat, untouched sheet by" in found.report()[1]
+    assert "a bundle of its own: --bundle FILE" in found.report()[1]
     assert found.answer()["remarks"] == list(found.judgement.refusals)
     assert {"frames", "weak_rows", "median_spread", "movement", "model_difference"} <= set(found.answer())
 

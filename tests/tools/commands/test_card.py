@@ -37,7 +37,7 @@ def test_the_card_goes_into_a_bundle_that_is_else_the_same(tmp_path: Path, capsy
 def test_people_read_lines(capsys: pytest.CaptureFixture[str]) -> None:
     assert cli.main(["card", "free", *FEW]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0].startswith("contrast 50: none touch CC 0.9")
+    assert lines[0].startswith("contrast 50, ideal device: CC 0.9")
     assert lines[1].startswith("lab mix: mm CC 0.9")
 
 

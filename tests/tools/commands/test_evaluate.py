@@ -125,6 +125,17 @@ def test_trials_print_one_object(tiny, capsys, words, kind):
     assert "peak" in found if kind == "untouched" else "localisation_rms_mm" in found
 
 
+def test_a_trial_is_read_by_people_a_line_each(tiny, capsys):
+    words = ["--single", "10", "--deformations", "1", "--each", "1", "--bundle", str(tiny)]
+    assert cli.main(["evaluate", *words]) == 0
+    said = capsys.readouterr().out
+    lines = dict(line.split(maxsplit=1) for line in said.splitlines())
+    assert lines["trial"].startswith("kind single, size_mm 10.0, ")
+    assert lines["two_point_mm"] == "-", "of one touch"
+    assert not set("{}[]'") & set(said)
+    assert "None" not in said
+
+
 def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
     pytest.importorskip("matplotlib", reason="the picture needs the extra 'plot'")
     words = [

@@ -65,7 +65,7 @@ def test_nobody_there_is_said_in_a_line(tmp_path, capsys):
     said = capsys.readouterr().out
     assert status == 1
     assert len(said.splitlines()) == 1
-    assert "no answer: " in said
+    assert said.startswith("eitskin: no answer from ")
 
 
 def test_all_skins_of_a_robot_are_asked_and_one_that_fell_is_told_with_its_reason(runtime, tmp_path, capsys):

@@ -1,6 +1,7 @@
 """``eitskin surface``: a file of points in, a cloud that loads again out, or one line."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -63,3 +64,13 @@ def test_command_says_who_did_not_answer(tmp_path, capsys):
     assert cli.main([*words, "--send", "somewhere"]) == 1
     assert "somewhere" in capsys.readouterr().err
     assert (tmp_path / "cloud.npz").exists()
+
+
+def test_command_refuses_points_of_a_sheet_of_another_size(tmp_path, capsys):
+    out, skin = tmp_path / "cloud.npz", Path(__file__).parents[3] / "docs/examples/skin.toml"
+    assert cli.main(["surface", "sample", "--skin", str(skin), "--out", str(out)]) == 1
+    error = capsys.readouterr().err
+    assert "sample: the cloud's sheet is " in error
+    assert "expected 187 to 308 and 72 to 117 mm" in error
+    assert error.count("\n") == 1
+    assert not out.exists()

@@ -84,10 +84,15 @@ def told(card: dict[str, Any]) -> list[str]:
     """Return a card as lines for people."""
     lines = []
     for one in card["by_contrast"]:
-        cells = [f"{row['name']} {_figures(row)}" for row in one["rows"]]
-        lines.append(f"contrast {one['contrast']:g}: {'; '.join(cells)}")
-    lines += [f"{row['name']}: {_figures(row)}" for row in card["by_mismatch"]]
+        cells = [f"{_device(row)}: {_figures(row)}" for row in one["rows"]]
+        lines.append(f"contrast {one['contrast']:g}, {'; '.join(cells)}")
+    lines += [f"{_device(row)}: {_figures(row)}" for row in card["by_mismatch"]]
     return lines
+
+
+def _device(row: dict[str, Any]) -> str:
+    """Return what the row's devices are, in words."""
+    return {"none": "ideal device", "random": "random devices"}.get(row["name"], str(row["name"]))
 
 
 def _figures(row: dict[str, Any]) -> str:
@@ -95,7 +100,7 @@ def _figures(row: dict[str, Any]) -> str:
     for trial, one in row.items():
         if isinstance(one, dict) and "cc" in one:
             missed = f", missed {100 * one['missed']:.0f} %" if one["missed"] else ""
-            cells.append(f"{trial} CC {one['cc']:.3f}{missed}")
+            cells.append(f"{'' if trial == 'touch' else f'{trial} '}CC {one['cc']:.3f}{missed}")
     return ", ".join(cells) or "-"
 
 

@@ -81,8 +81,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         action="store_true",
         help="with --phantoms: every solver and reference as Markdown, beside the paper's Table II",
     )
-    parser.add_argument("--noise", choices=("N1", "N2", "N3", "none"), help="default: N2")
-    parser.add_argument("--snr-db", type=float, metavar="S", help="default: 50")
+    parser.add_argument(
+        "--noise",
+        choices=("N1", "N2", "N3", "none"),
+        help="noise in proportion to the voltages' change (N1), to each voltage (N2), to their rms (N3); default: N2",
+    )
+    parser.add_argument("--snr-db", type=float, metavar="S", help="signal to noise ratio in dB (default: 50)")
     parser.add_argument(
         "--reference",
         choices=("pre", "post", "predicted"),

@@ -36,5 +36,16 @@ def print_trial(found: dict[str, Any], as_json: bool) -> int:
         return 0
     for name, value in found.items():
         if name != "deformations":
-            print(f"{name:24} {value:.4f}" if isinstance(value, float) else f"{name:24} {value}")
+            print(f"{name:24} {_text(value)}")
     return 0
+
+
+def _text(value: Any) -> str:
+    """Return a value as people read it: what is not there is a dash, and nothing stands in brackets."""
+    if isinstance(value, float):
+        return f"{value:.4f}"
+    if isinstance(value, dict):
+        return ", ".join(f"{key} {one}" for key, one in value.items())
+    if isinstance(value, list):
+        return ", ".join(map(str, value)) or "-"
+    return "-" if value is None else str(value)

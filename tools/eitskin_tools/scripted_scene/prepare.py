@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -18,6 +18,9 @@ from eitskin_sim.scene.scene import Scene
 from eitskin_tools.scripted_scene import keyframes
 from eitskin_tools.scripted_scene.keyframes import Keyframes
 from eitskin_tools.scripted_scene.script import Script
+
+FEW: Final = 20
+"""So many moments are solved before anybody wonders."""
 
 
 def prepare(script: Script, until_s: float, *, workers: int | None = None, cache: bool = True) -> Keyframes:
@@ -98,6 +101,11 @@ class _Step(Protocol):
 @contextmanager
 def _bar(total: int) -> Iterator[_Step]:
     if not sys.stderr.isatty():
+        if total > FEW:
+            print(
+                f"eitskin: solving {total} moments of the script for this sheet, once; it may take minutes",
+                file=sys.stderr,
+            )
         yield lambda: None
         return
     from rich.console import Console

@@ -22,8 +22,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--recipe", default="free", help="recipe that every variant changes (default free)")
     parser.add_argument("--epochs", type=int, default=4, help="of each training (default 4)")
     parser.add_argument("--samples", type=int, default=100_000, help="of an epoch (default 100000)")
-    parser.add_argument("--variants", metavar="NAMES", help="comma-separated (default: all, see the README)")
-    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument(
+        "--variants",
+        metavar="NAMES",
+        help="what is changed, comma-separated; a name that does not exist lists them (default: all)",
+    )
+    parser.add_argument("--seed", type=int, default=0, help="of weights, order and noise (default 0)")
     parser.add_argument("--threads", type=int, default=1, help="CPU threads (default 1)")
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--only", action="append", type=several(FAMILIES), metavar="NAME[,NAME]", help=f"of {', '.join(FAMILIES)}"
     )
     parser.add_argument(
-        "--bundle", type=files.bundle, metavar="FILE", help="bundle to stress (default: both shipped ones)"
+        "--bundle", type=files.bundle, metavar="FILE", help="bundle to stress (default: the shipped units and free)"
     )
     parser.add_argument("--plot", type=Path, metavar="FILE", help="draw the curves into this PNG file")
     parser.add_argument("--json", action="store_true", help="print one JSON object: rows, curves, summary")

@@ -34,7 +34,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def add_making(parser: argparse.ArgumentParser) -> None:
     """Declare how a bundle is made, whatever it is of."""
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the bundle, by custom FILE.eitskin")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
+    )
     parser.add_argument(
         "--work", type=Path, metavar="DIR", help="folder of the half-made bundle (default: FILE.eitskin.build)"
     )

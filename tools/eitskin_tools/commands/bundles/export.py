@@ -11,7 +11,7 @@ from eitskin_tools.console.say import note
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add what the subcommand takes."""
     parser.add_argument("run_folder", metavar="RUN", help="folder of 'eitskin train'")
-    parser.add_argument("--out", required=True, metavar="FILE", help="the bundle, by custom FILE.eitskin")
+    parser.add_argument("--out", required=True, metavar="FILE", help="the bundle; its name should end in .eitskin")
     parser.add_argument("--data", nargs="+", metavar="DIR", help="the run's data sets, if they have moved")
     parser.add_argument(
         "--phantoms", action="append", default=[], metavar="FILE", help="score these too and write it on the card"

@@ -12,7 +12,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("bundle", metavar="BUNDLE", help="the larger one; everything of it stays")
     parser.add_argument("small", metavar="SMALL", help="a bundle of the same skin and touches with a smaller network")
-    parser.add_argument("--out", required=True, type=Path, metavar="FILE", help="the bundle, by custom FILE.eitskin")
+    parser.add_argument(
+        "--out", required=True, type=Path, metavar="FILE", help="the bundle; its name should end in .eitskin"
+    )
     parser.add_argument(
         "--replace", action="store_true", help="SMALL's network takes the place of BUNDLE's; its gate and all else stay"
     )

@@ -28,7 +28,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--bundle",
         type=files.bundle,
         metavar="FILE",
-        help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: area)",
+        help=f"{files.A_BUNDLE}, whose flat sheet and gate it is held against (default: the shipped one of area labels "
+        "and of the skin's touches)",
     )
     parser.add_argument("--skin", type=Path, metavar="FILE", help="the skin's description, which the bundle must fit")
     parser.add_argument(

@@ -56,9 +56,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--publish", metavar="ENDPOINT", help="ipc:///path or tcp://address:port (default: ipc)")
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
-    parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference; default: capture one now")
-    parser.add_argument("--reference-frames", type=int, metavar="N", default=100, help="frames of a captured one")
-    parser.add_argument("--force-reference", action="store_true", help="take the captured one whatever is found of it")
+    parser.add_argument(
+        "--reference", type=Path, metavar="FILE", help="a reference that was captured before (default: capture one now)"
+    )
+    parser.add_argument(
+        "--reference-frames",
+        type=int,
+        metavar="N",
+        default=100,
+        help="frames of one that is captured now (default 100)",
+    )
+    parser.add_argument(
+        "--force-reference",
+        action="store_true",
+        help="take one that is captured now even if the sheet seems bent, touched or moving",
+    )
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")

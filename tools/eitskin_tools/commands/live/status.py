@@ -103,7 +103,7 @@ def _row(
     again = f", started again {state.restarts} times, last because it {state.why}" if state.restarts else ""
     if "error" in after or "error" in before:
         why = f"{state.state}: {state.why}" if state.state in ("failed", "waiting", "ended") else ""
-        return found | {"text": why or f"no answer: {after.get('error') or before.get('error')}"}
+        return found | {"text": why or str(after.get("error") or before.get("error"))}
     frames = int(after.get("frames", 0)) - int(before.get("frames", 0))
     rate_hz = max(frames, 0) / max(after_s - before_s, 1e-9)
     touched = after["touched"] > before["touched"] if "touched" in after and "touched" in before else None

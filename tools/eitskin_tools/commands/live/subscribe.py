@@ -26,7 +26,9 @@ REPEAT_S = 0.1
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     parser.add_argument("endpoint", nargs="?", help="where the runtime publishes (default: its default)")
-    parser.add_argument("--mode", choices=("latest", "all"), default="latest", help="newest frame, or every frame")
+    parser.add_argument(
+        "--mode", choices=("latest", "all"), default="latest", help="newest frame (default), or every frame"
+    )
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
     parser.add_argument("--timeout-s", type=float, default=5.0, metavar="T", help="give up after T s without a frame")

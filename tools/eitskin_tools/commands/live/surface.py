@@ -49,6 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(arguments: argparse.Namespace) -> int:
     """Order the points, write the cloud, and predict and send it where that is asked for."""
+    from eitskin_proto.skin.sheet_cloud import check_sheet
     from eitskin_sim.surface.ordered_cloud import DOUBTFUL_RMS, PointCloudError, organise, save_cloud
     from eitskin_sim.surface.point_files import read_points
 
@@ -58,9 +59,10 @@ def run(arguments: argparse.Namespace) -> int:
     start = time.perf_counter()
     try:
         result = organise(points, tuple(arguments.corner) if arguments.corner else None, skin.grid)
-    except PointCloudError as error:
+        elapsed_ms = 1e3 * (time.perf_counter() - start)
+        check_sheet(result.cloud_mm, skin)
+    except (PointCloudError, ValueError) as error:
         raise PointCloudError(f"{arguments.file}: {error}") from error
-    elapsed_ms = 1e3 * (time.perf_counter() - start)
     predicted, predict_ms = None, None
     if arguments.predict:
         from eitskin_sim.surface.predict import flat_voltages, predict
