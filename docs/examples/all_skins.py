@@ -19,4 +19,5 @@ with suppress(KeyboardInterrupt), eitskin.subscribe_all(*sys.argv[1:2], timeout_
             continue
         for touch in one.touches:
             x, y, z = touch.place_mm
-            print(f"{one.skin}: touch {touch.id} at {x:.0f} {y:.0f} {z:.0f} mm of the robot, facing {touch.normal}")
+            facing = " ".join(f"{part:.2f}" for part in touch.normal)
+            print(f"{one.skin}: touch {touch.id} at {x:.0f} {y:.0f} {z:.0f} mm of the robot, facing {facing}")

@@ -16,4 +16,5 @@ with suppress(KeyboardInterrupt), eitskin.subscribe(*sys.argv[1:2], mode="all", 
             print(f"frame {frame.sequence}: touch {event.id} {event.kind}")
         for touch in frame.touches:
             x, y, z = touch.place_mm
-            print(f"touch {touch.id} at {x:.1f} {y:.1f} {z:.1f} mm, facing {touch.normal}, {touch.area_mm2:.0f} mm2")
+            facing = " ".join(f"{part:.2f}" for part in touch.normal)
+            print(f"touch {touch.id} at {x:.1f} {y:.1f} {z:.1f} mm, facing {facing}, {touch.area_mm2:.0f} mm2")

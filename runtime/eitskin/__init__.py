@@ -1,9 +1,24 @@
 """The runtime of an electronic skin: voltages in, tactile maps out.
 
-::
+While a runtime publishes (``eitskin run``, ``eitskin demo``), a program feels by it::
 
-    for frame in eitskin.subscribe("ipc:///run/user/1000/eitskin/frames"):
-        frame.map          # (30, 45) float32
+    for frame in eitskin.subscribe():
+        frame.map          # (30, 45) float32: 0 untouched, 1 touched
+
+    for frame in eitskin.subscribe(maps=False, timeout_s=0.5, max_age_s=0.2):  # a robot stops where these raise
+        for touch in frame.touches:
+            touch.place_mm, touch.normal  # where it is on the bent surface, and which way that faces
+
+Begin with:
+
+* :func:`subscribe`, :func:`subscribe_all`: the frames of one skin, of all skins of a robot.
+* :class:`Frame`, :class:`Touch`: what they hold.
+* :func:`send_cloud`: how the sheet is bent now; until then it counts as flat.
+* :func:`request`: status, a new reference, electrodes to go on without, stop.
+* :class:`Skin`: a port read in this process, without ``eitskin run``.
+* :class:`NoFrame`, :class:`StaleFrame`: nothing came in time, or only something old; both are ``TimeoutError``.
+
+What else goes wrong with a skin, a file or a line is a :class:`SkinError`, and says in a line what to do.
 
 Names are imported when they are first used: a subscriber loads ZeroMQ and numpy, but neither ONNX Runtime nor
 pyserial.

@@ -198,6 +198,15 @@ def subscribe(
 ) -> Subscription:
     """Return an open subscription to a runtime's frames, to be iterated.
 
+    In a control loop, which must know when it is blind::
+
+        with eitskin.subscribe(maps=False, timeout_s=0.5, max_age_s=0.2) as frames:
+            while True:
+                try:
+                    touches = frames.next_frame().touches
+                except (eitskin.NoFrame, eitskin.StaleFrame):
+                    ...  # stop; asking again goes on as soon as frames come
+
     Args:
         endpoint: Where the runtime publishes: ``ipc:///path`` or ``tcp://address:port``; None takes the one on which
             ``eitskin run`` publishes unless told otherwise.
