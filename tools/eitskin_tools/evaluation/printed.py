@@ -14,6 +14,7 @@ def print_report(found: dict[str, Any]) -> None:
     print(
         "phantom      CC  PSNR dB      RIE  localisation mm  exact  touches  of  two-point mm      DE"
         + ("  paper's CC" if paper else "")
+        + ("       p  flagged" if "verified" in found else "")
     )
     rows = [*found["phantoms"], {"name": "mean", **found["mean"]}]
     papers = [*paper, sum(paper) / len(paper)] if paper else [None] * len(rows)
@@ -21,7 +22,14 @@ def print_report(found: dict[str, Any]) -> None:
         line = f"{row['name']:8}{row['cc']:7.4f}{row['psnr_db']:9.2f}{cell(row['rie'], 9, '.4f')}"
         line += f"{row['localisation_mm']:17.2f}{row['exact']:7.2f}{row['touches']:9.1f}{row['true_touches']:4.1f}"
         line += f"{cell(row['two_point_mm'], 14, '.1f')}{cell(row['distance_error'], 8, '.4f')}"
-        print(line if theirs is None else f"{line}{theirs:12.4f}")
+        line += "" if theirs is None else f"{theirs:12.4f}"
+        line += f"{row['p_value']:8.2g}{row['flagged']:9.2f}" if "p_value" in row else ""
+        print(line)
+    if (verified := found.get("verified")) is not None:
+        print(
+            f"verified: {verified['maps']} maps; {verified['wrong']} wrong, {verified['wrong_unflagged']} of them not "
+            f"flagged; {verified['right_flagged']} right ones flagged; {verified['extra_ms_median']:.1f} ms a frame"
+        )
 
 
 def cell(value: float | None, width: int, form: str) -> str:

@@ -18,6 +18,7 @@ from typing import Any
 
 from eitskin_tools.bench.dataset.cut_rules import rule_rows
 from eitskin_tools.bench.dataset.freeform_error import error_rows, gap_rows
+from eitskin_tools.bench.rows import row_text
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -77,8 +78,8 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({"rows": [*rows, *errors], "summary": summary}))
     else:
         for row in [*rows, *errors]:
-            print("  ".join(f"{name} {value}" for name, value in row.items()))
-        print("  ".join(f"{name} {value}" for name, value in summary.items()))
+            print(row_text(row))
+        print(row_text(summary))
     return 0
 
 

@@ -14,6 +14,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
+from eitskin_tools.bench.rows import row_text
 from eitskin_tools.choices import chosen, several
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({"rows": rows, "summary": summary}))
     else:
         for row in [*rows, summary]:
-            print(_line(row))
+            print(row_text(row))
     return 0
 
 
@@ -101,14 +102,10 @@ def measure(arguments: argparse.Namespace, parts: tuple[str, ...]) -> Rows:
         start_s = time.process_time()
         found = makers[part]()
         for row in found:
-            print(f"eitskin bench electrodes: {_line(row)}", file=sys.stderr, flush=True)
+            print(f"eitskin bench electrodes: {row_text(row)}", file=sys.stderr, flush=True)
         print(f"eitskin bench electrodes: {part}: {time.process_time() - start_s:.0f} CPU-s", file=sys.stderr)
         rows += found
     return rows
-
-
-def _line(row: dict[str, Any]) -> str:
-    return "  ".join(f"{name} {value}" for name, value in row.items())
 
 
 def _detection(arguments: argparse.Namespace, consistency: "Consistency", noises: tuple[Any, ...]) -> Rows:

@@ -19,6 +19,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.bench.rows import row_text
 from eitskin_tools.errors import UsageError
 
 SCENES: Final[dict[str, dict[str, Any]]] = {
@@ -65,7 +66,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(found))
         return 0
     for row in rows:
-        print("  ".join(f"{name} {value}" for name, value in row.items()))
+        print(row_text(row))
     not_concluded = found["summary"].pop("not_concluded")
     print("  ".join(f"{name} {value}" for name, value in found["summary"].items() if value is not None))
     if not_concluded:

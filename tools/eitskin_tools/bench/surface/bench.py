@@ -13,6 +13,7 @@ from statistics import median
 from time import perf_counter, process_time
 from typing import Any
 
+from eitskin_tools.bench.rows import row_text
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.threads import one_blas_thread
 
@@ -35,7 +36,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({"rows": rows, "summary": summary}))
     else:
         for row in rows:
-            print("  ".join(f"{name} {value}" for name, value in row.items()))
+            print(row_text(row))
     return 0
 
 

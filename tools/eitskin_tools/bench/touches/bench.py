@@ -12,6 +12,7 @@ import time
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_tools.bench.rows import row_text
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 
@@ -55,7 +56,7 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps({"rows": rows, "summary": summary}))
     else:
         for row in rows:
-            print("  ".join(f"{name} {value}" for name, value in row.items()))
+            print(row_text(row))
     return 0
 
 

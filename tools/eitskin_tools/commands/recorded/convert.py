@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
         table = table_of(script, arguments.from_s, arguments.to_s)
         {"npz": writers.write_npz, "parquet": writers.write_parquet}[kind](arguments.out, table, script)
         found |= {"frames": len(table.voltages_V), "left_out": table.left_out, "maps": table.maps is not None}
-        said = f"{found['frames']} frames, {table.left_out} of a few drives left out"
+        said = f"{found['frames']} frames, {table.left_out} idle scans of a few drives left out"
     if arguments.json:
         print(json.dumps(found))
     else:
