@@ -11,14 +11,14 @@ While a runtime publishes (``eitskin run``, ``eitskin demo``), a program feels b
 
 Begin with:
 
-* :func:`subscribe`, :func:`subscribe_all`: the frames of one skin, of all skins of a robot.
-* :class:`Frame`, :class:`Touch`: what they hold.
-* :func:`send_cloud`: how the sheet is bent now; until then it counts as flat.
-* :func:`request`: status, a new reference, electrodes to go on without, stop.
-* :class:`Skin`: a port read in this process, without ``eitskin run``.
-* :class:`NoFrame`, :class:`StaleFrame`: nothing came in time, or only something old; both are ``TimeoutError``.
+* ``subscribe``, ``subscribe_all``: the frames of one skin, of all skins of a robot.
+* ``Frame``, ``Touch``: what they hold.
+* ``send_cloud``: how the sheet is bent now; until then it counts as flat.
+* ``request``: status, a new reference, electrodes to go on without, stop.
+* ``Skin``: a port read in this process, without ``eitskin run``.
+* ``NoFrame``, ``StaleFrame``: nothing came in time, or only something old; both are ``TimeoutError``.
 
-What else goes wrong with a skin, a file or a line is a :class:`SkinError`, and says in a line what to do.
+What else goes wrong with a skin, a file or a line is a ``SkinError``, and says in a line what to do.
 
 Names are imported when they are first used: a subscriber loads ZeroMQ and numpy, but neither ONNX Runtime nor
 pyserial.

@@ -156,6 +156,26 @@ def to_toml(configuration: Configuration) -> str:
     return "\n".join(lines) + "\n"
 
 
+def in_file(field: str, value: Any) -> tuple[str, Any]:
+    """Return a field of a configuration and its value as a file has them: ``sample_bytes`` 3 is ``sample_bits`` 24.
+
+    Args:
+        field: Of :class:`Configuration`, or as it is published.
+        value: The field's.
+    """
+    idle, of_both = ("idle ", field.removeprefix("idle_")) if field.startswith("idle_") else ("", field)
+    if field == "hardware_id":
+        return "hardware", hardware.by_id(value).name if value in hardware.KNOWN else f"0x{value:08x}"
+    if of_both == "drives":
+        return f"{idle}drives", drives_to_list(value)
+    if of_both in ("rate_mHz", "rate_millihertz"):
+        return f"{idle}rate_Hz", value / 1000
+    if field == "sample_bytes":
+        return "sample_bits", 8 * value
+    names = {"frequency_hz": "frequency_Hz", "current_ua": "current_uA", "averages": "averages_periods"}
+    return names.get(field, field), value
+
+
 def load(path: str | Path) -> Configuration:
     """Return the configuration of a TOML file, or of one that comes with the package if only its name is given.
 

@@ -239,3 +239,12 @@ def test_json_keeps_the_names_of_fields_that_were_published() -> None:
     assert (found["rate_millihertz"], found["idle_rate_millihertz"]) == (PAPER.rate_mHz, PAPER.idle_rate_mHz)
     assert not {"rate_mHz", "idle_rate_mHz"} & set(found)
     assert len(found) == len(fields(PAPER))
+
+
+def test_each_field_is_named_to_people_as_in_the_file_that_they_wrote():
+    text = config_toml.to_toml(config_toml.named("fast")).replace('"', "")
+    for field, value in config_toml.named("fast").published().items():
+        name, shown = config_toml.in_file(field, value)
+        assert f"{name.removeprefix('idle ')} = {shown}" in text or field == "skin", "which none is stated of"
+    assert config_toml.in_file("idle_rate_mHz", 20_000) == ("idle rate_Hz", 20.0)
+    assert config_toml.in_file("hardware_id", 7) == ("hardware", "0x00000007")

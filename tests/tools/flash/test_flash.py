@@ -180,3 +180,13 @@ def test_the_virtual_skin_is_flashed_over_its_pseudo_terminal(capsys):
     finally:
         sim.send_signal(signal.SIGINT)  # it then removes its port's folder
         sim.communicate(timeout=120.0)
+
+
+def test_people_read_the_names_of_the_file(device, capsys):
+    status, out, _ = run(capsys, "diff", "fast", "--port", "host")
+    assert status == 1
+    assert "  sample_bits: device 24, file 16\n" in out
+    assert "  rate_Hz: device 200.0, file 350.0\n" in out
+    shown = run(capsys, "show", "--port", "host")[1]
+    assert "  hardware: eitskin-16\n" in shown
+    assert "  idle drives: [0, 1, 2, 3]\n" in shown

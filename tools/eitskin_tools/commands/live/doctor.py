@@ -186,6 +186,8 @@ def _make_keys(arguments: argparse.Namespace) -> int:
 
 
 def _print(found: dict[str, Any]) -> None:
+    from eitskin_proto.wire.config_toml import in_file
+
     for port in found["ports"]:
         say(f"port     {port['port']}  {port['description']}  {port['id']}  {port['state']}")
     for device in found["usb"]:
@@ -196,8 +198,9 @@ def _print(found: dict[str, Any]) -> None:
         say(f"runtime  publishing on {endpoint}")
     for line in found["limits"]:
         say(f"limit    {line}")
-    for section in ("device", "configuration"):
-        for name, value in found.get(section, {}).items():
-            say(f"{section if section == 'device' else 'config':<8} {name} {value}")
+    for name, value in found.get("device", {}).items():
+        say(f"device   {name} {value}")
+    for field, value in found.get("configuration", {}).items():
+        say("config   {} {}".format(*in_file(field, value)))
     for problem in found["problems"]:
         say(f"to do    {problem}")

@@ -128,12 +128,13 @@ def _print(arguments: argparse.Namespace, report: dict[str, Any]) -> int:
     for key, value in report.items():
         if key == "differences":
             for row in value:
-                say(f"  {row['field']}: device {row['device']}, file {row['file']}")
+                (name, device), (_, file) = (config_toml.in_file(row["field"], row[of]) for of in ("device", "file"))
+                say(f"  {name}: device {device}, file {file}")
         elif isinstance(value, dict):
             say(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
             for field, content in value.items():
                 if field not in ("name", "generation", "digest"):
-                    say(f"  {field}: {content}")
+                    say("  {}: {}".format(*config_toml.in_file(field, content)))
         else:
             say(f"{key}: {value}")
     return 0
