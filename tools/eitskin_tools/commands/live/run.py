@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import files, touches
+from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.console.run_report import closing, report
@@ -57,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--control", metavar="ENDPOINT", help="ipc:///path, or tcp:// with keys (default: ipc)")
     parser.add_argument("--curve-keys", type=Path, metavar="DIR", help="CURVE keys, needed for TCP beyond loopback")
     parser.add_argument("--reference", type=Path, metavar="FILE", help="captured reference; default: capture one now")
-    parser.add_argument("--reference-frames", type=int, metavar="N", default=100, help="frames of a captured one")
+    parser.add_argument("--reference-frames", type=int, metavar="N", help="frames of a captured one (default 100)")
     parser.add_argument("--force-reference", action="store_true", help="take the captured one whatever is found of it")
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
@@ -199,6 +200,7 @@ def _serve(
     from eitskin.messaging import endpoints
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.publish import Publisher
+    from eitskin.reference.captured import DEFAULT_FRAMES
     from eitskin.serving import serve
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
@@ -216,10 +218,11 @@ def _serve(
     realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
     watchdog.watch("the frame loop", line)
     if skin.reference is None:
-        log.say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        frames = arguments.reference_frames or DEFAULT_FRAMES
+        log.say(f"reference: capturing {frames} frames; the sheet must be flat and untouched")
         supervisor.status("capturing the reference; the sheet must be flat and untouched")
         try:
-            skin.capture_reference(arguments.reference_frames, force=arguments.force_reference)
+            skin.capture_reference(frames, force=arguments.force_reference)
         except BadReference:
             if skin.stopping:
                 return
@@ -243,23 +246,24 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
     if arguments.check and arguments.config is None:
         raise UsageError("--check goes with --config: it looks at a robot.toml")
-    if arguments.force_reference and arguments.reference is not None:
-        raise UsageError("--force-reference takes one that is captured now: leave it out, or --reference")
     bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
     for name, least in bounds.items():
         value = getattr(arguments, name)
         if value is not None and value < least:
-            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
+            raise UsageError(f"{flag(name)} is {value}, expected at least {least}")
     for name in ("seconds", "budget_ms", "reconnect", "idle_after"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
-            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+            raise UsageError(f"{flag(name)} is {value}, expected more than 0")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+    for name in ("reference_frames", "force_reference"):
+        if arguments.reference is not None and getattr(arguments, name):
+            raise UsageError(f"{flag(name)} is of a reference that is captured now: leave it out, or --reference")
     verifier.check(arguments)
 
 
