@@ -126,11 +126,23 @@ def test_the_sample_scene_is_valid_and_bent_and_touched() -> None:
         (NotADirectoryError(errno.ENOTDIR, "no", "x/y"), "found a file where a folder was expected"),
         (FileExistsError(errno.EEXIST, "no", "x"), "'x' exists already"),
         (OSError(errno.ENOSPC, "no", "x"), "no space left for 'x'"),
+        (OSError(errno.EDQUOT, "no", "x"), "no space left for 'x'"),
         (OSError(errno.EIO, "Input/output error", b"x"), "'x' cannot be used: Input/output error"),
     ],
 )
 def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error: OSError, expected: str) -> None:
     assert expected in (files.explain(error) or "")
+
+
+@pytest.mark.parametrize("name", ["simulate --out", "demo --record"])
+def test_a_folder_that_takes_no_files_is_said_before_the_work(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [word.replace(ABSENT, "/proc") for word in TAKING_A_FILE[name]]
+    monkeypatch.setattr("os.access", lambda path, _: str(path) != "/proc")  # root may write nearly everywhere
+    assert said(capsys, words).endswith(
+        "cannot be written: its folder takes no files of this user; name one in another\n"
+    )
 
 
 def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
