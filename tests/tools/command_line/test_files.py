@@ -147,6 +147,9 @@ def test_a_folder_that_takes_no_files_is_said_before_the_work(
 
 def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
     assert files.explain(OSError(errno.EIO, "broken")) is None
+    assert files.explain(OSError(errno.ENOSPC, "no")) == (
+        "no space left where this is written; free some, or write elsewhere"
+    )
 
 
 WRITING = {

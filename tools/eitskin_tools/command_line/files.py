@@ -141,13 +141,14 @@ def folder(path: str | Path) -> Path:
 
 
 def explain(error: OSError) -> str | None:
-    """Return one line that names the file of an error, what was found, and what to do; None where it names no file.
+    """Return one line that names the file of an error, what was found, and what to do; None where no more is known.
 
     Args:
         error: As the operating system gave it.
     """
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     if not isinstance(error.filename, str | bytes | os.PathLike):
-        return None
+        return "no space left where this is written; free some, or write elsewhere" if full else None
     path = Path(os.fsdecode(error.filename))
     if isinstance(error, FileNotFoundError):
         return f"{_missing(path)}; expected it to exist: check the path"
@@ -159,7 +160,7 @@ def explain(error: OSError) -> str | None:
         return f"{str(path)!r}: found a file where a folder was expected; check the path"
     if isinstance(error, FileExistsError):
         return f"{str(path)!r} exists already; name another, or remove it"
-    if error.errno in (errno.ENOSPC, errno.EDQUOT):
+    if full:
         return f"no space left for {str(path)!r}; free some, or name another place"
     return f"{str(path)!r} cannot be used: {error.strerror or error}"
 
