@@ -23,6 +23,7 @@ from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.console.run_report import closing, report
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier
 
 if TYPE_CHECKING:
@@ -95,7 +96,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
+    """Run until SIGINT, SIGTERM, SIGHUP, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
     if arguments.config is not None:
         from eitskin_tools.robot.command import run_all
@@ -145,7 +146,7 @@ def run(arguments: argparse.Namespace) -> int:
                 **keywords,
             )
         )
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in endings():
             signal.signal(number, lambda *_: skin.stop())
         report(skin, log)
         log.say(open_files)

@@ -13,6 +13,7 @@ from typing import Any
 from eitskin_tools.command_line import files
 from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier
 
 SPEEDS = (1e-3, 1e6)
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Play until the end, SIGINT, SIGTERM or ``stop``; return 0."""
+    """Play until the end, SIGINT, SIGTERM, SIGHUP or ``stop``; return 0."""
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin.messaging import endpoints
@@ -82,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
         stack.callback(control.close)
         stack.callback(skin.stop)
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in endings():
             signal.signal(number, lambda *_: skin.stop())
         for line in player.line.report():
             log.say(line)
