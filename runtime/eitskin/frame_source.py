@@ -165,14 +165,16 @@ class FrameSource:
         if self._fit_ns != self._looked_ns:  # a frame came that could be used, since the last look
             self._looked_ns, self._fruitless, self._failed, self._bad_s = self._fit_ns, 0, False, FIRST_BAD_S
         since_ns = now_ns - max(self._greeted_ns, self._fit_ns)
+        quiet_ns = now_ns - max(self._greeted_ns, intake.heard_ns)
         if self._stopping:
             return
         if intake.generation_differs:
             again_s = min(FIRST_AGAIN_S * 2 ** min(self._fruitless, 4), 1.0)
             if not self._fruitless or now_ns - self._greeted_ns >= 1e9 * again_s:
                 self._recover()
-        elif now_ns - max(intake.heard_ns, self._greeted_ns) >= silence_ns:
-            self._recover()
+        elif quiet_ns >= silence_ns:
+            if quiet_ns >= silence_ns + 1e9 * self._device.pause_s:
+                self._recover()
         elif since_ns >= 1e9 * max(self._bad_s, self._device.silence_s):  # frames come, and none can be used
             self._bad_s = min(2.0 * self._bad_s, LONGEST_BAD_S)
             self._fruitless = 0

@@ -10,14 +10,18 @@ import pytest
 
 import eitskin
 from eitskin.reference.captured import load
+from eitskin_tools.processes.signals import met_by
 
 from .command_line import command, finished, wait_until_ready
 
 pytestmark = pytest.mark.process
 
 
-def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_skin, tiny_path, tmp_path, endpoints):
-    with virtual_skin(touches=[[0.6, 60, 0.3]]) as port:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_run_publishes_reports_what_it_got_and_ends_cleanly_when_told_to(
+    number, virtual_skin, tiny_path, tmp_path, endpoints
+):
+    with virtual_skin(touches=[[0.6, 60, 0.3]]) as port, met_by(signal.SIG_DFL, signal.SIGHUP):
         words = ["--bundle", tiny_path, "--reference-frames", 20, *endpoints, "--json"]
         process = command("run", "--port", port, *words)
         report = wait_until_ready(process)
@@ -27,7 +31,7 @@ def test_run_publishes_reports_what_it_got_and_ends_cleanly_on_sigterm(virtual_s
             taken = [next(frames) for _ in range(60)]
         assert taken[-1].touched
         assert min(frame.latency_s for frame in taken) < 1.0
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         out, err = process.communicate(timeout=120)
     assert process.returncode == 0, err
     assert out.count("\n") == 1

@@ -18,7 +18,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs, overwriting
 from eitskin_tools.command_line.parser import Parser
-from eitskin_tools.console.closed import replace_closed
+from eitskin_tools.console.closed import replace_closed, written_out
 from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 
@@ -124,9 +124,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     replace_closed()
     words = list(sys.argv[1:] if argv is None else argv)
     try:
-        return _main(words)
+        with written_out():
+            return _main(words)
     except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 1
+    except OSError as error:  # of standard output
+        print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
     except KeyboardInterrupt:
         return 128 + signal.SIGINT

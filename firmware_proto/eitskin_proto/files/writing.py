@@ -27,6 +27,7 @@ def check_target(path: str | Path) -> Path:
 
     Raises:
         FileError: It is a device, a FIFO, a socket or a folder.
+        OSError: No file can have this name: it is too long, or leads where this user may not look.
     """
     found = Path(path)
     given = os.path.abspath(found)
@@ -34,7 +35,7 @@ def check_target(path: str | Path) -> Path:
         "/dev/shm/"
     ):  # /dev/stdout is a link to what is a file at times
         raise FileError(f"{path} names a device or a stream, expected a regular file to write; name one")
-    with suppress(OSError):
+    with suppress(FileNotFoundError):
         mode = found.stat().st_mode
         if not stat.S_ISREG(mode):
             raise FileError(f"{path} is {kind_of(mode)}, expected a regular file to write, or a new name; name another")
@@ -51,21 +52,24 @@ def replacing(path: str | Path, mode: int = 0o666) -> Iterator[BinaryIO]:
 
     Raises:
         FileError: See :func:`check_target`.
-        OSError: It cannot be written.
+        OSError: It cannot be written; it names ``path``.
     """
     where = check_target(path)
-    beside = where.with_name(f".{where.name[:200]}.{secrets.token_hex(6)}.part")
-    handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, mode)
+    begun = os.fsdecode(os.fsencode(where.name)[:200])
+    beside = where.with_name(f".{begun}.{secrets.token_hex(6)}.part")
     try:
+        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC | os.O_NOFOLLOW, mode)
         with open(handle, "wb") as stream:
             yield stream
             stream.flush()
             os.fsync(stream.fileno())
         check_target(where)  # the work may have taken hours
         beside.replace(where)
-    except BaseException:
+    except BaseException as error:
         with suppress(OSError):
             beside.unlink()
+        if isinstance(error, OSError) and error.filename in (None, str(beside)):
+            error.filename = str(where)  # a full disk names no file, and nobody knows the one beside
         raise
     folder = os.open(where.parent, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
     try:

@@ -100,6 +100,11 @@ class Device:
         """How long a device that does not answer is waited for; 0 where nobody asked for that."""
         return float(getattr(self.transport, "patience_s", 0.0))
 
+    @property
+    def pause_s(self) -> float:
+        """How long after the last frame the next one is due by plan, as in a recording with a gap; 0 for a device."""
+        return float(getattr(self.transport, "pause_s", 0.0))
+
     def reopen(self) -> None:
         """Close the line and open it anew, where the transport can; whoever hangs behind it may come to.
 

@@ -54,7 +54,7 @@ class Transport(Protocol):
 class WrappedTransport:
     """A transport that does what another does; a class below it does some of that in its own way.
 
-    What only some transports have passes through as well: ``patience_s``, ``gone``, ``reopen``.
+    What only some transports have passes through as well: ``patience_s``, ``pause_s``, ``gone``, ``reopen``.
 
     Args:
         line: The other.

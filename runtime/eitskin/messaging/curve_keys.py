@@ -75,23 +75,29 @@ class ClientKeys:
 
 
 def make_keys(folder: str | Path) -> list[Path]:
-    """Make a server's and a first client's keys and return the files.
+    """Make a server's and a first client's keys, all or none, and return the files.
 
     Raises:
         EndpointError: There are keys already; they are not overwritten.
+        OSError: They cannot be written.
     """
     where = Path(folder)
     clients = where / "clients"
     made = [where / f"{name}.{kind}" for name in ("server", "client") for kind in ("key", "key_secret")]
-    if there := [path for path in (*made, clients / "client.key") if os.path.lexists(path)]:
+    made.append(clients / "client.key")
+    if there := [path for path in made if os.path.lexists(path)]:
         raise EndpointError(f"{where} holds keys already, {there[0]}; name another folder, or remove them")
     before = os.umask(0o077)
     try:
         clients.mkdir(parents=True, exist_ok=True)
         names = (*_auth().create_certificates(where, "server"), *_auth().create_certificates(where, "client"))
+        (where / "client.key").rename(clients / "client.key")
+    except BaseException:
+        for path in made:  # none of them was there
+            path.unlink(missing_ok=True)
+        raise
     finally:
         os.umask(before)
-    (where / "client.key").rename(clients / "client.key")
     return [path if path.exists() else clients / path.name for path in map(Path, names)]
 
 

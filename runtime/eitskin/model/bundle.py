@@ -46,6 +46,9 @@ SHIPPED: Final = {
 }
 """Labels and which way touches change conductance -> the shipped bundle's name."""
 
+HOME: Final = Path(__file__).parents[1] / "bundles"
+"""Where they lie."""
+
 REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files without which a bundle is no bundle."""
 
@@ -191,7 +194,12 @@ def default_path(labels: str = "area", touches: TouchKind = "raising") -> Path:
     if touches not in TOUCH_KINDS:
         raise ValueError(f"touches {touches!r} do not exist; expected one of {', '.join(TOUCH_KINDS)}")
     name = SHIPPED[labels, "lowering" if touches == "lowering" else "raising"]
-    return Path(__file__).parents[1] / "bundles" / f"{name}.eitskin"
+    return HOME / f"{name}.eitskin"
+
+
+def shipped() -> tuple[str, ...]:
+    """Return the names of the bundles that are there, in order."""
+    return tuple(sorted(path.stem for path in HOME.glob("*.eitskin")))
 
 
 def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bundle:
@@ -238,7 +246,10 @@ class _Opened:
                 stream = held.enter_context(opened(where, LARGEST_BUNDLE))
                 self.members = members(stream)
             except FileNotFoundError as error:
-                raise BundleError(f"no bundle {where}; name one with --bundle, or {EXPORT_HINT}") from error
+                raise BundleError(
+                    f"no bundle {where}; expected a file, or with --bundle one of the shipped: {', '.join(shipped())}; "
+                    "'eitskin build' makes one for another sheet"
+                ) from error
             except OSError as error:
                 raise BundleError(f"{where} cannot be read: {error.strerror or error}") from error
             except FileError as error:

@@ -187,6 +187,9 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
     description = table.text("skin")
     restart = table.one_of("restart", RESTARTS) or "never"
     reference = table.path("reference", beside)
+    reference_frames = table.whole("reference_frames", 2, 10_000)
+    if reference is not None and reference_frames is not None:
+        raise ValueError(f"skin {name} has a reference, so reference_frames does nothing: leave one of them out")
     if restart != "never" and reference is None:
         raise ValueError(
             f"skin {name} restart is {restart!r} without a reference: who starts again by itself cannot know that the "
@@ -200,7 +203,7 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         description=Path(description) if description in SHIPPED_SKINS else _beside(description, beside),
         touches=table.one_of("touches", ("lower", "raise")),
         reference=reference,
-        reference_frames=table.whole("reference_frames", 2, 10_000),
+        reference_frames=reference_frames,
         curve_keys=curve_keys,
         solver=table.one_of("solver", ("vd2t", "vd2t-int8", "vd2t-small", "tikhonov")),
         budget_ms=table.number("budget_ms"),

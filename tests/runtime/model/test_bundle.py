@@ -53,6 +53,11 @@ def test_a_bundle_is_read_whole_and_its_id_is_its_manifest(tiny_path, parts):
     assert set(bundle.gate_arrays()) >= {"w1", "threshold"}
 
 
+def test_a_bundle_that_is_not_there_is_said_with_those_that_are(tmp_path):
+    with pytest.raises(BundleError, match="with --bundle one of the shipped: free, press, units; 'eitskin b"):
+        load_bundle(tmp_path / "fre")
+
+
 @pytest.mark.parametrize("name", ["geometry.onnx", "head.onnx", "head_int8.onnx", "tikhonov.npy", "gate.npz"])
 def test_one_changed_byte_in_any_file_is_found_and_named(tmp_path, parts, name):
     damaged = bytearray(parts[name])

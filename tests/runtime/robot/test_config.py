@@ -101,6 +101,7 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
         (skin(more="pose.quaternion_wxyz = [1,0,0,0]\npose.quaternion_xyzw = [0,0,0,1]"), "expected one of them"),
         (skin(more="pose.quaternion_xyzw = [0,0,1]"), "expected 4 finite numbers, found 3"),
         (skin(more="restart = 'always'"), "restart is 'always' without a reference"),
+        (skin(more="reference = 'r'\nreference_frames = 5"), "has a reference, so reference_frames does nothing"),
         (skin(more="restart = 'sometimes'"), "expected one of never, on-failure, always"),
         (skin(more="baud = true"), "skin left baud is True"),
         (skin(more="budget_ms = -1"), "skin left budget_ms is -1, expected a number above 0"),

@@ -133,8 +133,18 @@ def test_an_error_of_the_system_becomes_a_line_that_names_the_file(error: OSErro
     assert expected in (files.explain(error) or "")
 
 
+@pytest.mark.parametrize("name", ["simulate --out", "demo --record"])
+def test_a_folder_that_takes_no_files_is_said_before_the_work(
+    name: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    words = [word.replace(ABSENT, "/proc") for word in TAKING_A_FILE[name]]
+    monkeypatch.setattr("os.access", lambda path, _: str(path) != "/proc")  # root may write nearly everywhere
+    assert "cannot be written: its folder takes no files of this user; name one in" in said(capsys, words)
+
+
 def test_an_error_that_names_no_file_is_left_as_it_is() -> None:
     assert files.explain(OSError(errno.EIO, "broken")) is None
+    assert "no space left where this is written" in (files.explain(OSError(errno.ENOSPC, "no")) or "")
 
 
 WRITING = {

@@ -13,7 +13,11 @@ from eitskin_tools import cli
         ("virtual-skin --seed -1", "--seed is -1, expected 0 or more"),
         ("virtual-skin --scene sample --touches lower", "those of --scene are as it says"),
         ("demo --no-draw --seed -3", "--seed is -3, expected 0 or more"),
-        ("run --port /dev/null --reference flat.json --force-reference", "--force-reference"),
+        ("run --port /dev/null --reference flat.json --force-reference", "--force-reference is of a reference that"),
+        (
+            "run --port /dev/null --reference flat.json --reference-frames 9",
+            "--reference-frames is of a reference that",
+        ),
         ("calibrate r.npz --out s.toml --bends 0", "without --guided nothing is recorded now: leave --bends out"),
         ("calibrate r.npz --out s.toml --full-scan --stamp 16", "leave --full-scan, --stamp out"),
     ],

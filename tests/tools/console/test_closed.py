@@ -1,5 +1,6 @@
 """Commands that are started without standard streams go on, and open nothing in their place."""
 
+import os
 import subprocess
 import sys
 
@@ -10,10 +11,10 @@ pytestmark = pytest.mark.process
 CLOSED = ["<&-", ">&-", "2>&-", "<&- >&- 2>&-"]
 
 
-def shell(words: str, closed: str) -> subprocess.CompletedProcess[str]:
+def shell(words: str, closed: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         ["/bin/sh", "-c", f"exec '{sys.executable}' {words} {closed}"],
-        capture_output=True, text=True, timeout=120, check=False,
+        capture_output=True, text=True, timeout=120, check=False, env={**os.environ, **environment},
     )  # fmt: skip
 
 
@@ -23,6 +24,34 @@ def test_a_command_does_its_work_and_says_how_it_went(closed: str) -> None:
     assert done.returncode == 0
     assert "Traceback" not in done.stderr
     assert (">&-" in closed.split()) != done.stdout.startswith("paper: ")
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", ["skin check paper", "--version"])
+def test_a_full_standard_output_is_one_line_and_a_failure(words: str, unbuffered: str) -> None:
+    done = shell(f"-m eitskin_tools.cli {words}", ">/dev/full", PYTHONUNBUFFERED=unbuffered)
+    assert done.returncode == 1
+    assert done.stderr.partition(": ")[2] == "no space left where this is written; free some, or write elsewhere\n"
+
+
+def test_a_standard_output_that_nobody_reads_ends_without_a_word() -> None:
+    reads, writes = os.pipe()
+    os.close(reads)
+    done = subprocess.run(
+        [sys.executable, "-m", "eitskin_tools.cli", "--help"], stdout=writes, stderr=subprocess.PIPE, text=True,
+        timeout=120, check=False, env={**os.environ, "PYTHONUNBUFFERED": ""},
+    )  # fmt: skip
+    os.close(writes)
+    assert (done.returncode, done.stderr) == (1, "")
+
+
+def test_a_log_on_a_full_disk_ends_no_command_and_changes_no_result() -> None:
+    code = (
+        "import sys; from eitskin_tools import cli; from eitskin_tools.console.run_log import RunLog; "
+        "log = RunLog(sys.stderr); [log.warn('x' * 4000) for _ in range(9)]; log.failed('x', 'y'); log.end(); "
+        "sys.exit(cli.main(['skin', 'check', 'paper']))"
+    )
+    assert shell(f'-c "{code}"', "2>/dev/full").returncode == 0
 
 
 def test_what_is_opened_next_takes_no_standard_stream_s_number() -> None:

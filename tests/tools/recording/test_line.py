@@ -1,6 +1,7 @@
 """A recording behind a line: the runtime greets it as it greets a device, and reads what was recorded."""
 
 import threading
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ from eitskin_tools.recording.replay.line import RecordedLine
 from eitskin_tools.recording.replay.play import Manner, Player
 from eitskin_tools.recording.script import Script
 
-from .conftest import PERIOD_NS, TINY, Taker, hello, recorded, scans
+from .conftest import PERIOD_NS, TINY, Taker, hello, recorded, reference, scans
 
 
 def test_it_answers_the_handshake_and_sends_what_was_recorded_in_order() -> None:
@@ -65,6 +66,17 @@ def test_at_its_pace_no_frame_comes_before_its_time(monkeypatch: pytest.MonkeyPa
         came.append(now[0])
     assert np.diff(came) == pytest.approx(PERIOD_NS / 2, abs=3)
     assert line.read(0.25) == b""
+
+
+def test_a_gap_of_the_recording_is_no_silence_of_the_device(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("eitskin.acquisition.device.SILENCE_S", 0.01)  # ten times in the gap, also 20 frames at 2 kHz
+    steps = scans(20)
+    steps[10:] = [replace(step, log_ns=step.log_ns + 100_000_000) for step in steps[10:]]
+    line = RecordedLine("it", replace(hello(), rate_mHz=2_000_000), lambda: iter(steps))
+    with eitskin.Skin(line, bundle=TINY, reference=reference()) as skin:
+        line.ended = skin.stop
+        assert sum(1 for _ in skin.publish(Taker())) == 20
+        assert skin.status()["recoveries"] == 0
 
 
 def test_again_and_again_the_numbers_go_on() -> None:

@@ -43,6 +43,19 @@ def test_replay_plays_in_the_manner_that_was_asked_for(
     assert found == [expected]
 
 
+@pytest.mark.parametrize("words", [["replay"], ["reinfer"], ["convert", "--out", "a.npz"]])
+@pytest.mark.parametrize(("option", "found"), [("--from", "nan"), ("--from", "-1"), ("--to", "1e+300")])
+def test_a_part_that_no_recording_has_is_refused(words: list[str], option: str, found: str, capsys: Capture) -> None:
+    assert cli.main([*words, "a.mcap", f"{option}={found}"]) == 2
+    assert f"{option} is {found}, expected 0 or more seconds after the first frame\n" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("found", ["0", "1e-09", "nan"])
+def test_a_pace_at_which_nothing_would_come_is_refused(found: str, capsys: Capture) -> None:
+    assert cli.main(["replay", "a.mcap", "--speed", found]) == 2
+    assert f"--speed is {found}, expected 0.001 to 1e+06\n" in capsys.readouterr().err
+
+
 def test_replay_takes_one_pace_only(file: Path, capsys: Capture) -> None:
     with pytest.raises(SystemExit) as ended:
         cli.main(["replay", str(file), "--speed", "2", "--as-fast-as-possible"])

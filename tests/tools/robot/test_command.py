@@ -108,7 +108,7 @@ def test_a_look_says_what_would_run_and_opens_nothing(robot, capsys, tmp_path):
 
 def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
     path = robot(
-        "baud = 115200", 'bundle = "b"', 'skin = "s"', 'touches = "lower"', 'reference = "r"', "reference_frames = 5",
+        "baud = 115200", 'bundle = "b"', 'skin = "s"', 'touches = "lower"', 'reference = "r"',
         'curve_keys = "k"', 'solver = "tikhonov"', "budget_ms = 5", "every_map = true", "idle_after_s = 2",
         "exclude_electrodes = [1, 2]", "compensate_drift = false", "reconnect_s = 60", "[skins.realtime]",
         "sched_fifo = 5", "affinity = [0, 1]", "mlock = true", "[skins.verify]", 'mode = "always"', "budget_ms = 30",
@@ -117,18 +117,19 @@ def test_every_key_of_the_file_becomes_an_option_that_run_takes(robot):
     found = vars(cli._parser("run").parse_args(words_of(load_robot(path).skins[0])))
     folder = Path(path).parent
     assert {key: found[key] for key in (
-        "port", "baud", "bundle", "skin", "touches", "reference", "reference_frames", "curve_keys", "solver",
-        "budget_ms", "every_map", "idle_after", "exclude_electrode", "compensate_drift", "reconnect", "sched_fifo",
+        "port", "baud", "bundle", "skin", "touches", "reference", "curve_keys", "solver", "budget_ms",
+        "every_map", "idle_after", "exclude_electrode", "compensate_drift", "reconnect", "sched_fifo",
         "affinity", "mlock", "log_format", "publish", "control", "verify", "verify_budget_ms", "verify_nice",
         "verify_affinity",
     )} == {
         "port": "/dev/ttyNONE9", "baud": 115200, "bundle": folder / "b", "skin": folder / "s", "touches": "lower",
-        "reference": folder / "r", "reference_frames": 5, "curve_keys": folder / "k", "solver": "tikhonov",
-        "budget_ms": 5.0, "every_map": True, "idle_after": 2.0, "exclude_electrode": [1, 2], "compensate_drift": False,
+        "reference": folder / "r", "curve_keys": folder / "k", "solver": "tikhonov", "budget_ms": 5.0,
+        "every_map": True, "idle_after": 2.0, "exclude_electrode": [1, 2], "compensate_drift": False,
         "reconnect": 60.0, "sched_fifo": 5, "affinity": "0,1", "mlock": True, "log_format": "json",
         "publish": f"ipc://{folder}/sockets/left/frames", "control": f"ipc://{folder}/sockets/left/control",
         "verify": "always", "verify_budget_ms": 30.0, "verify_nice": 3, "verify_affinity": "1",
     }  # fmt: skip
+    assert "--reference-frames=5" in words_of(load_robot(robot("reference_frames = 5")).skins[0])
 
 
 @pytest.mark.process

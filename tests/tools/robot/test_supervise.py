@@ -11,15 +11,16 @@ import pytest
 
 from eitskin.robot.described import FILE
 from eitskin_tools.processes.pauses import Pauses
+from eitskin_tools.processes.signals import met_by
 
 from .conftest import HERE, PATIENCE_S, gone
 
 pytestmark = pytest.mark.process
 
 
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGHUP])
 def test_all_end_when_it_is_told_to_and_nothing_is_left(family, number):
-    with family(a="good", b="other") as found:
+    with met_by(signal.SIG_DFL, signal.SIGHUP), family(a="good", b="other") as found:
         assert found.ready()["skins"] == ["a", "b"]
         pids = [one.pid for one in found.states().values()]
         found.process.send_signal(number)

@@ -15,6 +15,7 @@ import serial
 
 from eitskin_proto.wire import messages as m
 from eitskin_proto.wire.framing import Deframer, encode
+from eitskin_tools.processes.signals import met_by
 from eitskin_tools.processes.skin_log import read_log, script_start
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
@@ -76,8 +77,9 @@ def test_it_prints_its_port_first_and_streams_the_script(tmp_path: Path) -> None
     assert [event["event"] for event in read_log(log)] == ["boot", "start", "stop"]
 
 
-def test_json_is_one_object_and_sigterm_ends_it_cleanly(tmp_path: Path) -> None:
-    with sim("--json", "--rate=100", "--serial-number=SKIN-7") as process:
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_json_is_one_object_and_it_ends_cleanly_when_told_to(number: signal.Signals) -> None:
+    with met_by(signal.SIG_DFL, signal.SIGHUP), sim("--json", "--rate=100", "--serial-number=SKIN-7") as process:
         found = json.loads(process.stdout.readline())
         assert (found["rate_hz"], found["serial_number"]) == (100.0, "SKIN-7")
         before = time.perf_counter_ns()
@@ -86,7 +88,7 @@ def test_json_is_one_object_and_sigterm_ends_it_cleanly(tmp_path: Path) -> None:
         assert hello.rate_mHz == 100_000
         after = time.perf_counter_ns()
         assert before < frames[0].device_us * 1000 + found["clock_epoch_ns"] < after
-        process.send_signal(signal.SIGTERM)
+        process.send_signal(number)
         assert process.wait(60.0) == 0
         assert process.stdout.read() == ""
         assert not Path(found["port"]).parent.exists()

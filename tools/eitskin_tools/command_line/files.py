@@ -90,14 +90,17 @@ def bundle(name: str) -> Path:
 
 
 def parent(path: str | Path) -> Path:
-    """Return the path of what is to be written, after a look whether its folder is there.
+    """Return the path of what is to be written, after a look whether its folder is there and takes files.
 
     Raises:
         MissingFileError: It is not.
+        FileError: It takes none.
     """
     found = Path(path)
     if not found.parent.is_dir():
         raise MissingFileError(f"{_missing(found)}; make it with 'mkdir -p {found.parent}', or name another file")
+    if not os.access(found.parent, os.W_OK | os.X_OK):
+        raise FileError(f"{path} cannot be written: its folder takes no files of this user; name one in another")
     return found
 
 
@@ -106,7 +109,8 @@ def writable(path: str | Path) -> Path:
 
     Raises:
         MissingFileError: Its folder is not there.
-        FileError: It is there and no regular file: a rename would replace a device, a FIFO or a socket.
+        FileError: The folder takes no files; or it is there and no regular file: a rename would replace a device, a
+            FIFO or a socket.
     """
     return check_target(parent(path))
 
@@ -137,13 +141,14 @@ def folder(path: str | Path) -> Path:
 
 
 def explain(error: OSError) -> str | None:
-    """Return one line that names the file of an error, what was found, and what to do; None where it names no file.
+    """Return one line that names the file of an error, what was found, and what to do; None where no more is known.
 
     Args:
         error: As the operating system gave it.
     """
+    full = error.errno in (errno.ENOSPC, errno.EDQUOT)
     if not isinstance(error.filename, str | bytes | os.PathLike):
-        return None
+        return "no space left where this is written; free some, or write elsewhere" if full else None
     path = Path(os.fsdecode(error.filename))
     if isinstance(error, FileNotFoundError):
         return f"{_missing(path)}; expected it to exist: check the path"
@@ -155,7 +160,7 @@ def explain(error: OSError) -> str | None:
         return f"{str(path)!r}: found a file where a folder was expected; check the path"
     if isinstance(error, FileExistsError):
         return f"{str(path)!r} exists already; name another, or remove it"
-    if error.errno == errno.ENOSPC:
+    if full:
         return f"no space left for {str(path)!r}; free some, or name another place"
     return f"{str(path)!r} cannot be used: {error.strerror or error}"
 

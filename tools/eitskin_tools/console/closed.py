@@ -1,12 +1,15 @@
-"""Standard streams that whoever started us had closed, as ``eitskin run ... 2>&-`` does.
+"""Standard streams that whoever started us had closed, as ``eitskin run ... 2>&-`` does, or that take no more.
 
-Python then has None in their place, and what is opened next gets their number: a library's warning would go down the
-line to a device. So /dev/null takes the place of each before anything else is opened.
+Python has None in place of a closed one, and what is opened next gets its number: a library's warning would go down the
+line to a device. So /dev/null takes the place of each before anything else is opened; and that of one that is on a full
+disk, or that nobody reads any more, before the interpreter ends: it would end with a status and words of its own.
 """
 
 import os
 import sys
-from typing import Final
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final, TextIO
 
 STREAMS: Final = {0: ("stdin", "r"), 1: ("stdout", "w"), 2: ("stderr", "w")}
 """File descriptor -> name in ``sys``, and how it is opened."""
@@ -23,6 +26,33 @@ def replace_closed() -> None:
             os.close(handle)
             handle = number
         setattr(sys, name, open(handle, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 -- as long as we run
+
+
+@contextmanager
+def written_out() -> Iterator[None]:
+    """Have all that the block said written when it ends.
+
+    Raises:
+        OSError: Standard output takes no more; what standard error does not take changes no result.
+    """
+    try:
+        yield
+    finally:
+        _flush(sys.stderr)
+        if (error := _flush(sys.stdout)) is not None:
+            raise error
+
+
+def _flush(stream: TextIO) -> OSError | None:
+    """Write what a stream holds, to /dev/null where it takes no more; return why it does not."""
+    try:
+        stream.flush()
+    except OSError as error:
+        nowhere = os.open(os.devnull, os.O_WRONLY | os.O_CLOEXEC)
+        os.dup2(nowhere, stream.fileno())
+        os.close(nowhere)
+        return error
+    return None
 
 
 def _free(number: int) -> bool:

@@ -2,12 +2,14 @@
 
 Every format has the same events. ``ready`` and errors are said even when quiet: programs wait for the one, and nobody
 may miss the other. In systemd's journal each line begins with how grave it is, which the journal takes off again.
+A log that cannot be written, as on a full disk, or that nobody reads any more, stops no skin.
 """
 
 import json
 import os
 import threading
 from collections.abc import Mapping
+from contextlib import suppress
 from datetime import UTC, datetime
 from typing import Final, Literal, TextIO
 
@@ -58,7 +60,7 @@ class RunLog:
     def status(self, text: str, fields: Mapping[str, object]) -> None:
         """Report how the stream is: in place on a terminal, as a line elsewhere."""
         if self.live:
-            with self._lock:
+            with self._lock, suppress(OSError):
                 self._line.show(text)
         elif not self._quiet:
             self._put("status", f"{self._name}: {text}", fields)
@@ -80,12 +82,12 @@ class RunLog:
 
     def end(self) -> None:
         """Leave the status where it is."""
-        with self._lock:
+        with self._lock, suppress(OSError):
             self._line.end()
 
     def _put(self, event: str, text: str, fields: Mapping[str, object]) -> None:
         if self._form == "json":
             now = datetime.now(UTC).isoformat(timespec="milliseconds")
             text = json.dumps({"time_utc": now, "event": event, **fields})
-        with self._lock:
+        with self._lock, suppress(OSError):
             self._line.above(prefix(event) + text if self._journal else text)

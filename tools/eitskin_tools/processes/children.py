@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Final
 
 from eitskin_proto.errors import SkinError
-from eitskin_tools.processes.signals import met_by
+from eitskin_tools.processes.signals import endings, met_by
 
 GRACE_S: Final = 20.0
 """How long a child may take to end after it was asked to; far more than it needs, since a busy machine is no hang."""
@@ -121,7 +121,7 @@ def process_group() -> Iterator[list[Child]]:
     try:
         yield children
     finally:
-        with met_by(signal.SIG_IGN, signal.SIGINT, signal.SIGTERM):  # no second Ctrl-C
+        with met_by(signal.SIG_IGN, *endings()):  # no second Ctrl-C
             for child in reversed(children):
                 child.stop()
 

@@ -1,10 +1,19 @@
-"""Signals that are met otherwise for a while."""
+"""Signals that ask for an end, and signals that are met otherwise for a while."""
 
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
+
+
+def endings() -> tuple[signal.Signals, ...]:
+    """Return the signals that ask a command to end: Ctrl-C, SIGTERM, and SIGHUP when its terminal is closed.
+
+    The last one is left out where whoever started us has it ignored, as ``nohup`` does.
+    """
+    asked = (signal.SIGINT, signal.SIGTERM)
+    return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """What ``eitskin run --config`` says: each line of each skin, with its name before it."""
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,7 @@ from eitskin_tools.console.run_status import Status
 
 
 class RobotLog:
-    """Writes events of several skins; whoever reads them no longer stops no skin.
+    """Writes events of several skins.
 
     Args:
         log: Where they go.
@@ -23,24 +22,20 @@ class RobotLog:
         """Report what a skin said: an object of its log."""
         kind = str(event["event"])
         fields = {key: value for key, value in event.items() if key not in ("event", "time_utc")}
-        self._put(kind, f"eitskin run: {name}: {_text(kind, fields)}", {"skin": name, **fields})
+        self._log.event(kind, f"eitskin run: {name}: {_text(kind, fields)}", {"skin": name, **fields})
 
     def warn(self, name: str, text: str) -> None:
         """Report something that is wrong and stops no skin."""
-        self._put("warning", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
+        self._log.event("warning", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
 
     def failed(self, name: str, text: str) -> None:
         """Report that a skin's process ended before its time."""
-        self._put("error", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
+        self._log.event("error", f"eitskin run: {name}: {text}", {"skin": name, "text": text})
 
     def ready(self, folder: Path, names: Sequence[str], count: int) -> None:
         """Report that every skin was ready or has failed once."""
         text = f"ready {len(names)} of {count} skins publish, folder {folder}: {', '.join(names) or 'none'}"
-        self._put("ready", text, {"folder": str(folder), "skins": list(names), "of": count})
-
-    def _put(self, kind: str, text: str, fields: Mapping[str, Any]) -> None:
-        with suppress(OSError):
-            self._log.event(kind, text, fields)
+        self._log.event("ready", text, {"folder": str(folder), "skins": list(names), "of": count})
 
 
 def _text(kind: str, fields: Mapping[str, Any]) -> str:

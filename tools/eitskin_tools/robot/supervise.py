@@ -18,6 +18,7 @@ from typing import Any, Final
 
 from eitskin.errors import RobotError
 from eitskin.robot.described import FILE, write_states
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.robot.child import SkinProcess
 from eitskin_tools.robot.life import Life
 from eitskin_tools.robot.log import RobotLog
@@ -59,7 +60,7 @@ class Family:
         self._selector = selectors.DefaultSelector()
 
     def run(self) -> int:
-        """Run until told to stop by SIGTERM or SIGINT, or until no skin is left; return the exit status.
+        """Run until told to stop by SIGTERM, SIGINT or SIGHUP, or until no skin is left; return the exit status.
 
         Raises:
             RobotError: Another process runs skins in the folder.
@@ -202,13 +203,13 @@ class Family:
             self._supervisor.ready()
 
     def _hear_signals(self, stack: ExitStack) -> None:
-        """Have SIGTERM and SIGINT end the waiting, and ask for the end."""
+        """Have SIGTERM, SIGINT and SIGHUP end the waiting, and ask for the end."""
         woken, waker = socket.socketpair()
         for end in (woken, waker):
             end.setblocking(False)
             stack.callback(end.close)
         stack.callback(signal.set_wakeup_fd, signal.set_wakeup_fd(waker.fileno(), warn_on_full_buffer=False))
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in endings():
             stack.callback(signal.signal, number, signal.signal(number, lambda *_: None))
 
         def heard(_: Any) -> None:

@@ -15,6 +15,7 @@ from typing import Final, Protocol
 import numpy as np
 
 from eitskin_sim.scene.scene import Scene
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.scripted_scene import keyframes
 from eitskin_tools.scripted_scene.keyframes import Keyframes
 from eitskin_tools.scripted_scene.script import Script
@@ -89,8 +90,9 @@ def _solve_all(scenes: list[Scene], workers: int) -> list[keyframes.Array]:
 
 
 def _default_signals() -> None:
-    """Let a worker die of SIGTERM, and leave SIGINT to its parent."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    """Let a worker die of what asks for an end, and leave SIGINT to its parent."""
+    for number in endings():
+        signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 

@@ -19,6 +19,7 @@ from typing import Any
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.wire.frames import full_scale
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.device import CONVERTER_V, VirtualDevice
 from eitskin_tools.virtual_skin.faults import FOREIGN_ID, Fault, FaultPlayer
@@ -56,11 +57,11 @@ class Options:
 
 
 class _Stopped(BaseException):
-    """SIGINT or SIGTERM arrived."""
+    """A signal that asks for an end arrived."""
 
 
 def _stop(number: int, frame: FrameType | None) -> None:
-    for handled in (signal.SIGINT, signal.SIGTERM):
+    for handled in endings():
         signal.signal(handled, signal.SIG_IGN)
     raise _Stopped
 
@@ -73,7 +74,7 @@ def serve(options: Options) -> int:
         SceneError: The scene's file is no scene.
         OSError: A file cannot be read or written.
     """
-    before = {number: signal.signal(number, _stop) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.signal(number, _stop) for number in endings()}
     try:
         with ExitStack() as stack:
             server = _build(options, stack)

@@ -8,6 +8,8 @@ place and renamed.
 import json
 import multiprocessing
 import os
+import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
@@ -120,14 +122,30 @@ def _run(
 
 
 def _in_processes(jobs: list[dict[str, Any]], workers: int) -> Iterator[Made]:
-    context = multiprocessing.get_context("spawn")
-    with _one_thread(), ProcessPoolExecutor(workers, mp_context=context) as pool:
+    context, others = multiprocessing.get_context("spawn"), multiprocessing.active_children()
+    with _one_thread(), ProcessPoolExecutor(workers, mp_context=context, initializer=_follow_parent) as pool:
         waiting = {pool.submit(make_shard, job): job["deformations"] for job in jobs}
         try:
             for future in as_completed(list(waiting)):
                 yield waiting.pop(future), future.result()
+        except BaseException:  # nobody takes what they are at, which may last minutes
+            for worker in set(multiprocessing.active_children()).difference(others):
+                worker.terminate()
+            raise
         finally:
             pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _follow_parent() -> None:
+    """Have this worker end when the process that started it does, however that ends: it would compute on for nobody."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches it as well; who started it ends it
+
+    def follow() -> None:
+        if (parent := multiprocessing.parent_process()) is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=follow, daemon=True).start()
 
 
 @contextmanager

@@ -15,6 +15,7 @@ import eitskin
 from eitskin import SkinState, WireFrame
 from eitskin.messaging.publish import Publisher
 from eitskin_tools import cli
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.recording import recorder, writer
 
 from ..conftest import TINY, recorded
@@ -110,7 +111,7 @@ FILES: dict[str, tuple[Make, str]] = {
 @pytest.fixture
 def handlers() -> Iterator[None]:
     """Signals are handled afterwards as before."""
-    before = {number: signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)}
+    before = {number: signal.getsignal(number) for number in endings()}
     yield
     for number, handler in before.items():
         signal.signal(number, handler)

@@ -11,6 +11,7 @@ from eitskin_tools.command_line.noise import check_seed
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.commands.live.run import SOLVERS
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -69,7 +70,8 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.picture is not None:
         files.picture(arguments.picture)
     bundle, kind = choose(arguments.bundle, touches.chosen(arguments))
-    signal.signal(signal.SIGTERM, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
+    for number in endings():
+        signal.signal(number, signal.default_int_handler)  # ends as by Ctrl-C, leaving nothing behind
     draw = sys.stdout.isatty() and not (arguments.no_draw or arguments.view) and not arguments.json
     options = Options(
         seconds=seconds,

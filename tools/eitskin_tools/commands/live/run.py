@@ -18,10 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from eitskin_tools.command_line import files, touches
+from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.console.run_log import FORMATS, RunLog
 from eitskin_tools.console.run_report import closing, report
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier
 
 if TYPE_CHECKING:
@@ -63,7 +65,6 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--reference-frames",
         type=int,
         metavar="N",
-        default=100,
         help="frames of one that is captured now (default 100)",
     )
     parser.add_argument(
@@ -106,7 +107,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Run until SIGINT, SIGTERM, ``stop``, a number of frames or a time; return 0."""
+    """Run until SIGINT, SIGTERM, SIGHUP, ``stop``, a number of frames or a time; return 0."""
     _check(arguments)
     if arguments.config is not None:
         from eitskin_tools.robot.command import run_all
@@ -156,7 +157,7 @@ def run(arguments: argparse.Namespace) -> int:
                 **keywords,
             )
         )
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in endings():
             signal.signal(number, lambda *_: skin.stop())
         report(skin, log)
         log.say(open_files)
@@ -211,6 +212,7 @@ def _serve(
     from eitskin.messaging import endpoints
     from eitskin.messaging.control import ControlServer
     from eitskin.messaging.publish import Publisher
+    from eitskin.reference.captured import DEFAULT_FRAMES
     from eitskin.serving import serve
     from eitskin_tools.console.run_status import RunStatus
     from eitskin_tools.service.watchdog import WatchedLine
@@ -228,10 +230,11 @@ def _serve(
     realtime.settle()  # 60 ms that would otherwise pass between the reference and the first frame
     watchdog.watch("the frame loop", line)
     if skin.reference is None:
-        log.say(f"reference: capturing {arguments.reference_frames} frames; the sheet must be flat and untouched")
+        frames = arguments.reference_frames or DEFAULT_FRAMES
+        log.say(f"reference: capturing {frames} frames; the sheet must be flat and untouched")
         supervisor.status("capturing the reference; the sheet must be flat and untouched")
         try:
-            skin.capture_reference(arguments.reference_frames, force=arguments.force_reference)
+            skin.capture_reference(frames, force=arguments.force_reference)
         except BadReference:
             if skin.stopping:
                 return
@@ -255,23 +258,24 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("expected --port PORT for one skin, or --config FILE.toml for several; one of the two")
     if arguments.check and arguments.config is None:
         raise UsageError("--check goes with --config: it looks at a robot.toml")
-    if arguments.force_reference and arguments.reference is not None:
-        raise UsageError("--force-reference takes one that is captured now: leave it out, or --reference")
     bounds = {"frames": 1, "reference_frames": 2, "baud": 300}
     for name, least in bounds.items():
         value = getattr(arguments, name)
         if value is not None and value < least:
-            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {least}")
+            raise UsageError(f"{flag(name)} is {value}, expected at least {least}")
     for name in ("seconds", "budget_ms", "reconnect", "idle_after"):
         value = getattr(arguments, name)
         if value is not None and not 0 < value < 1e9:
-            raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
+            raise UsageError(f"{flag(name)} is {value}, expected more than 0")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
         raise UsageError(f"--exclude-electrode is {arguments.exclude_electrode}, expected numbers from 0 to 15")
     if arguments.affinity and not all(part.isdecimal() for part in arguments.affinity.split(",")):
         raise UsageError(f"--affinity is {arguments.affinity!r}, expected CPU numbers such as 2 or 2,3")
+    for name in ("reference_frames", "force_reference"):
+        if arguments.reference is not None and getattr(arguments, name):
+            raise UsageError(f"{flag(name)} is of a reference that is captured now: leave it out, or --reference")
     verifier.check(arguments)
 
 

@@ -12,6 +12,7 @@ from typing import Any
 from eitskin_tools.command_line import files, skins
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 
 PORT = 8416
 """Unless another one is named."""
@@ -57,8 +58,8 @@ def run(arguments: argparse.Namespace) -> int:
     from eitskin_tools.view.address import is_loopback, new_token
 
     token = new_token() if arguments.token or not is_loopback(arguments.host) else ""
-    signal.signal(signal.SIGINT, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    for number in endings():
+        signal.signal(number, signal.default_int_handler)  # a script's "&" has it ignore Ctrl-C, which ends it
     with contextlib.ExitStack() as stack:
         stack.enter_context(contextlib.suppress(KeyboardInterrupt))
         where = {"host": arguments.host, "port": arguments.port, "token": token}

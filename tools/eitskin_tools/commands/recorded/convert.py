@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files, needs
+from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
 
@@ -23,8 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out", type=Path, required=True, metavar="OUT", help="X.npz, X.parquet, or a new folder for rosbag2"
     )
     parser.add_argument("--format", choices=tuple(MODULES), help="default: by the end of OUT's name")
-    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
-    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    add_span(parser)
     parser.add_argument("--json", action="store_true", help="print one JSON object")
 
 
@@ -33,8 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     kind = arguments.format or FORMATS.get(arguments.out.suffix)
     if kind is None:
         raise UsageError(expected_one_of("the end of --out", arguments.out.suffix, (".npz", ".parquet", "none")))
-    if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
-        raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")
+    check_span(arguments)
     needs.require(f"convert to {kind}", MODULES[kind])
     files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out)
     from eitskin_tools.recording.script import Script

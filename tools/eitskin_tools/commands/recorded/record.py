@@ -15,6 +15,7 @@ from typing import Any
 
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 
 POLL_S = 0.25
 """How long it waits at most for what comes."""
@@ -58,7 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Record until SIGINT, SIGTERM, a number of frames or a time; return 0, or 1 when the disk was full."""
+    """Record until SIGINT, SIGTERM, SIGHUP, a number of frames or a time; return 0, or 1 when the disk was full."""
     _check(arguments)
     from eitskin.messaging.curve_keys import load_client_keys
     from eitskin.messaging.streams.subscription import subscribe_streams
@@ -72,7 +73,7 @@ def run(arguments: argparse.Namespace) -> int:
         some = f"{there[0]} is" if len(there) == 1 else f"{there[0]} and {len(there) - 1} more are"
         print(f"eitskin record: {some} there already and stay: numbers go on behind what is taken", file=sys.stderr)
     stopped = _Stop()
-    for number in (signal.SIGINT, signal.SIGTERM):
+    for number in endings():
         signal.signal(number, stopped)
     most_bytes = None if arguments.rotate_mb is None else round(arguments.rotate_mb * 1e6)
     most_s = None if arguments.rotate_minutes is None else arguments.rotate_minutes * 60.0

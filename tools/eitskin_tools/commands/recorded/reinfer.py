@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.errors import UsageError
 
 MOST_KEPT = 200_000
@@ -38,8 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="vd2t, vd2t-int8, vd2t-small, tikhonov, or any of 'eitskin evaluate', also 'verified' (extra: sim)",
     )
     parser.add_argument("--every", type=int, default=1, metavar="N", help="another solver: one frame in N (default 1)")
-    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
-    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    add_span(parser)
     parser.add_argument("--out", type=Path, metavar="MAPS.npz", help="write the maps")
     parser.add_argument("--plot", type=Path, metavar="FILE.png", help="draw some frames (extra: plot)")
     parser.add_argument("--quiet", action="store_true", help="show no progress")
@@ -175,8 +175,7 @@ def _share(value: float | None) -> str:
 def _check(arguments: argparse.Namespace) -> None:
     if arguments.every < 1:
         raise UsageError(f"--every is {arguments.every}, expected at least 1")
-    if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
-        raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")
+    check_span(arguments)
     if arguments.out is not None:
         files.writable(arguments.out)
     if arguments.plot is not None:

@@ -11,8 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import endings
 from eitskin_tools.verifier import options as verifier
+
+SPEEDS = (1e-3, 1e6)
+"""Frames that came 5 ms apart are 5 s apart, and all come at once."""
 
 LOOK_S = 0.01
 """Between two looks whether somebody subscribed, with --wait."""
@@ -38,8 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     pace.add_argument("--as-fast-as-possible", action="store_true", help="one frame as soon as the last is done")
     pace.add_argument("--speed", type=float, default=1.0, metavar="X", help="X times the pace at which it came")
     parser.add_argument("--loop", action="store_true", help="begin again at the end, until Ctrl-C")
-    parser.add_argument("--from", type=float, dest="from_s", metavar="S", help="begin S seconds after the first frame")
-    parser.add_argument("--to", type=float, dest="to_s", metavar="S", help="end S seconds after the first frame")
+    add_span(parser)
     verifier.add_arguments(parser)
     parser.add_argument("--wait", action="store_true", help="begin half a second after somebody subscribed")
     parser.add_argument("--quiet", action="store_true", help="say nothing on stderr but 'ready ...' and what is wrong")
@@ -47,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(arguments: argparse.Namespace) -> int:
-    """Play until the end, SIGINT, SIGTERM or ``stop``; return 0."""
+    """Play until the end, SIGINT, SIGTERM, SIGHUP or ``stop``; return 0."""
     _check(arguments)
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     from eitskin.messaging import endpoints
@@ -79,7 +83,7 @@ def run(arguments: argparse.Namespace) -> int:
         control = ControlServer(arguments.control or endpoints.default_control(), skin, keys)
         stack.callback(control.close)
         stack.callback(skin.stop)
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in endings():
             signal.signal(number, lambda *_: skin.stop())
         for line in player.line.report():
             log.say(line)
@@ -110,11 +114,6 @@ def _wait(skin: Any, publisher: Any) -> None:
 
 def _check(arguments: argparse.Namespace) -> None:
     verifier.check(arguments)
-    if not 0.0 < arguments.speed < 1e6:
-        raise UsageError(f"--speed is {arguments.speed:g}, expected more than 0")
-    for name in ("from_s", "to_s"):
-        value = getattr(arguments, name)
-        if value is not None and not 0 <= value < 1e9:
-            raise UsageError(f"--{name[:-2]} is {value:g}, expected 0 or more")
-    if arguments.from_s is not None and arguments.to_s is not None and arguments.from_s >= arguments.to_s:
-        raise UsageError(f"--from {arguments.from_s:g} is not before --to {arguments.to_s:g}")
+    if not SPEEDS[0] <= arguments.speed <= SPEEDS[1]:
+        raise UsageError(f"--speed is {arguments.speed:g}, expected {SPEEDS[0]:g} to {SPEEDS[1]:g}")
+    check_span(arguments)

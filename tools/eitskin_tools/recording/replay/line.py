@@ -68,7 +68,7 @@ class RecordedLine:
         self._cancelled = False
         self._streaming = self._closed = self._over = False
         self._next: Step | None = None
-        self._start_ns = self._first_log_ns = 0
+        self._start_ns = self._first_log_ns = self._last_log_ns = 0
         self._first: tuple[int, int] | None = None
         self._last = self._ahead = 0, 0
 
@@ -84,7 +84,7 @@ class RecordedLine:
             now_ns = perf_counter_ns()
             due_ns = None if step is None else self._due_ns(step, now_ns)
             if step is not None and due_ns is not None and now_ns >= due_ns:
-                self._next = None
+                self._next, self._last_log_ns = None, step.log_ns
                 self.sent += 1
                 return encode(self._renumbered(step.frame.payload))
             if self._cancelled:
@@ -96,6 +96,14 @@ class RecordedLine:
                 return b""
             self._woken.wait(None if wait_ns is None else max(wait_ns, 0) * 1e-9)
             self._woken.clear()
+
+    @property
+    def pause_s(self) -> float:
+        """How long after the last frame the next one is due: a gap of the recording is no silence of the device."""
+        step = self._next
+        if step is None or not self._paced or not self._last_log_ns:
+            return 0.0
+        return max(step.log_ns - self._last_log_ns, 0) * 1e-9 / self._speed
 
     def _upcoming(self) -> Step | None:
         """Return the step to come, everything done that belongs before it; None at the end."""
