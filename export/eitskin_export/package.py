@@ -19,6 +19,7 @@ from eitskin_export.fold import split
 from eitskin_export.gate_audit import audit_pixels
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.fem.jacobian import flat_jacobian
 from eitskin_training.card import card
 from eitskin_training.gate.fit import Gate
 from eitskin_training.gate.stored import GiveBends, gate_of_run
@@ -32,7 +33,7 @@ def export(
     out: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    jacobian: Callable[[Skin], npt.NDArray[np.float64]] = projection.flat_jacobian,
+    jacobian: Callable[[Skin], npt.NDArray[np.float64]] = flat_jacobian,
     bends: GiveBends | None = None,
     gate_steps: int | None = None,
 ) -> dict[str, Any]:
