@@ -1,10 +1,26 @@
-"""Signals that are met otherwise for a while."""
+"""Signals that are met otherwise: for a while, or until the process ends."""
 
 import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
+
+
+class Stopped(BaseException):
+    """The process was told to end; no Exception, so that nothing on the way out takes it for a fault."""
+
+
+def stop_when_told() -> None:
+    """Let SIGINT and SIGTERM raise :class:`Stopped`, each of them once."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, _stop)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)
+    raise Stopped
 
 
 @contextmanager
