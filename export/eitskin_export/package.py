@@ -138,11 +138,11 @@ def refit_gate(
     return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
 
-def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array, parity.Array, parity.Array]:
-    """Return dv, clouds and log_predicted of samples at bends never trained on, with noise."""
+def held_out_inputs(data: TrainingData) -> tuple[parity.Array, parity.Array, parity.Array]:
+    """Return dv, clouds and log_predicted of 300 samples at bends never trained on, with noise."""
     rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
     rng = np.random.default_rng(8)
-    rows = rng.choice(rows, size=min(count, len(rows)), replace=False)
+    rows = rng.choice(rows, size=min(300, len(rows)), replace=False)
     bends = data.deformation[rows]
     return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
 
