@@ -140,7 +140,7 @@ def refit_gate(
 
 def held_out_inputs(data: TrainingData) -> tuple[parity.Array, parity.Array, parity.Array]:
     """Return dv, clouds and log_predicted of 300 samples at bends never trained on, with noise."""
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    rows = data.apart
     rng = np.random.default_rng(8)
     rows = rng.choice(rows, size=min(300, len(rows)), replace=False)
     bends = data.deformation[rows]
