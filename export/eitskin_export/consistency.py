@@ -120,10 +120,9 @@ def _drift_limits(deployed: Deployed, data: TrainingData, bends: Bends) -> Array
 
     The first row is without a prediction, the second with one.
     """
-    held_out = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
-    apart = np.concatenate([bends.choose, bends.measure])
+    logs_apart = np.concatenate([bends.choose, bends.measure])
     found = []
-    for predicted, logs in ((False, apart), (True, unpredicted(data, np.unique(data.deformation[held_out])))):
+    for predicted, logs in ((False, logs_apart), (True, unpredicted(data, np.unique(data.deformation[data.apart])))):
         seen = estimates(deployed, logs, predicted=predicted)
         found.append([float(np.sqrt(np.mean(seen[:, 0] ** 2))), MARGIN * float(seen[:, 1].max())])
     return np.array(found)

@@ -19,6 +19,7 @@ from eitskin_export.fold import split
 from eitskin_export.gate_audit import audit_pixels
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.fem.jacobian import flat_jacobian
 from eitskin_training.card import card
 from eitskin_training.gate.fit import Gate
 from eitskin_training.gate.stored import GiveBends, gate_of_run
@@ -32,7 +33,7 @@ def export(
     out: Path,
     *,
     tell: Callable[[str], None] = lambda _: None,
-    jacobian: Callable[[Skin], npt.NDArray[np.float64]] = projection.flat_jacobian,
+    jacobian: Callable[[Skin], npt.NDArray[np.float64]] = flat_jacobian,
     bends: GiveBends | None = None,
     gate_steps: int | None = None,
 ) -> dict[str, Any]:
@@ -137,11 +138,11 @@ def refit_gate(
     return {"bundle": identity, "path": str(path), "gate": touch_gate.facts()}
 
 
-def held_out_inputs(data: TrainingData, count: int = 300) -> tuple[parity.Array, parity.Array, parity.Array]:
-    """Return dv, clouds and log_predicted of samples at bends never trained on, with noise."""
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+def held_out_inputs(data: TrainingData) -> tuple[parity.Array, parity.Array, parity.Array]:
+    """Return dv, clouds and log_predicted of 300 samples at bends never trained on, with noise."""
+    rows = data.apart
     rng = np.random.default_rng(8)
-    rows = rng.choice(rows, size=min(count, len(rows)), replace=False)
+    rows = rng.choice(rows, size=min(300, len(rows)), replace=False)
     bends = data.deformation[rows]
     return noisy_change(data, rows, ("N1", "N2", "N3"), 50.0, rng), data.clouds[bends], data.log_predicted[bends]
 

@@ -6,21 +6,6 @@
 
 static const uint8_t factory_blob[EIT_CONFIG_BYTES] = {EIT_FACTORY_BLOB};
 
-static bool name_is_text(const uint8_t *name)
-{
-    size_t length = sizeof((struct eit_config *)0)->name;
-
-    while (length > 0 && name[length - 1u] == 0) {
-        length--;
-    }
-    for (size_t i = 0; i < length; i++) {
-        if (name[i] < 0x20u || name[i] > 0x7eu) {
-            return false;
-        }
-    }
-    return length > 0;
-}
-
 static bool gain_exists(uint16_t gain)
 {
     static const uint16_t gains[] = EIT_GAINS;
@@ -61,7 +46,7 @@ static enum eit_status check_values(const struct eit_config *c)
     const bool full = eit_config_is_full(c);
 
     if ((c->rows != EIT_ROWS && c->rows != EIT_FULL_ROWS) || c->sample_bytes < 2u || c->sample_bytes > 4u ||
-        !name_is_text(c->name) || c->averages == 0 || c->current_ua == 0 || c->rate_mHz == 0) {
+        c->name[0] == 0 || !eit_is_text16(c->name) || c->averages == 0 || c->current_ua == 0 || c->rate_mHz == 0) {
         return EIT_VALUE;
     }
     if (eit_row_count(full, c->drives) == 0 || (c->idle_drives != 0) != (c->idle_rate_mHz != 0) ||

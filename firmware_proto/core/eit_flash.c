@@ -227,4 +227,3 @@ struct eit_answer eit_flash_in_session(struct eit_device *device, const uint8_t 
     default: return config_abort(device);
     }
 }
-

@@ -2,8 +2,6 @@
 
 #include "eit_bytes.h"
 
-#define ROWS_PER_DRIVE 13u /* of the full table */
-
 static const uint8_t full_measure[EIT_FULL_ROWS] = {EIT_FULL_TABLE_MEASURE};
 
 struct layout {
@@ -15,16 +13,23 @@ struct layout {
 
 static const struct layout layouts[] = {EIT_LAYOUTS};
 
+uint8_t eit_row_measure(bool full, uint8_t drive, uint8_t row)
+{
+    const uint8_t measure = full_measure[drive * EIT_ROWS_PER_DRIVE + row];
+
+    return full || measure > drive ? measure : EIT_NO_ROW;
+}
+
 uint8_t eit_row_count(bool full, uint16_t drives)
 {
     unsigned count = 0;
 
-    for (unsigned drive = 0; drive < EIT_ELECTRODES; drive++) {
+    for (uint8_t drive = 0; drive < EIT_ELECTRODES; drive++) {
         if (((unsigned)drives >> drive & 1u) == 0) {
             continue;
         }
-        for (unsigned i = 0; i < ROWS_PER_DRIVE; i++) {
-            if (full || full_measure[drive * ROWS_PER_DRIVE + i] > drive) {
+        for (uint8_t row = 0; row < EIT_ROWS_PER_DRIVE; row++) {
+            if (eit_row_measure(full, drive, row) != EIT_NO_ROW) {
                 count++;
             }
         }
@@ -121,7 +126,7 @@ enum eit_status eit_frame_get_header(const uint8_t *payload, size_t length, stru
     return EIT_OK;
 }
 
-static bool is_text16(const uint8_t *at)
+bool eit_is_text16(const uint8_t *at)
 {
     size_t length = 16;
 
@@ -161,7 +166,7 @@ static enum eit_status check_fields(const struct layout *layout, const uint8_t *
     const uint8_t *at = payload + 1;
 
     for (const char *kind = layout->kinds; *kind != '\0'; kind++) {
-        if ((*kind == 'M' && !eit_same(at, magic, sizeof magic)) || (*kind == 't' && !is_text16(at)) ||
+        if ((*kind == 'M' && !eit_same(at, magic, sizeof magic)) || (*kind == 't' && !eit_is_text16(at)) ||
             (*kind == 'f' && !is_finite_double(at))) {
             return EIT_VALUE;
         }

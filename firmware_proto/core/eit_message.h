@@ -12,6 +12,11 @@
 #include "eit_status.h"
 #include "eit_wire.h"
 
+#define EIT_NO_ROW 0xffu
+
+/* What row `row` of a drive measures, below EIT_ROWS_PER_DRIVE; EIT_NO_ROW if a scan that is not full lacks the row. */
+uint8_t eit_row_measure(bool full, uint8_t drive, uint8_t row);
+
 /* Rows of a scan of these drives; 0 if none of them has a row. */
 uint8_t eit_row_count(bool full, uint16_t drives);
 
@@ -43,6 +48,9 @@ enum eit_status eit_frame_get_header(const uint8_t *payload, size_t length, stru
 
 /* Read sample `row` of a frame that eit_frame_get_header accepted. */
 int32_t eit_frame_get_sample(const uint8_t *payload, uint8_t sample_bytes, uint8_t row);
+
+/* Whether 16 bytes are printable ASCII, padded with zeros. */
+bool eit_is_text16(const uint8_t *at);
 
 /* EIT_OK if the payload is exactly one message of this protocol, whoever sends it. */
 enum eit_status eit_message_check(const uint8_t *payload, size_t length);

@@ -75,8 +75,7 @@ static struct eit_answer restart(struct eit_device *device, const uint8_t *paylo
     if (left_ms != 0 && token != device->token) {
         return eit_answer(EIT_CODE_BUSY, left_ms);
     }
-    /* A session's RESTART that is asked again after the restart, because its answer was lost, must not end the trial.
-     * */
+    /* A session's RESTART, asked again after the restart because its answer was lost, must not end the trial. */
     if (left_ms == 0 && token != 0) {
         return eit_answer(EIT_CODE_NO_SESSION, 0);
     }

@@ -2,10 +2,6 @@
 
 #include "eit_message.h"
 
-#define ROWS_PER_DRIVE 13u
-
-static const uint8_t full_measure[EIT_FULL_ROWS] = {EIT_FULL_TABLE_MEASURE};
-
 static bool has_rows(const struct eit_scan *scan, uint8_t drive)
 {
     return ((unsigned)scan->drives >> drive & 1u) != 0 &&
@@ -53,10 +49,10 @@ static enum eit_status measure(struct eit_scan *scan, const struct eit_port *por
     if (status != EIT_OK) {
         return status;
     }
-    for (unsigned i = 0; i < ROWS_PER_DRIVE; i++) {
-        const uint8_t pair = full_measure[scan->drive * ROWS_PER_DRIVE + i];
+    for (uint8_t row = 0; row < EIT_ROWS_PER_DRIVE; row++) {
+        const uint8_t pair = eit_row_measure(full, scan->drive, row);
 
-        if (full || pair > scan->drive) {
+        if (pair != EIT_NO_ROW) {
             keep_row(scan, counts[pair], ((unsigned)saturated >> pair & 1u) != 0);
         }
     }

@@ -25,6 +25,7 @@ from torch import Tensor
 from eitskin_proto.sensor.row_gaussian import log_of_change
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_training.missing_electrodes_score import held_out, score_line
+from eitskin_training.network.decay import decayed
 from eitskin_training.network.filling import WIDTH, Filling, Missing
 from eitskin_training.network.mirror import mirrors
 from eitskin_training.network.model import VD2T
@@ -217,10 +218,7 @@ def _run(
     tell: Callable[[str], None],
     loss: Callable[[], Tensor],
 ) -> None:
-    matrices = [parameter for parameter in learning if parameter.ndim > 1]
-    others = [parameter for parameter in learning if parameter.ndim <= 1]
-    groups = [{"params": matrices, "weight_decay": decay}, {"params": others, "weight_decay": 0.0}]
-    optimiser = torch.optim.AdamW(groups, lr=rate)
+    optimiser = torch.optim.AdamW(decayed(learning, decay), lr=rate)
     mean = 0.0
     for step in range(steps):
         for group in optimiser.param_groups:

@@ -25,7 +25,7 @@ def held_out(
         seed: Of the draws.
     """
     rng = np.random.default_rng([seed, 0x0FF])
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    rows = data.apart
     rows = np.sort(rng.choice(rows, size=min(most, len(rows)), replace=False))
     change = noisy_change(data, rows, ("N2",), 50.0, rng)
     batch = assemble(data, rows, change, data.log_predicted[data.deformation[rows]])

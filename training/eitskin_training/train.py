@@ -29,6 +29,7 @@ from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.narrowed import fits, narrowed
+from eitskin_training.network.decay import decayed
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
 from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
@@ -180,11 +181,7 @@ def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) 
     torch.manual_seed(seed)
     model = VD2T(recipe.architecture, data.skin).to(device())
     model.standardise.fit(inputs(data, recipe).to(device()))
-    matrices = [parameter for parameter in model.parameters() if parameter.ndim > 1]
-    others = [
-        parameter for parameter in model.parameters() if parameter.ndim <= 1
-    ]  # a decayed norm would shrink its layer
-    groups = [{"params": matrices, "weight_decay": recipe.weight_decay}, {"params": others, "weight_decay": 0.0}]
+    groups = decayed(model.parameters(), recipe.weight_decay)
     optimiser = torch.optim.AdamW(groups, lr=recipe.learning_rate, fused=True)
     schedule = None
     if recipe.schedule == "onecycle":

@@ -89,19 +89,14 @@ def missing_spread(precision: Array, missing: Rows) -> Array:
     return np.asarray(np.sqrt(np.diag(np.linalg.inv(precision[np.ix_(missing, missing)]))))
 
 
-def log_of_ratio(
-    voltages: npt.NDArray[np.floating],
-    reference: npt.NDArray[np.floating],
-    ratio_range: tuple[float, float] = RATIO_RANGE,
-) -> Array:
+def log_of_ratio(voltages: npt.NDArray[np.floating], reference: npt.NDArray[np.floating]) -> Array:
     """Return l = log(V / V0), with V / V0 cut off as :func:`log_of_change` does: no row is lost that turns its sign.
 
     Args:
         voltages: (..., rows) V.
         reference: (rows,) or (..., rows) V0, none of them 0.
-        ratio_range: Where V / V0 is cut off.
     """
-    return np.asarray(np.log(np.clip(np.asarray(voltages, dtype=np.float64) / reference, *ratio_range)))
+    return np.asarray(np.log(np.clip(np.asarray(voltages, dtype=np.float64) / reference, *RATIO_RANGE)))
 
 
 def log_of_change(

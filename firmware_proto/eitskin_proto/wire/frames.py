@@ -223,26 +223,3 @@ class FrameView:
             self.counts[...] = self._source
         self.generation, self.sequence, self.device_us = generation, sequence, device_us
         self.device_dropped, self.saturation = dropped, saturation
-
-    def volts_into(self, out: npt.NDArray[np.floating], volts_per_count: float) -> None:
-        """Write (rows,) V into ``out``."""
-        np.multiply(self.counts, volts_per_count, out=out, casting="same_kind")
-
-
-def decode_frame_into(payload: bytes, counts_out: npt.NDArray[np.int32], view: FrameView) -> int:
-    """Write a frame's counts into ``counts_out`` and return how many rows it has.
-
-    Args:
-        payload: An intact payload.
-        counts_out: (at least rows,) filled from the front.
-        view: Holds the header afterwards; reuse one for the whole stream.
-
-    Raises:
-        ProtocolError: The payload is not exactly one frame.
-        ValueError: ``counts_out`` is too short.
-    """
-    view.load(payload)
-    if len(counts_out) < view.rows:
-        raise ValueError(f"counts_out has {len(counts_out)} places, but the frame has {view.rows} rows")
-    counts_out[: view.rows] = view.counts
-    return view.rows

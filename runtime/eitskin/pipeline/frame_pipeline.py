@@ -7,11 +7,8 @@ What it finds it puts into a record (:mod:`eitskin.messaging.frame_record`). Wha
 (:mod:`eitskin.pipeline.intake`).
 """
 
-import math
 import time
 from typing import Final
-
-import numpy as np
 
 from eitskin.errors import BundleError
 from eitskin.health.imputation import MISSING
@@ -30,6 +27,7 @@ from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource, RegionEngines
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.row_noise import with_rounding
 from eitskin_proto.skin.skin import Skin as SkinDescription
 from eitskin_proto.wire.answers import Hello
 
@@ -124,7 +122,7 @@ class Pipeline:
         begin_anew(self.gate, self.idle_gate)
         self.front_end.use(reference, step_V)
         if self.health is not None:
-            spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))  # of rounding
+            spread_V = with_rounding(flat.spread_V, step_V)
             self.health.use(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)

@@ -8,7 +8,6 @@ and the sums are those of the running pipeline, in the same order. ::
             -> rows filled in for the solver, with log_predicted of the cloud -> solver -> map
 """
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -29,6 +28,7 @@ from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import GeometryGraph
 from eitskin.reference.captured import Reference
 from eitskin.reference.normaliser import Normaliser
+from eitskin.reference.row_noise import with_rounding
 from eitskin_proto.wire.frames import FrameView
 
 NOTHING: Final = "none"
@@ -87,7 +87,7 @@ class MapsAgain:
         self._normaliser.use(flat.voltages_V, flat.weak)
         begin_anew(self._gate)
         if self._consistency is not None:
-            spread_V = np.hypot(flat.spread_V, step_V / math.sqrt(12.0))
+            spread_V = with_rounding(flat.spread_V, step_V)
             self._watch = ElectrodeWatch(self._consistency, flat.voltages_V, spread_V)
             if self._gate is not None:
                 self._gate_rows = GateWithoutRows(self._consistency, self._gate, self._watch.sigma)

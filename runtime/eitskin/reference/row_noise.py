@@ -16,6 +16,7 @@ what they gain); anything from 0.01 to 0.06 and from 0.2 to 0.5 does as well wit
 stay as they are measured, since its threshold follows the noise (:mod:`eitskin.health.gate_without_rows`).
 """
 
+import math
 from typing import Final
 
 import numpy as np
@@ -44,6 +45,16 @@ def relative_spread(reference_V: Array, spread_V: Array) -> Array:
     """
     sigma = np.maximum(spread_V / np.maximum(np.abs(reference_V), 1e-30), SMALLEST_SPREAD)
     return np.where(np.isfinite(sigma) & (sigma < 1.0), sigma, 1.0)
+
+
+def with_rounding(spread_V: Array, step_V: float) -> Array:
+    """Return (104,) V, the standard deviation of a single frame, rounding included.
+
+    Args:
+        spread_V: (104,) V, that of the reference's frames; none where all were the same count.
+        step_V: V of a count.
+    """
+    return np.hypot(spread_V, step_V / math.sqrt(12.0))
 
 
 def lost_rows(reference_V: Array, spread_V: Array) -> Rows:

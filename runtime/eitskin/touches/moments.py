@@ -81,7 +81,8 @@ class Finder:
     """
 
     __slots__ = (
-        "_around", "_blur_mm2", "_empty", "_flat", "_inside", "_middle_mm", "_pixel_mm2", "_powers", "_touch", "_width",
+        "_around", "_blur_mm2", "_flat", "_inside", "_middle_mm", "_pixel_mm2", "_powers", "_touch", "_width",
+        "nothing",
     )  # fmt: skip
 
     def __init__(self, grid: Grid) -> None:
@@ -100,14 +101,10 @@ class Finder:
         steps = [down * self._width + right for down in (-1, 0, 1) for right in (-1, 0, 1)]
         self._around = np.array(steps, dtype=np.intp)[:, np.newaxis]
         self._touch = np.arange(MOST_TOUCHES)
-        self._empty = self._nothing(0)
-
-    @property
-    def nothing(self) -> Found:
+        self.nothing = self._without(0)
         """No touches."""
-        return self._empty
 
-    def _nothing(self, more: int) -> Found:
+    def _without(self, more: int) -> Found:
         whole = np.zeros(0, dtype=np.intp)
         return Found([], whole, whole, np.zeros(0), whole, self._pixel_mm2, more)
 
@@ -123,10 +120,10 @@ class Finder:
             flat[~np.isfinite(flat)] = 0.0
         found = pieces(flat, self._width)
         if found is None:
-            return self._nothing(1)
+            return self._without(1)
         core, of, count = found
         if count == 0:
-            return self._empty
+            return self.nothing
         more = count - MOST_TOUCHES
         if more > 0:
             core, of = _largest(core, of, np.bincount(of, flat[core], count))

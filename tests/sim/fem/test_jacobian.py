@@ -3,7 +3,15 @@ import pytest
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.forward import assemble
-from eitskin_sim.fem.jacobian import cell_mesh, cell_of_element, jacobian, pixel_jacobian, scene_jacobian, unit_jacobian
+from eitskin_sim.fem.jacobian import (
+    COARSE_MM,
+    cell_mesh,
+    cell_of_element,
+    flat_jacobian,
+    jacobian,
+    relative_jacobian,
+    scene_jacobian,
+)
 from eitskin_sim.scene.bend import bend_metric
 from eitskin_sim.scene.parts import Bend, Electrodes, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Rect
@@ -30,13 +38,14 @@ def test_jacobian_is_the_derivative_by_central_differences(contact: str, shape: 
 
 
 def test_uniform_change_of_conductivity_scales_voltages_with_edge_contacts_of_no_impedance() -> None:
-    scene = Scene(electrodes=Electrodes("edge", contact_impedance_ohm_m2=1e-9))
+    electrodes = Electrodes("edge", contact_impedance_ohm_m2=1e-9)
+    _, found = relative_jacobian(Sheet(), electrodes, shape=PAPER.grid.shape, element_size_mm=6.0)
     # V is proportional to 1 / sigma, so the relative Jacobian sums to -1 over the pixels.
-    np.testing.assert_allclose(pixel_jacobian(scene, 6.0).sum(axis=1), -1.0, atol=1e-3)
+    np.testing.assert_allclose(found.sum(axis=1), -1.0, atol=1e-3)
 
 
 def test_units_and_pixels_tell_of_the_same_places() -> None:
-    pixels, units = pixel_jacobian(Scene()), unit_jacobian(Scene())
+    pixels, (_, units) = flat_jacobian(PAPER), relative_jacobian(Sheet(), Electrodes(), shape=PAPER.grid.units)
     gathered = np.zeros_like(units)
     np.add.at(gathered.T, PAPER.grid.unit_of_pixel.ravel(), pixels.T)
     # A unit's pixels cover it but for a rim of up to half a pixel.
@@ -44,7 +53,12 @@ def test_units_and_pixels_tell_of_the_same_places() -> None:
 
 
 def test_coarse_jacobian_is_within_its_stated_error() -> None:
-    coarse, fine = unit_jacobian(Scene(bend=BEND)), unit_jacobian(Scene(bend=BEND), 1.5)
+    coarse, fine = (
+        relative_jacobian(
+            Sheet(), Electrodes(), bend_metric(BEND, Sheet()), shape=PAPER.grid.units, element_size_mm=size_mm
+        )[1]
+        for size_mm in (COARSE_MM, 1.5)
+    )
     assert np.linalg.norm(coarse - fine) < 1.5e-3 * np.linalg.norm(fine)
 
 

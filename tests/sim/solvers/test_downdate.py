@@ -75,8 +75,3 @@ def test_l1_of_the_rows_that_are_left_is_that_of_a_smaller_scan(operators: Opera
     assert lipschitz == pytest.approx(np.linalg.norm(operator, 2) ** 2, rel=1e-10)
     found = l1_image(operator, data[~gone], upper=2.0, lipschitz=lipschitz)
     np.testing.assert_allclose(found, l1_image(operators.relative_jacobian[~gone], data[~gone], upper=2.0), atol=1e-9)
-
-
-def test_a_factor_that_is_not_positive_is_refused(operators: Operators) -> None:
-    with pytest.raises(ValueError, match="must be above 0"):
-        precompute(operators, factor=0.0)

@@ -25,7 +25,7 @@ def test_strips_have_the_inverse_of_the_whole_up_to_a_constant(name: str) -> Non
     skin = SKINS[name]
     parts, system = unit_system_of(bend_metric(BEND, Sheet()), skin=skin)
     units = condense_units(parts, system, (system.background,))
-    whole = inverse(assemble_skeleton(units, 0, len(parts.skeleton) + 16))
+    whole = inverse(assemble_skeleton(units, len(parts.skeleton) + 16))
     renumbered, found, terminals = inverse_by_strips(parts, units)
     place = np.empty(len(whole), dtype=np.intp)
     for before, after in zip(units, renumbered, strict=True):

@@ -52,7 +52,7 @@ def test_the_firmware_streams_the_scripts_voltages_and_its_log_says_when(tmp_pat
             for payload in device.payloads(60.0):
                 if payload[0] == MessageType.FRAME and first is None:
                     view.load(payload)
-                    view.volts_into(volts, device.hello.volts_per_count)
+                    volts = view.counts * device.hello.volts_per_count
                     first = view.sequence
         port.close()
         assert script_start(log)["device_us"] > 0

@@ -13,6 +13,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import named
 from eitskin_sim.devices.draws import draw_device, draw_moment
 from eitskin_sim.devices.readings import readings
+from eitskin_sim.fem.jacobian import flat_jacobian
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Scene, Touch
@@ -191,7 +192,7 @@ def test_the_signal_of_a_press_is_that_of_a_solved_one() -> None:
         np.linspace(half, side - half, count)
         for side, count in zip(PAPER.outline.size_mm, observer.PLACES, strict=True)
     )
-    signal = observer.press_signals(observer.flat_jacobian(), PAPER, strength, diameter)[4 * observer.PLACES[1] + 3]
+    signal = observer.press_signals(flat_jacobian(PAPER), PAPER, strength, diameter)[4 * observer.PLACES[1] + 3]
     less = presses.contrast_of(strength, diameter)
     disc = (Disc(float(x[4]), float(y[3]), half),)
     # Both are solved on one mesh, whose error is then no difference of theirs.

@@ -6,17 +6,16 @@ the start; of a long run every n-th map is kept, never more than ``MOST_MAPS``.
 
 import argparse
 import gc
-import signal
 import sys
 from dataclasses import dataclass
 from pathlib import Path
-from types import FrameType
 from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 import eitskin
+from eitskin_tools.processes.signals import Stopped, stop_when_told
 
 STAGES: Final = ("read", "decode", "normalise", "gate", "infer", "pack", "publish")
 """Stamps of the runtime, in order."""
@@ -95,15 +94,6 @@ class Record:
             )  # fmt: skip
 
 
-class _Stopped(BaseException):
-    """Someone asked for the record now."""
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)
-    raise _Stopped
-
-
 def record(endpoint: str, seconds: float, capacity: int, path: Path) -> int:
     """Record a stream and return how many frames there were.
 
@@ -134,10 +124,10 @@ def record(endpoint: str, seconds: float, capacity: int, path: Path) -> int:
                     break
                 found.note(count, frame)
                 count += 1
-        except _Stopped:
+        except Stopped:
             pass
         if found is None:
-            raise _Stopped
+            raise Stopped
         found.late = frames.lost
     found.save(path, count)
     return count
@@ -151,14 +141,13 @@ def main() -> int:
     parser.add_argument("--seconds", type=float, required=True)
     parser.add_argument("--capacity", type=int, required=True)
     arguments = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop)
+    stop_when_told()
     try:
         count = record(arguments.endpoint, arguments.seconds, arguments.capacity, arguments.path)
     except eitskin.SkinError as error:
         print(f"{error}", file=sys.stderr)
         return 1
-    except _Stopped:
+    except Stopped:
         return 1
     return 0 if count else 1
 

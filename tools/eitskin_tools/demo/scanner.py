@@ -8,11 +8,9 @@ is a little nice: what it computes must not cost the stream its time, and yet be
 import argparse
 import json
 import os
-import signal
 import sys
 import time
 from pathlib import Path
-from types import FrameType
 from typing import Final
 
 import numpy as np
@@ -20,19 +18,11 @@ import numpy as np
 import eitskin
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.toml import load
+from eitskin_tools.processes.signals import Stopped, stop_when_told
 from eitskin_tools.processes.skin_log import script_start
 
 NICENESS: Final = 2
 """Of this process; see nice(2). With 10, on cores that other programs fill, a cloud came every four seconds."""
-
-
-class _Stopped(BaseException):
-    """The demonstration is over."""
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)
-    raise _Stopped
 
 
 def send_clouds(
@@ -99,15 +89,14 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--predict", action="store_true")
     arguments = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop)
+    stop_when_told()
     os.nice(NICENESS)
     try:
         skin = PAPER if arguments.skin is None else load(arguments.skin)
         send_clouds(
             arguments.control, arguments.log, arguments.rate, arguments.scene, arguments.seed, arguments.predict, skin
         )
-    except _Stopped:
+    except Stopped:
         pass
     except (eitskin.SkinError, OSError, ValueError) as error:
         print(error, file=sys.stderr)

@@ -4,6 +4,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from types import FrameType
 from typing import Any
 
 
@@ -14,6 +15,21 @@ def endings() -> tuple[signal.Signals, ...]:
     """
     asked = (signal.SIGINT, signal.SIGTERM)
     return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)
+
+
+class Stopped(BaseException):
+    """The process was told to end; no Exception, so that nothing on the way out takes it for a fault."""
+
+
+def stop_when_told() -> None:
+    """Let what asks for an end raise :class:`Stopped`, each signal once."""
+    for number in endings():
+        signal.signal(number, _stop)
+
+
+def _stop(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_IGN)
+    raise Stopped
 
 
 @contextmanager

@@ -83,7 +83,7 @@ def bend_error(skin: Skin, like: Like | None = None) -> BendError:
         skin: Its deformations, and how it is scanned.
         like: Of one scan; None is for any bend of the skin.
     """
-    return error_of(*drawn_errors(skin, DRAWS, like=like))
+    return error_of(*drawn_errors(skin, DRAWS, like))
 
 
 def like_scan(cloud_mm: Array, surface: FittedSurface, grid: Grid) -> Like:
@@ -122,13 +122,13 @@ def error_of(errors: Array, slopes: Array, gauges: Array) -> BendError:
     return BendError(mean, scale * covariance, steeper, max(float(apart.max()) / scale, 1.0))
 
 
-def drawn_errors(skin: Skin, draws: int, seed: int = SEED, like: Like | None = None) -> tuple[Array, Array, Array]:
+def drawn_errors(skin: Skin, draws: int, like: Like | None = None) -> tuple[Array, Array, Array]:
     """Return (draws, 104) errors of the model of drawn bends, slopes by the gauge factor, and (draws,) its values."""
-    generator, doubts = np.random.default_rng([seed, 1]), skin.may_be_off
+    generator, doubts = np.random.default_rng([SEED, 1]), skin.may_be_off
     scene = nominal_scene(skin, element_size_mm=solved.ELEMENT_MM)
     mesh = scene_mesh(scene)
     errors, slopes, gauges = [], [], []
-    for bend in _bends(skin, draws, seed, scene.sheet, like):
+    for bend in _bends(skin, draws, scene.sheet, like):
         seen = scaled(bend, 1.0 - _within(generator, doubts.scan_stale))
         noise = _within(generator, doubts.scan_noise_mm) if like is None else like.noise_mm
         cloud = measured_cloud(seen, generator, noise, skin).astype(np.float64)
@@ -146,8 +146,8 @@ def drawn_errors(skin: Skin, draws: int, seed: int = SEED, like: Like | None = N
     return np.array(errors), np.array(slopes), np.array(gauges)
 
 
-def _bends(skin: Skin, draws: int, seed: int, sheet: Sheet, like: Like | None) -> tuple[Bend, ...]:
-    drawn = draw("A", draws, seed, skin)
+def _bends(skin: Skin, draws: int, sheet: Sheet, like: Like | None) -> tuple[Bend, ...]:
+    drawn = draw("A", draws, SEED, skin)
     if like is None:
         return drawn
     xy = skin.grid.pixel_centres_mm().reshape(-1, 2)

@@ -134,12 +134,8 @@ class Solved:
         rate = self.factor.density**2 * contacts.impedance_ohm_m2
         return self._of_each(contacts, rate)
 
-    def by_layer(self, modes: Array | None = None) -> Array:
-        """Return (modes, 16, 16) dD by each mode's amplitude.
-
-        Args:
-            modes: (n_elements, modes) others than the layer's own.
-        """
+    def by_layer(self) -> Array:
+        """Return (modes, 16, 16) dD by each mode's amplitude."""
         contacts = self.factor.system.contacts
         power = np.swapaxes(self._fields, 1, 2) @ (self.factor.blocks @ self._fields)
         if len(contacts.element):
@@ -147,7 +143,7 @@ class Solved:
             drops = self.factor.contact_drops()
             through = np.swapaxes(drops, 1, 2) @ (contacts.mass_m2 @ drops) * rate[:, None, None]
             np.add.at(power, contacts.element, through)
-        return np.asarray(-np.tensordot((self.modes if modes is None else modes).T, power, axes=1))
+        return np.asarray(-np.tensordot(self.modes.T, power, axes=1))
 
     def _system(self, shape: Shape) -> System:
         metric = shape.metric(self.scanned, self.size_mm[0])

@@ -192,31 +192,17 @@ def make_plan(
     Raises:
         ValueError: A number is outside its bounds.
     """
-    if set_name not in DEFAULTS:
-        raise ValueError(f"set {set_name!r} is unknown; expected one of {', '.join(SET_NAMES)}")
+    _check_together(set_name, touch_sets, near, touches, devices)
     if seed < 0:
         raise ValueError(f"seed is {seed}; it must be at least 0")
-    if set_name == "free" and touch_sets is not None:
-        raise ValueError(
-            f"touch sets: found {touch_sets}, expected none for the free set: each sample has one of its own; "
-            "give the number shown at a deformation"
-        )
-    if set_name != "free" and near is not None:
-        raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
     ranges_of(touches, PAPER if skin is None else skin)
-    if set_name == "paper" and touches != "hard":
-        raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
-    if devices not in DEVICE_KINDS:
-        raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
-    if set_name == "paper" and devices != "ideal":
-        raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
     if skin is None:
         skin = named("lab") if devices == "random" else PAPER
     if devices == "random":
         check_outline(skin)
     nominal_sheet(skin)
     kind = cast(TouchKind, touches)
-    device_kind: DeviceKind = devices
+    device_kind = cast(DeviceKind, devices)
     default = DEFAULTS[set_name]
     n_bends = default[0] if deformations is None else deformations
     n_sets = default[1] if touch_sets is None else touch_sets
@@ -238,6 +224,25 @@ def make_plan(
     bends = draw("A", n_bends + apart, seed, skin) + draw("B", apart, seed, skin)
     splits = ("train",) * n_bends + ("kept",) * apart + ("other",) * apart
     return Plan(cast(SetName, set_name), seed, n_sets, n_shown, bends, splits, near, kind, skin, device_kind)
+
+
+def _check_together(set_name: str, touch_sets: int | None, near: float | None, touches: str, devices: str) -> None:
+    """Refuse a set or devices that do not exist, and what does not go with the set."""
+    if set_name not in DEFAULTS:
+        raise ValueError(f"set {set_name!r} is unknown; expected one of {', '.join(SET_NAMES)}")
+    if set_name == "free" and touch_sets is not None:
+        raise ValueError(
+            f"touch sets: found {touch_sets}, expected none for the free set: each sample has one of its own; "
+            "give the number shown at a deformation"
+        )
+    if set_name != "free" and near is not None:
+        raise ValueError(f"share of near touches: found {near:g}, expected none: only the free set draws touches so")
+    if set_name == "paper" and touches != "hard":
+        raise ValueError(f"touches: found {touches!r}, expected 'hard': the paper's set is as the paper says")
+    if devices not in DEVICE_KINDS:
+        raise ValueError(f"devices {devices!r} are unknown; expected one of {', '.join(DEVICE_KINDS)}")
+    if set_name == "paper" and devices != "ideal":
+        raise ValueError(f"devices: found {devices!r}, expected 'ideal': the paper's set is as the paper says")
 
 
 def _check(what: str, value: float, low: float, high: float) -> None:

@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from eitskin_sim.fem.contacts import FRINGE, Contacts
+from eitskin_sim.fem.contacts import FRINGE, Contacts, Part, elements_along, gathered
 from eitskin_sim.fem.forward import System, assemble
 from eitskin_sim.fem.mesh import MM, Array, Index, Metric, TensorMesh
 from eitskin_sim.fem.q2 import GAUSS, LINE_POINTS, LINE_WEIGHTS, WEIGHTS, values
@@ -49,20 +49,13 @@ def loose_contacts(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, metri
     Raises:
         ValueError: Two electrodes meet one element.
     """
-    build = _patch if electrodes.contact == "patch" else _edge
-    sizes, impedance = electrodes.sizes_mm(), electrodes.impedances_ohm_m2()
-    parts = [build(mesh, sheet, piece, float(sizes[piece.electrode]), metric) for piece in place(sheet, electrodes)]
-    element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
-    found = Contacts(
-        element=element.astype(np.intp),
-        electrode=electrode.astype(np.intp),
-        mass_m2=mass,
-        load_m2=load,
-        area_m2=load.sum(axis=1),
-        impedance_ohm_m2=impedance[electrode],
-        fringe_m=fringe,
-    )
-    return check_apart(one_an_element(found))
+    pieces = place(sheet, electrodes)
+    if electrodes.contact == "patch":
+        sizes = electrodes.sizes_mm()
+        parts = [_patch(mesh, sheet, piece, float(sizes[piece.electrode]), metric) for piece in pieces]
+    else:
+        parts = [_edge(mesh, sheet, piece, metric) for piece in pieces]
+    return check_apart(one_an_element(gathered(parts, electrodes)))
 
 
 def one_an_element(contacts: Contacts) -> Contacts:
@@ -113,9 +106,7 @@ def _covered(lines: Array, low: float, high: float) -> tuple[Index, Array, Array
     )
 
 
-def _patch(
-    mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric
-) -> tuple[Index, Index, Array, Array, Array]:
+def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric) -> Part:
     x0, y0, x1, y1 = piece.patch_mm(sheet, size_mm)
     columns, left, right = _covered(mesh.x_lines_mm, x0, x1)
     rows, bottom, top = _covered(mesh.y_lines_mm, y0, y1)
@@ -138,14 +129,11 @@ def _patch(
     return element, np.full(len(element), piece.electrode), mass, load, fringe
 
 
-def _edge(
-    mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, metric: Metric
-) -> tuple[Index, Index, Array, Array, Array]:
-    """Return what :func:`_patch` does, of a straight piece of the border; its size is the piece's own."""
+def _edge(mesh: TensorMesh, sheet: Sheet, piece: Piece, metric: Metric) -> Part:
+    """Return what :func:`_patch` does, of a straight piece of the border."""
     along_x, far = piece.side in (0, 2), piece.side in (1, 2)
     steps, low, high = _covered(mesh.x_lines_mm if along_x else mesh.y_lines_mm, piece.start_mm, piece.stop_mm)
-    ny, nx = mesh.shape
-    element = {0: steps, 1: steps * nx + nx - 1, 2: (ny - 1) * nx + steps, 3: steps * nx}[piece.side]
+    element = elements_along(mesh, piece.side, steps)
     along = low[:, None] + LINE_POINTS * (high - low)[:, None]
     across = np.full(along.shape, 1.0 if far else 0.0)
     unit = np.stack([along, across] if along_x else [across, along], axis=-1)  # (e, 3, 2)

@@ -62,9 +62,6 @@ SHIFT_SEED: Final = 21_000
 CloudKind = Literal["scan", "flat", "other"]
 """Which cloud the solvers are given: the one measured, the flat sheet's, or that of another deformation."""
 
-CLOUDS: Final[tuple[str, ...]] = get_args(CloudKind)
-"""The kinds of cloud."""
-
 
 @dataclass(frozen=True, slots=True)
 class Conditions:

@@ -80,8 +80,18 @@ def contacts_of(
     Raises:
         ValueError: An electrode's edge is no line of the mesh.
     """
-    build = _patch if electrodes.contact == "patch" else _edge
-    parts = [build(mesh, sheet, electrodes, piece, metric, area) for piece in pieces]
+    if electrodes.contact == "patch":
+        sizes = electrodes.sizes_mm()
+        return gathered([_patch(mesh, sheet, one, float(sizes[one.electrode]), area) for one in pieces], electrodes)
+    return gathered([_edge(mesh, sheet, one, metric) for one in pieces], electrodes)
+
+
+Part = tuple[Index, Index, Array, Array, Array]
+"""Of one piece: (m,) elements, (m,) its electrode, and (m, 9, 9) masses, (m, 9) loads and (m,) fringes."""
+
+
+def gathered(parts: Sequence[Part], electrodes: Electrodes) -> Contacts:
+    """Return the contacts of electrodes from what each of their pieces adds."""
     element, electrode, mass, load, fringe = (np.concatenate(column) for column in zip(*parts, strict=True))
     return Contacts(
         element=element.astype(np.intp),
@@ -94,11 +104,14 @@ def contacts_of(
     )
 
 
-_Part = tuple[Index, Index, Array, Array, Array]
+def elements_along(mesh: TensorMesh, side: int, steps: Index) -> Index:
+    """Return the (m,) elements at a side of the sheet, 0 to 3, by the (m,) steps of the mesh along it."""
+    ny, nx = mesh.shape
+    return {0: steps, 1: steps * nx + nx - 1, 2: (ny - 1) * nx + steps, 3: steps * nx}[side]
 
 
-def _patch(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece, metric: Metric, area: Array) -> _Part:
-    x0, y0, x1, y1 = piece.patch_mm(sheet, float(electrodes.sizes_mm()[piece.electrode]))
+def _patch(mesh: TensorMesh, sheet: Sheet, piece: Piece, size_mm: float, area: Array) -> Part:
+    x0, y0, x1, y1 = piece.patch_mm(sheet, size_mm)
     what = f"electrode {piece.electrode}'s edge"
     columns = np.arange(_line(mesh.x_lines_mm, x0, what), _line(mesh.x_lines_mm, x1, what))
     rows = np.arange(_line(mesh.y_lines_mm, y0, what), _line(mesh.y_lines_mm, y1, what))
@@ -110,13 +123,12 @@ def _patch(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece,
     return element, np.full(len(element), piece.electrode), mass, weight @ SHAPES, fringe
 
 
-def _edge(mesh: TensorMesh, sheet: Sheet, electrodes: Electrodes, piece: Piece, metric: Metric, area: Array) -> _Part:
+def _edge(mesh: TensorMesh, sheet: Sheet, piece: Piece, metric: Metric) -> Part:
     along_x = piece.side in (0, 2)
     lines = mesh.x_lines_mm if along_x else mesh.y_lines_mm
     what = f"electrode {piece.electrode}'s end"
     steps = np.arange(_line(lines, piece.start_mm, what), _line(lines, piece.stop_mm, what))
-    ny, nx = mesh.shape
-    element = {0: steps, 1: steps * nx + nx - 1, 2: (ny - 1) * nx + steps, 3: steps * nx}[piece.side]
+    element = elements_along(mesh, piece.side, steps)
     points, weights, shapes = edge_integrals(piece.side)
     where = mesh.corners_mm[element][:, None, :] + points * mesh.sizes_mm[element][:, None, :]
     first = metric(where.reshape(-1, 2)).reshape(len(element), len(points), 3)

@@ -10,6 +10,7 @@ are, so the cost is one factorisation. A cell's derivative adds the same conduct
 """
 
 from collections.abc import Sequence
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -17,13 +18,13 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from eitskin_proto.sensor.table import TABLE
-from eitskin_proto.skin.grid import Grid
-from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.borders.cut_elements import touch
 from eitskin_sim.fem.forward import Factor, assemble, flat_metric
 from eitskin_sim.fem.mesh import MERGE_MM, Metric, TensorMesh, graded_lines
 from eitskin_sim.fem.meshing import CAP_MM, REFERENCE_MM, electrode_lines, on_sheet, touch_lines
 from eitskin_sim.scene.bend import bend_metric
+from eitskin_sim.scene.nominal import flat_metric_of, nominal_electrodes, nominal_sheet
 from eitskin_sim.scene.parts import Electrodes, Scene, Sheet, Touch
 
 Array = npt.NDArray[np.float64]
@@ -102,10 +103,10 @@ def jacobian(factor: Factor, sigma: Array, cells: Index, n_cells: int, table: np
 def cell_jacobian(
     sheet: Sheet,
     electrodes: Electrodes,
-    metric: Metric = flat_metric,
+    metric: Metric,
     touches: Sequence[Touch] = (),
     *,
-    shape: tuple[int, int] = PAPER.grid.shape,
+    shape: tuple[int, int],
     element_size_mm: float = COARSE_MM,
 ) -> tuple[Array, Array]:
     """Return the voltages (104,) in V and their Jacobian (104, cells) in V / (S/m) under 1 A.
@@ -114,7 +115,7 @@ def cell_jacobian(
         sheet: The flat layer.
         electrodes: On its border.
         metric: The bent surface's first fundamental form.
-        touches: What touches the sheet; none for the classical solvers.
+        touches: What touches the sheet.
         shape: Rows and columns of the cells: of a map's pixels or units.
         element_size_mm: As in a scene.
     """
@@ -125,9 +126,7 @@ def cell_jacobian(
     return factor.voltages(), jacobian(factor, touched.sigma, cells, shape[0] * shape[1])
 
 
-def scene_jacobian(
-    scene: Scene, shape: tuple[int, int] = PAPER.grid.shape, element_size_mm: float = COARSE_MM
-) -> tuple[Array, Array]:
+def scene_jacobian(scene: Scene, shape: tuple[int, int], element_size_mm: float) -> tuple[Array, Array]:
     """Return a scene's voltages (104,) in V and their Jacobian (104, cells) in V / (S/m), under its current."""
     metric = bend_metric(scene.bend, scene.sheet, scene.touches)
     voltages, found = cell_jacobian(
@@ -136,13 +135,29 @@ def scene_jacobian(
     return scene.current_A * voltages, scene.current_A * found
 
 
-def pixel_jacobian(scene: Scene, element_size_mm: float = COARSE_MM, grid: Grid = PAPER.grid) -> Array:
-    """Return (104, pixels) relative change of each row of the untouched scene per relative change of each pixel."""
-    voltages, found = scene_jacobian(scene.untouched(), grid.shape, element_size_mm)
-    return scene.sheet.conductivity_S_per_m * found / voltages[:, None]
+def relative_jacobian(
+    sheet: Sheet,
+    electrodes: Electrodes,
+    metric: Metric = flat_metric,
+    *,
+    shape: tuple[int, int],
+    element_size_mm: float = COARSE_MM,
+) -> tuple[Array, Array]:
+    """Return an untouched sheet's (104,) V under 1 A, and (104, cells) their relative change per that of each cell.
+
+    Args:
+        sheet: The flat layer.
+        electrodes: On its border.
+        metric: The bent surface's first fundamental form.
+        shape: Rows and columns of the cells.
+        element_size_mm: As in a scene.
+    """
+    voltages, found = cell_jacobian(sheet, electrodes, metric, shape=shape, element_size_mm=element_size_mm)
+    return voltages, sheet.conductivity_S_per_m * found / voltages[:, None]
 
 
-def unit_jacobian(scene: Scene, element_size_mm: float = COARSE_MM, grid: Grid = PAPER.grid) -> Array:
-    """Return (104, units) relative change of each row of the untouched scene per relative change of each unit."""
-    voltages, found = scene_jacobian(scene.untouched(), grid.units, element_size_mm)
-    return scene.sheet.conductivity_S_per_m * found / voltages[:, None]
+@lru_cache(maxsize=4)
+def flat_jacobian(skin: Skin) -> Array:
+    """Return the (104, pixels) relative Jacobian of a skin's flat sheet, as it is stated."""
+    electrodes = nominal_electrodes(skin)
+    return relative_jacobian(nominal_sheet(skin), electrodes, flat_metric_of(skin), shape=skin.grid.shape)[1]

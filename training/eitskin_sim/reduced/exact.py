@@ -73,16 +73,15 @@ class ExactSheet:
         return np.split(flowing, np.cumsum([len(one) for one in dofs])[:-1]), self.untouched - load.T @ flowing
 
 
-def exact_sheet(metric: Metric, skin: Skin = PAPER, refine: int = 1, *, coarse: bool = False) -> ExactSheet:
+def exact_sheet(metric: Metric, skin: Skin = PAPER, *, coarse: bool = False) -> ExactSheet:
     """Return the sheet that a skin states, at some first fundamental form.
 
     Args:
         metric: (n, 2) flat points in mm -> (n, 3) E, F, G.
         skin: Whose.
-        refine: Multiplies the elements along each direction.
         coarse: Whether on three elements across a unit instead of five.
     """
-    parts, system = unit_system_of(metric, refine, skin, coarse=coarse)
+    parts, system = unit_system_of(metric, skin, coarse=coarse)
     return ExactSheet(parts, system, *inverse_by_strips(parts, condense_units(parts, system, (system.background,))))
 
 

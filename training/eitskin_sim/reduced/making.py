@@ -9,20 +9,8 @@ from scipy.linalg import lapack
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.mesh import Array
 from eitskin_sim.reduced.basis import RANK, current_patterns
-from eitskin_sim.reduced.exact import DRIVES, ExactSheet, exact_sheet, grounded_inverse_form
+from eitskin_sim.reduced.exact import DRIVES, ExactSheet, grounded_inverse_form
 from eitskin_sim.reduced.model import LEAST, MOST, NODES, ReducedModel
-from eitskin_sim.reduced.model import cloud_digest as digest_of
-from eitskin_sim.surface.predict import fit_cloud
-
-
-def reduced_from_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER) -> ReducedModel:
-    """Return the reduced model of a measured cloud (3, rows, columns) mm.
-
-    Raises:
-        ValueError: The cloud is malformed, or folds in its own plane.
-    """
-    cloud = np.asarray(cloud_mm, dtype=np.float64)
-    return reduced(exact_sheet(fit_cloud(cloud, skin.grid).metric, skin), skin, cloud_digest=digest_of(cloud))
 
 
 def reduced(sheet: ExactSheet, skin: Skin = PAPER, rank: int = RANK, cloud_digest: str = "") -> ReducedModel:

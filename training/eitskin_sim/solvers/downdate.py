@@ -18,7 +18,7 @@ import numpy.typing as npt
 from scipy import linalg
 
 from eitskin_sim.solvers.operators import Operators
-from eitskin_sim.solvers.tikhonov import FACTOR, SENSITIVITY_POWER
+from eitskin_sim.solvers.tikhonov import FACTOR, SENSITIVITY_POWER, weighed
 
 Array = npt.NDArray[np.float64]
 Rows = npt.NDArray[np.bool_]
@@ -52,26 +52,10 @@ class Precomputed:
         return self.operators.relative_jacobian[part], float(largest[0])
 
 
-def precompute(
-    operators: Operators, factor: float = FACTOR, sensitivity_power: float = SENSITIVITY_POWER
-) -> Precomputed:
-    """Return what is kept of one bend.
-
-    Args:
-        operators: Of the bend.
-        factor: Tikhonov's regularisation, relative to the largest squared singular value of A W^-1.
-        sensitivity_power: Of W, as in :func:`eitskin_sim.solvers.tikhonov.tikhonov_matrix`.
-
-    Raises:
-        ValueError: The factor is not positive.
-    """
-    if not factor > 0.0:
-        raise ValueError(f"regularisation factor {factor} must be above 0")
+def precompute(operators: Operators) -> Precomputed:
+    """Return what is kept of one bend, by the usual regularisation."""
     operator = operators.relative_jacobian
-    weight = np.linalg.norm(operator, axis=0) ** sensitivity_power
-    scaled = operator / weight
-    damped = scaled @ scaled.T
-    damped += factor * float(linalg.eigvalsh(damped)[-1]) * np.eye(len(damped))
+    weight, scaled, damped = weighed(operator, FACTOR, SENSITIVITY_POWER)
     inverse = np.asarray(linalg.cho_solve(linalg.cho_factor(damped), np.eye(len(damped))))
     inverse = (inverse + inverse.T) / 2.0
     return Precomputed(operators, np.asarray((inverse @ scaled / weight).T), inverse, operator @ operator.T)

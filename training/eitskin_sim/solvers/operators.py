@@ -24,7 +24,7 @@ from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.forward import flat_metric
-from eitskin_sim.fem.jacobian import cell_jacobian
+from eitskin_sim.fem.jacobian import relative_jacobian
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
 from eitskin_sim.surface.predict import fit_cloud
 
@@ -82,9 +82,8 @@ def build_operators(
     """
     if cells not in ("pixels", "units"):
         raise ValueError(f"cells are 'pixels' or 'units', found {cells!r}")
-    sheet, shape = nominal_sheet(skin), skin.grid.shape if cells == "pixels" else skin.grid.units
-    voltages, jacobian = cell_jacobian(sheet, nominal_electrodes(skin), metric, shape=shape)
-    relative = sheet.conductivity_S_per_m * jacobian / voltages[:, None]
+    shape = skin.grid.shape if cells == "pixels" else skin.grid.units
+    voltages, relative = relative_jacobian(nominal_sheet(skin), nominal_electrodes(skin), metric, shape=shape)
     return Operators(relative, voltages, cells, skin.grid)
 
 

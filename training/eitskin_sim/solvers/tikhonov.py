@@ -34,11 +34,20 @@ def tikhonov_matrix(operator: Array, factor: float = FACTOR, sensitivity_power: 
     Raises:
         ValueError: The factor is not positive.
     """
+    weight, scaled, damped = weighed(operator, factor, sensitivity_power)
+    inner = linalg.cho_solve(linalg.cho_factor(damped), scaled)
+    return np.asarray((inner / weight).T)
+
+
+def weighed(operator: Array, factor: float, sensitivity_power: float) -> tuple[Array, Array, Array]:
+    """Return (n,) W, (rows, n) A W^-1 and (rows, rows) A W^-2 A^T + lambda I.
+
+    Raises:
+        ValueError: The factor is not positive.
+    """
     if not factor > 0.0:
         raise ValueError(f"regularisation factor {factor} must be above 0")
     weight = np.linalg.norm(operator, axis=0) ** sensitivity_power
     scaled = operator / weight
     gram = scaled @ scaled.T
-    damped = gram + factor * float(linalg.eigvalsh(gram)[-1]) * np.eye(len(gram))
-    inner = linalg.cho_solve(linalg.cho_factor(damped), scaled)
-    return np.asarray((inner / weight).T)
+    return weight, scaled, gram + factor * float(linalg.eigvalsh(gram)[-1]) * np.eye(len(gram))

@@ -155,7 +155,7 @@ class ContrastPairs:
         at_contacts: frozenset[int],
         change: Callable[[int, float], Array],
     ) -> None:
-        self._at_contacts, self._change = at_contacts, change
+        self._change = change
         n_units = len(units)
         self._under = np.isin(np.arange(n_units), list(at_contacts))
         self._at_terminals = inverse[-N_ELECTRODES:, -N_ELECTRODES:]

@@ -65,11 +65,9 @@ def unit_system(
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, lambda xy: metric(bend, true.sheet, xy), nominal)
 
 
-def unit_system_of(
-    first: Metric, refine: int = 1, skin: Skin = PAPER, *, coarse: bool = False
-) -> tuple[UnitMesh, System]:
+def unit_system_of(first: Metric, skin: Skin, *, coarse: bool = False) -> tuple[UnitMesh, System]:
     """Return a skin's mesh and the system of the sheet that it states, scaled to 1 S/m, at any metric."""
-    parts, true = _nominal_mesh(skin, refine, coarse), ideal(skin)
+    parts, true = _nominal_mesh(skin, 1, coarse), ideal(skin)
     return parts, system_on(parts.mesh, true.sheet, true.electrodes, first, true.electrodes)
 
 
@@ -120,11 +118,11 @@ def _without(whole: Array, kept: int) -> Array:
     return np.asarray((reduced + reduced.T) / 2)
 
 
-def assemble_skeleton(units: Sequence[Condensed], which: int, n_dofs: int) -> Array:
-    """Return the dense (s + 16, s + 16) S of the whole sheet, every unit at conductivity number ``which``."""
+def assemble_skeleton(units: Sequence[Condensed], n_dofs: int) -> Array:
+    """Return the dense (s + 16, s + 16) S of the whole sheet, every unit at its first conductivity."""
     total: npt.NDArray[np.float64] = np.zeros((n_dofs, n_dofs), order="F")
     for unit in units:
-        total[np.ix_(unit.dofs, unit.dofs)] += unit.schur[which]
+        total[np.ix_(unit.dofs, unit.dofs)] += unit.schur[0]
     total[-N_ELECTRODES:, -N_ELECTRODES:] += ground(total)
     return total
 

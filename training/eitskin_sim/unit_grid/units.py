@@ -71,7 +71,7 @@ class UnitGenerator:
         self._n_skeleton = len(parts.skeleton)
         self._units = condense_units(parts, system, (system.background, touched))
         size = self._n_skeleton + N_ELECTRODES
-        self._inverse = inverse(assemble_skeleton(self._units, 0, size))
+        self._inverse = inverse(assemble_skeleton(self._units, size))
         self._sharing = np.bincount(np.concatenate([unit.dofs for unit in self._units]), minlength=size)
         self._regions: dict[tuple[int, ...], Condensed] = {}
         self.at_terminals: Array = self._inverse[-N_ELECTRODES:, -N_ELECTRODES:].copy()

@@ -28,7 +28,7 @@ from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.fem.meshing import scene_mesh
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_scene, nominal_sheet
 from eitskin_sim.verification.material import MATERIAL, moved, spreads_of
-from eitskin_sim.verification.spreads import Spreads, usual
+from eitskin_sim.verification.spreads import Spreads, layer_fields, usual
 
 Array = npt.NDArray[np.float64]
 ELEMENT_MM: Final = 4.5
@@ -91,17 +91,9 @@ def modes_of(metric: Metric, skin: Skin = PAPER, spreads: Spreads | None = None)
     sigma = np.full(system.mesh.n_elements, system.background)
     cells = np.arange(system.mesh.n_elements)
     by_element = jacobian(factor, sigma, cells, len(cells)) * (system.background / volts[:, None])
-    length, width = skin.outline.size_mm
-    x, y = system.mesh.centres_mm.T
-    E, F, G = system.metric.T
-    fields = {
-        "drift": np.ones(len(cells)),
-        "tilt x": np.sqrt(12.0) * (x / length - 0.5),
-        "tilt y": np.sqrt(12.0) * (y / width - 0.5),
-        "gauge": -0.5 * np.log(E * G - F**2),
-    }
-    sizes = {"drift": spreads.drift, "tilt x": spreads.tilt, "tilt y": spreads.tilt, "gauge": spreads.gauge}
-    logs = {name: by_element @ field for name, field in fields.items()}
+    fields = layer_fields(system.mesh.centres_mm, system.metric, skin, spreads)
+    sizes = {name: size for name, (_, size) in fields.items()}
+    logs = {name: by_element @ field for name, (field, _) in fields.items()}
     for number, (name, spread) in enumerate(spreads_of(skin).items()):
         sizes[name] = spreads.material * spread
         if sizes[name] > 0.0:

@@ -3,7 +3,12 @@
 from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+import numpy.typing as npt
+
 from eitskin_proto.skin.skin import Skin
+
+Array = npt.NDArray[np.float64]
 
 SCAN_NOISE_MM: Final = 0.1
 """Of a scanner, where the skin does not say."""
@@ -32,3 +37,23 @@ def usual(skin: Skin) -> Spreads:
     (:mod:`eitskin_sim.verification.scan_noise`).
     """
     return Spreads(scan_mm=skin.may_be_off.scan_noise_mm[0] or SCAN_NOISE_MM)
+
+
+def layer_fields(xy_mm: Array, metric: Array, skin: Skin, spreads: Spreads) -> dict[str, tuple[Array, float]]:
+    """Return by name (n,) changes of the layer's log conductivity, and the standard deviation of how much of each.
+
+    Args:
+        xy_mm: (n, 2) flat places.
+        metric: (n, 3) E, F, G there.
+        skin: Whose layer.
+        spreads: How much may differ.
+    """
+    length, width = skin.outline.size_mm
+    x, y = xy_mm.T
+    E, F, G = metric.T
+    return {
+        "drift": (np.ones(len(xy_mm)), spreads.drift),
+        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), spreads.tilt),
+        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), spreads.tilt),
+        "gauge": (-0.5 * np.log(E * G - F**2), spreads.gauge),
+    }

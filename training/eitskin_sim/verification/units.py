@@ -124,21 +124,17 @@ class UnitVerifier:
         shown = self._heights(heights)
         if before:
             sets.append((np.array([one.unit for one in before]), np.array([one.contrast for one in before])))
+        sets = sets or [self._start(np.zeros(self._model.n_units))]
         price = UnitPrice(self._model.shape, self._prior, self._contrast)
         if budget_s is None:
             missing = rows is not None and not rows.all()
             budget_s = HARD_BUDGET_S if missing or any(len(units) > FEW for units, _ in sets) else BUDGET_S
         deadline = clock() + SEARCHED * budget_s
-        first = (
-            state_of(self._model, *sets[0])
-            if sets
-            else state_of(self._model, *self._start(np.zeros(self._model.n_units)))
-        )
+        first = state_of(self._model, *sets[0])
         frame = Frame(dv, held, noise, self._doubts, rows, self._signal(first))
         judge = Judge(self._model, self._coarse, self._rough, self._flat, frame, price, self._contrast, deadline, clock)
         search = Search(judge)
-        best = search.best_of(first, sets[1:], shown)
-        best = search.run(best)
+        best = search.run(search.best_of(first, sets[1:], shown))
         ratio = best.volts / self._flat
         if self._doubts is not None:
             frame = Frame(dv, held, noise, self._doubts, rows, self._signal(best))

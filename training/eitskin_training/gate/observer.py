@@ -19,8 +19,7 @@ import numpy.typing as npt
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.fem.jacobian import pixel_jacobian
-from eitskin_sim.scene.nominal import nominal_scene
+from eitskin_sim.fem.jacobian import flat_jacobian
 from eitskin_sim.scene.touch_table import TouchTable, gather
 from eitskin_training.gate.presses import DIAMETER_MM, STRENGTH_MM2, press
 
@@ -36,18 +35,13 @@ PLACES: Final = (9, 6)
 Array = npt.NDArray[np.float64]
 
 
-def flat_jacobian(skin: Skin = PAPER) -> Array:
-    """Return the (104, pixels) change of log V by that of each pixel's log conductivity, of the flat nominal sheet."""
-    return pixel_jacobian(nominal_scene(skin), grid=skin.grid)
-
-
 def press_signals(
     jacobian: Array, skin: Skin = PAPER, strength_mm2: float = STRENGTH_MM2, diameter_mm: float = DIAMETER_MM
 ) -> Array:
     """Return (places, 104) first-order changes of log V by discs of a strength, anywhere on the sheet.
 
     Args:
-        jacobian: (104, pixels), see :func:`flat_jacobian`.
+        jacobian: (104, pixels), see :func:`eitskin_sim.fem.jacobian.flat_jacobian`.
         skin: Whose sheet and map.
         strength_mm2: Conductance taken away over the sheet's, times area.
         diameter_mm: Of the disc, which is even.

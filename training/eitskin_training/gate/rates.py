@@ -147,7 +147,7 @@ def _missed_samples(
     judge: Judge, threshold: float, data: TrainingData, rng: np.random.Generator
 ) -> tuple[float, float | None]:
     """Return the share of a data set's touched samples, at bends kept apart, that is missed, and that of small ones."""
-    rows = np.concatenate(list(data.held_out.values())) if data.held_out else data.validation
+    rows = data.apart
     labels = data.labels[data.touch_set[rows]].astype(np.float64)
     pixels = labels.sum(axis=1) / 255.0 if data.labels_kind == "area" else labels @ pixels_per_unit(data.skin.grid)
     rows, pixels = rows[pixels > 0], pixels[pixels > 0]

@@ -51,20 +51,17 @@ class Probe:
 
 
 @lru_cache(maxsize=KEPT)
-def small_touches(
-    bends: int, skin: Skin, each: int = 400, seed: int = TOUCH_SEED, kind: TouchKind = "raising"
-) -> Array:
+def small_touches(bends: int, skin: Skin, each: int = 400, kind: TouchKind = "raising") -> Array:
     """Return (n, 104) log(V touched / V untouched) of touches of 5 to 12 mm, at the flat sheet and other bends.
 
     Args:
         bends: How many.
         skin: Of the sheet.
         each: Touches at each.
-        seed: Of both.
         kind: "lowering" for faint presses instead, "both" for every second one.
     """
-    rng = np.random.default_rng(seed)
-    members = [Bend(), *wide_bends(bends - 1, seed, skin)]
+    rng = np.random.default_rng(TOUCH_SEED)
+    members = [Bend(), *wide_bends(bends - 1, TOUCH_SEED, skin)]
     hard = {"raising": each, "lowering": 0, "both": each // 2}[kind]
     found = []
     for bend in members:

@@ -21,12 +21,9 @@ from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_proto.sensor.row_gaussian import RowGaussian
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_proto.skin.cloud import network_input
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
-from eitskin_sim.dataset.prediction_cache import predicted_log_of
-from eitskin_sim.dataset.reader import load as load_set
 from eitskin_sim.measurement.consistency import SAMPLES, Filler, fit
 from eitskin_sim.measurement.noise import Kind, add_noise
 from eitskin_training.network.mirror import Mirror, mirrors
@@ -86,6 +83,11 @@ class TrainingData:
     skin: Skin = PAPER
     touch_kind: TouchKind = "raising"
     drift: npt.NDArray[np.float32] | None = None
+
+    @property
+    def apart(self) -> npt.NDArray[np.intp]:
+        """(k,) rows at bends never trained on, family after family; without any, those of the validation."""
+        return np.concatenate(list(self.held_out.values())) if self.held_out else self.validation
 
     def require(self, recipe: Recipe) -> None:
         """Check that a recipe can learn from this data.
@@ -247,14 +249,12 @@ def lose_rows(dv: npt.NDArray[np.float32], recipe: Recipe, rng: np.random.Genera
 
 def consistency_of(data: TrainingData, recipe: Recipe) -> RowGaussian:
     """Return how rows go together in the training samples under the recipe's noise; the same at every call."""
-    chosen = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
-    return fit(noisy_change(data, chosen, recipe.noises, recipe.snr_db, np.random.default_rng(0)))
+    return fit(noisy_change(data, _spread(data), recipe.noises, recipe.snr_db, np.random.default_rng(0)))
 
 
 def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
     """Return (n, 104 * blocks) features of training samples in every mirror image that the network sees."""
-    rng = np.random.default_rng(0)
-    rows = data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]
+    rng, rows = np.random.default_rng(0), _spread(data)
     found = []
     symmetric = recipe.architecture.symmetric
     for mirror in mirrors(data.skin, near=symmetric)[: None if recipe.flips or symmetric else 1]:
@@ -264,35 +264,6 @@ def inputs(data: TrainingData, recipe: Recipe) -> Tensor:
     return torch.cat(found)
 
 
-def load(directory: str) -> TrainingData:
-    """Return a data set that ``eitskin dataset`` wrote.
-
-    Raises:
-        MismatchError: It was made for another protocol or grid.
-        OSError: There is none.
-    """
-    found = load_set(directory)
-    labels = found.units.astype(np.uint8) if found.labels_kind == "units" else found.label_table_u8()
-    held_out = {
-        "A": found.rows(deformations="kept", touches="validation").astype(np.intp),
-        "B": found.rows(deformations="other", touches="validation").astype(np.intp),
-    }
-    return TrainingData(
-        voltages=found.voltages_V,
-        deformation=found.deformation.astype(np.intp),
-        touch_set=found.touch_set.astype(np.intp),
-        reference=found.reference_V,
-        untouched=found.untouched_V,
-        clouds=np.stack([network_input(cloud, found.skin.grid) for cloud in found.clouds]),
-        log_predicted=predicted_log_of(directory, found),
-        labels_kind=found.labels_kind,
-        labels=labels,
-        train=found.rows(deformations="train", touches="train").astype(np.intp),
-        validation=found.rows(deformations="train", touches="validation").astype(np.intp),
-        held_out={family: rows for family, rows in held_out.items() if len(rows)},
-        digest=found.digest,
-        seed=found.seed,
-        skin=found.skin,
-        touch_kind=found.touch_kind,
-        drift=found.drift,
-    )
+def _spread(data: TrainingData) -> npt.NDArray[np.intp]:
+    """Return the rows of ``SAMPLES`` training samples, spread evenly over them; of all if there are fewer."""
+    return data.train[np.unique(np.linspace(0, len(data.train) - 1, SAMPLES).astype(np.intp))]

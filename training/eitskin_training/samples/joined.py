@@ -14,7 +14,8 @@ import numpy.typing as npt
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.touch_kind import together
 from eitskin_training.samples import presses
-from eitskin_training.samples.batches import TrainingData, load
+from eitskin_training.samples.batches import TrainingData
+from eitskin_training.samples.loaded import load
 
 
 def load_all(directories: Sequence[str]) -> TrainingData:

@@ -10,7 +10,7 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.model import ELEMENT_MM, Model, flat_model_V
+from eitskin_sim.verification.free.model import Model, flat_model_V
 from eitskin_sim.verification.free.search import ANEW, FreeVerifier
 from eitskin_sim.verification.residual import Noise
 
@@ -32,7 +32,7 @@ class Work:
 
 @pytest.fixture(scope="module")
 def flat_V() -> Array:
-    return flat_model_V(PAPER, ELEMENT_MM)
+    return flat_model_V(PAPER)
 
 
 @pytest.fixture(scope="module")

@@ -44,9 +44,9 @@ def verifier() -> FreeVerifier:
 
 @lru_cache(maxsize=1)
 def flat_V() -> Array:
-    from eitskin_sim.verification.free.model import ELEMENT_MM, flat_model_V
+    from eitskin_sim.verification.free.model import flat_model_V
 
-    return flat_model_V(PAPER, ELEMENT_MM)
+    return flat_model_V(PAPER)
 
 
 def share(pieces: Array) -> Array:

@@ -13,7 +13,7 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
-from eitskin_sim.verification.free.model import Model, model_of_cloud
+from eitskin_sim.verification.free.model import ELEMENT_MM, Model, model_of_cloud
 from eitskin_sim.verification.spreads import Spreads, usual
 
 GAUGE = Spreads(scan_mm=0.0).gauge
@@ -68,7 +68,7 @@ def test_the_scans_columns_are_the_covariance_of_models_of_noisy_scans(cloud: Ar
     drawn = []
     for _ in range(24):
         noisy = cloud + 0.02 * rng.standard_normal(cloud.shape)
-        volts = inverted_metric(fit_cloud(noisy).metric, model.size_mm).untouched_V
+        volts = inverted_metric(fit_cloud(noisy).metric, ELEMENT_MM).untouched_V
         drawn.append(5.0 * np.log(volts / model.touched.untouched_V))
     stated = np.sqrt(np.square(columns).sum(axis=1))
     found = np.sqrt(np.mean(np.square(drawn), axis=0))
@@ -79,7 +79,7 @@ def test_a_model_made_again_about_a_gauge_factor_is_that_of_such_a_sheet(model: 
     again = model.about(amplitudes(model, gauge=1.0))
     stated = ideal(PAPER)
     device = replace(stated, sheet=replace(stated.sheet, gauge_factor=1.0))
-    true = inverted_metric(model.surface.metric, model.size_mm, None, device)
+    true = inverted_metric(model.surface.metric, ELEMENT_MM, None, device)
     assert again.touched.untouched_V == pytest.approx(
         true.untouched_V, rel=2e-5
     )  # a metric that is moved by nothing is a spline still

@@ -16,7 +16,7 @@ from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.improve import parted
-from eitskin_sim.verification.free.model import ELEMENT_MM, Model, flat_model_V, model_of_cloud
+from eitskin_sim.verification.free.model import Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.search import ANEW, FreeVerdict, FreeVerifier
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import drawn, likely, scaled
@@ -34,7 +34,7 @@ def model() -> Model:
 
 
 def verified(model: Model, pieces: Array, kind: TouchKind = "raising") -> FreeVerdict:
-    flat_V = flat_model_V(PAPER, ELEMENT_MM)
+    flat_V = flat_model_V(PAPER)
     volts = flat_V * (1.0 + model.solve(pieces)[1]) * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
     own = FreeVerifier(flat_V, Noise("N2", 50.0), kind)
     own._model, own._anew = model, ANEW
@@ -68,7 +68,7 @@ def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) 
 
 
 def test_what_goes_both_ways_and_what_is_not_there_has_no_other_contrast(model: Model) -> None:
-    flat_V = flat_model_V(PAPER, ELEMENT_MM)
+    flat_V = flat_model_V(PAPER)
     own = FreeVerifier(flat_V, Noise("N2", 50.0))
     own._model = model
     frame = own._frame(np.zeros(104))

@@ -39,7 +39,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     from eitskin_training.ablations import VARIANTS, ablate, variant_recipe
     from eitskin_training.recipes import recipe
-    from eitskin_training.samples.batches import load
+    from eitskin_training.samples.loaded import load
 
     for name in ("epochs", "samples", "threads"):
         if getattr(arguments, name) < 1:

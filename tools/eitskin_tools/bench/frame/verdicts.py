@@ -1,27 +1,17 @@
 """A process that asks for verdicts and leaves again, in turns, so that one stream is measured with and without them."""
 
 import argparse
-import signal
 import sys
 import time
 from pathlib import Path
-from types import FrameType
 
 import numpy as np
 
 import eitskin
+from eitskin_tools.processes.signals import Stopped, stop_when_told
 
 PATIENCE_S = 300.0
 """How long the first model may take."""
-
-
-class _Stopped(BaseException):
-    """Someone asked for what was noted."""
-
-
-def _stop(number: int, frame: FrameType | None) -> None:
-    signal.signal(number, signal.SIG_IGN)
-    raise _Stopped
 
 
 def take_turns(endpoint: str, phase_s: float, path: Path) -> None:
@@ -57,7 +47,7 @@ def take_turns(endpoint: str, phase_s: float, path: Path) -> None:
                         behind_ms.append((found.received_ns - found.host_ns["publish"]) * 1e-6)
                         flagged.append(bool(found.flagged))
             phases.append((begin_ns, time.perf_counter_ns()))
-    except _Stopped:
+    except Stopped:
         np.savez(
             path, phases=np.array(phases, dtype=np.int64).reshape(-1, 2), spent_ms=spent_ms, behind_ms=behind_ms,
             flagged=np.array(flagged, dtype=np.bool_), counts=counts,
@@ -71,14 +61,13 @@ def main() -> int:
     parser.add_argument("path", type=Path)
     parser.add_argument("--phase", type=float, required=True)
     arguments = parser.parse_args()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, _stop)
+    stop_when_told()
     try:
         take_turns(arguments.endpoint, arguments.phase, arguments.path)
     except eitskin.SkinError as error:
         print(f"{error}", file=sys.stderr)
         return 1
-    except _Stopped:
+    except Stopped:
         return 1
     return 0
 

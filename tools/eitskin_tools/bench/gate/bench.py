@@ -19,6 +19,8 @@ import argparse
 import json
 import math
 import sys
+from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Final
 
 from eitskin_tools.errors import UsageError
@@ -45,6 +47,23 @@ FOUND: Final = {
     "held": "while it stays: touched",
 }
 """What is measured of presses, and how people are told."""
+
+
+@dataclass(frozen=True, slots=True)
+class Lying:
+    """A device at a bend with nothing on it, as log(V / V0)."""
+
+    rest: Any
+    """(104,) as it lies."""
+    uneven: Any
+    """(104,) the same after a session's uneven drift."""
+    walk: Any
+    """(BEFORE, 104) on its way to another bend."""
+
+    @property
+    def still(self) -> Any:
+        """(BEFORE, 104) at rest."""
+        return self.rest[None].repeat(BEFORE, axis=0)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -127,25 +146,16 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         rest = np.log(read(later, here) / reference)
         way = (rest if flat else np.log(read(later, there) / reference)) - rest
         uneven = rest if flat else np.log(read(last, here) / reference)
-        still, walk = np.tile(rest, (BEFORE, 1)), rest + np.linspace(0.0, 1.0, BEFORE)[:, None] * way
-        quiet = RememberingGate(arrays)
-        alarms.append(
-            float(np.mean(judged(quiet, frames(np.concatenate([still, walk, np.tile(walk[-1], (BEFORE, 1))])))))
-        )
+        lying = Lying(rest, uneven, rest + np.linspace(0.0, 1.0, BEFORE)[:, None] * way)
+        untouched = np.concatenate([lying.still, lying.walk, np.tile(lying.walk[-1], (BEFORE, 1))])
+        alarms.append(float(np.mean(judged(RememberingGate(arrays), frames(untouched)))))
         for _ in range(presses):
             x, y = (rng.uniform(half, side - half) for side in skin.outline.size_mm)
             for name, strength in strengths.items():
                 touch = Touch((Disc(x, y, half),), contrast=contrast_of(strength, DIAMETER_MM), border_mm=BORDER_MM)
                 press = np.log(read(later, here, (touch,)) / reference) - rest
-                kept["first_frames"][name].append(any(judged(RememberingGate(arrays), frames(still[:FRAMES] + press))))
-                gate, ends = RememberingGate(arrays), np.linspace(0.0, 1.0, HELD)[:, None]
-                seen = judged(gate, frames(np.concatenate([still, still[:FRAMES] + press])))
-                kept["found"][name].append(any(seen[BEFORE:]))
-                drift = DRIFT * ends * rng.standard_normal() + ends * (uneven - rest)
-                kept["held"][name].append(float(np.mean(judged(gate, frames(rest + drift + press)))))
-                gate, half_way = RememberingGate(arrays), walk[BEFORE // 2 :][:FRAMES] + press
-                seen = judged(gate, frames(np.concatenate([still, walk[: BEFORE // 2], half_way])))
-                kept["moving"][name].append(any(seen[-FRAMES:]))
+                for key, seen in of_press(press, lying, arrays, frames, rng).items():
+                    kept[key][name].append(seen)
         if sys.stderr.isatty():
             print(f"\r{number + 1} of {sheets} ", end="" if number + 1 < sheets else "\n", file=sys.stderr, flush=True)
     return {
@@ -158,6 +168,38 @@ def measured(bundle: Any, sheets: int, presses: int, seed: int, *, flat: bool) -
         "diameter_mm": DIAMETER_MM,
         **{name: {key: share(one, presses) for key, one in by.items()} for name, by in kept.items()},
         "false_alarms": share(alarms, 1),
+    }
+
+
+def of_press(press: Any, lying: Lying, arrays: Any, frames: Callable[[Any], Any], rng: Any) -> dict[str, float]:
+    """Return by the names of ``FOUND`` whether one press is seen, or how often.
+
+    Args:
+        press: (104,) what it adds to log(V / V0).
+        lying: The sheet that is pressed.
+        arrays: Of the gate.
+        frames: Gives (n, 104) dV as it is read of (n, 104) log(V / V0).
+        rng: Of the drift while the press stays.
+    """
+    import numpy as np
+
+    from eitskin.model.gate import RememberingGate
+    from eitskin_training.gate.observer import FRAMES
+
+    still, pressed = lying.still, lying.still[:FRAMES] + press
+    at_first = judged(RememberingGate(arrays), frames(pressed))
+    gate = RememberingGate(arrays)
+    found = judged(gate, frames(np.concatenate([still, pressed])))[BEFORE:]
+    ends = np.linspace(0.0, 1.0, HELD)[:, None]
+    drift = DRIFT * ends * rng.standard_normal() + ends * (lying.uneven - lying.rest)
+    held = judged(gate, frames(lying.rest + drift + press))
+    half_way = lying.walk[BEFORE // 2 :][:FRAMES] + press
+    moving = judged(RememberingGate(arrays), frames(np.concatenate([still, lying.walk[: BEFORE // 2], half_way])))
+    return {
+        "found": any(found),
+        "moving": any(moving[-FRAMES:]),
+        "first_frames": any(at_first),
+        "held": float(np.mean(held)),
     }
 
 

@@ -13,7 +13,7 @@ import numpy as np
 
 from eitskin_proto.errors import SkinError
 from eitskin_tools.bench.peer import reader_eitskin
-from eitskin_tools.bench.peer.frames import BASE, Format, payload
+from eitskin_tools.bench.peer.frames import Format, number_of, payload
 from eitskin_tools.demo.score import percentiles_us
 
 DRAIN_S: Final = 1.5
@@ -56,7 +56,7 @@ def ages(reader: Reader, frames: int, rate_hz: float) -> dict[str, Any]:
     sent_ns, received = _run(reader, frames, rate_hz, flip=False)
     ages_ns = [
         at_ns - sent
-        for at_ns, number in ((row[0], _number(row[2])) for row in received)
+        for at_ns, number in ((row[0], number_of(row[2])) for row in received)
         if number < len(sent_ns) and (sent := sent_ns[number]) is not None
     ]
     if not ages_ns:
@@ -87,10 +87,6 @@ def corruption(reader: Reader, frames: int, rate_hz: float) -> dict[str, int]:
         "returned": len(received),
         "corrupt_accepted": sum(row[1] not in known for row in received),
     }
-
-
-def _number(first: Sequence[int]) -> int:
-    return sum(digit * BASE**place for place, digit in enumerate(first))
 
 
 def _run(reader: Reader, frames: int, rate_hz: float, *, flip: bool) -> tuple[list[int | None], list[list[Any]]]:

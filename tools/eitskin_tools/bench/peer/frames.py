@@ -5,6 +5,7 @@ stuffed (SPEC.md). No byte reaches the marker's first one, so that a marker insi
 send, does not count against the format.
 """
 
+from collections.abc import Sequence
 from typing import Final, Literal
 
 import numpy as np
@@ -31,9 +32,9 @@ def payload(number: int) -> bytes:
     return contents.tobytes()
 
 
-def number_of(contents: bytes) -> int:
+def number_of(contents: Sequence[int]) -> int:
     """Return the number that the first four bytes say."""
-    return sum(contents[place] * BASE**place for place in range(4))
+    return sum(digit * BASE**place for place, digit in enumerate(contents[:4]))
 
 
 def on_the_wire(number: int, kind: Format) -> bytes:

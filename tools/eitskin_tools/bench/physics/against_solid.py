@@ -56,16 +56,16 @@ class Truth:
     rounds: int
 
 
-def slab_rows(places: Mapping[str, tuple[float, float, float, float]] = PLACES) -> list[Row]:
+def slab_rows() -> list[Row]:
     """Return the rows of the flat and the bent sheet, and the fit of the constant to the flat one."""
     rows: list[Row] = []
     for name, bend in (("flat", FLAT), ("bent", BENT)):
         scene = Scene(bend=bend)
         start = perf_counter()
-        truth = solve_truth(scene, places, COARSE)
+        truth = solve_truth(scene, PLACES, COARSE)
         seconds = perf_counter() - start
         print(f"slab: {name}, {truth.unknowns} unknowns, {truth.rounds} rounds, {seconds:.0f} s", file=sys.stderr)
-        rows += compare(scene, places, truth, name)
+        rows += compare(scene, PLACES, truth, name)
         if bend == FLAT:
             rows += [fit_constant(scene, truth.voltages["untouched"], truth.error["untouched"])]
     return rows

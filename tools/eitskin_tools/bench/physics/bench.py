@@ -101,14 +101,18 @@ def _invariants() -> list[Row]:
 def _jacobians() -> list[Row]:
     import numpy as np
 
-    from eitskin_sim.fem.jacobian import COARSE_MM, pixel_jacobian
-    from eitskin_sim.scene.parts import Scene
+    from eitskin_proto.skin.skin import PAPER
+    from eitskin_sim.fem.jacobian import COARSE_MM, relative_jacobian
+    from eitskin_sim.scene.parts import Electrodes, Sheet
 
-    fine = pixel_jacobian(Scene(), 1.5)
+    def jacobian(size_mm: float) -> Any:
+        return relative_jacobian(Sheet(), Electrodes(), shape=PAPER.grid.shape, element_size_mm=size_mm)[1]
+
+    fine = jacobian(1.5)
     rows = []
     for size in (6.0, COARSE_MM, 3.0):
         start = perf_counter()
-        found = pixel_jacobian(Scene(), size)
+        found = jacobian(size)
         error = float(np.linalg.norm(found - fine) / np.linalg.norm(fine))
         seconds = round(perf_counter() - start, 3)
         rows.append({"what": "jacobian", "element_size_mm": size, "error_rms": error, "seconds": seconds})

@@ -73,7 +73,7 @@ ORDER: Final = 2.0
 """Of the voltages' error with all elements halved: a contact's edge holds biquadratic elements to this (measured)."""
 
 
-def extrapolated(coarse: Array, fine: Array, order: float = ORDER) -> tuple[Array, Array]:
+def extrapolated(coarse: Array, fine: Array) -> tuple[Array, Array]:
     """Return Richardson's limit of two solutions, and how far the finer one is from it."""
-    gain = (fine - coarse) / (2.0**order - 1.0)
+    gain = (fine - coarse) / (2.0**ORDER - 1.0)
     return fine + gain, np.abs(gain)

@@ -126,7 +126,6 @@ def reinfer(
     bundle: Bundle,
     solver: Solving | None = None,
     *,
-    name: str | None = None,
     span: Span = Span(),
     every: int = 1,
     keep: int = 0,
@@ -139,7 +138,6 @@ def reinfer(
         bundle: The one that was running, for what is compared with it.
         solver: Another way to a map, held against the bundle's; None for the bundle itself, held against what was
             published.
-        name: Solver of the bundle; None for those that made the maps.
         span: Which part.
         every: Of the frames one in so many goes to ``solver``, or into what is kept.
         keep: How many maps may be kept; 0 for none.
@@ -147,10 +145,9 @@ def reinfer(
 
     Raises:
         SkinError: The recording, its reference or its clouds cannot be used with the bundle.
-        ValueError: The bundle has no such solver.
     """
-    rerun = Rerun(script, bundle, name)
-    published = digests(script) if solver is None and rerun.as_recorded and name is None else {}
+    rerun = Rerun(script, bundle)
+    published = digests(script) if solver is None and rerun.as_recorded else {}
     equality = Equality() if published else None
     agreement = None if solver is None else Agreement(bundle.skin.grid.pixel_mm)
     maps, others = (Maps.empty(keep) if keep else None), (Maps.empty(keep) if keep and solver is not None else None)

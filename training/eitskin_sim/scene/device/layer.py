@@ -84,6 +84,6 @@ def is_uneven(sheet: Sheet) -> bool:
     return bool(sheet.gauge_factor) or sheet.field is not None or sheet.late is not None
 
 
-def relative_conductivity(sheet: Sheet, xy_mm: Array, metric: Array, late: bool = True) -> Array:
+def relative_conductivity(sheet: Sheet, xy_mm: Array, metric: Array) -> Array:
     """Return (...,) conductivity over the nominal one at flat points (..., 2) of metric (..., 3)."""
-    return np.asarray(np.exp(log_conductivity(sheet, xy_mm, late)) * gauge(sheet, metric))
+    return np.asarray(np.exp(log_conductivity(sheet, xy_mm)) * gauge(sheet, metric))

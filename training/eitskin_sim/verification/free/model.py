@@ -37,9 +37,9 @@ RATIO: Final = (0.3, 3.0)
 
 
 @lru_cache(maxsize=4)
-def flat_model_V(skin: Skin, size_mm: float) -> Array:
+def flat_model_V(skin: Skin) -> Array:
     """Return the (104,) V of the flat sheet on the model's mesh."""
-    return inverted_metric(flat_metric_of(skin), size_mm, skin=skin).untouched_V
+    return inverted_metric(flat_metric_of(skin), ELEMENT_MM, skin=skin).untouched_V
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -54,7 +54,6 @@ class Model:
     """(104,) of the model's flat sheet."""
     spreads: Spreads
     skin: Skin
-    size_mm: float
     held: Array
     """(k,) amplitudes of the first columns, waves and layer, that the model has already."""
 
@@ -103,23 +102,20 @@ class Model:
         for kept in (slice(waves), waves + self.unseen.names.index("gauge")):
             held[kept] = amplitudes[kept]
         moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held[:waves])
-        return _model(moved, self.surface, self.spreads, self.skin, self.size_mm, held, self._gauge(held))
+        return _model(moved, self.surface, self.spreads, self.skin, held, self._gauge(held))
 
     def _gauge(self, held: Array) -> float:
         """Return the gauge factor of amplitudes of the first columns."""
         return float(self.spreads.gauge * held[self.unseen.n_waves + self.unseen.names.index("gauge")])
 
 
-def model_of_cloud(
-    cloud_mm: npt.ArrayLike, skin: Skin = PAPER, spreads: Spreads | None = None, size_mm: float = ELEMENT_MM
-) -> Model:
+def model_of_cloud(cloud_mm: npt.ArrayLike, skin: Skin = PAPER, spreads: Spreads | None = None) -> Model:
     """Return the model of a scanned deformation.
 
     Args:
         cloud_mm: (3, rows, columns) mm.
         skin: Whose sheet.
         spreads: How much may differ; None is what the skin says. A scan that shows more noise has more.
-        size_mm: The largest element.
 
     Raises:
         ValueError: The cloud is malformed, or folds in its own plane.
@@ -127,7 +123,7 @@ def model_of_cloud(
     surface, known = fit_cloud(cloud_mm, skin.grid), spreads or usual(skin)
     if known.scan_mm:
         known = replace(known, scan_mm=max(known.scan_mm, scan_noise_mm(cloud_mm, surface, skin.grid)))
-    return _model(surface.metric, surface, known, skin, size_mm)
+    return _model(surface.metric, surface, known, skin)
 
 
 def _model(
@@ -135,12 +131,11 @@ def _model(
     surface: FittedSurface,
     spreads: Spreads,
     skin: Skin,
-    size_mm: float,
     held: Array | None = None,
     gauge: float = 0.0,
 ) -> Model:
-    inverted = inverted_metric(metric, size_mm, skin=skin, gauge=gauge)
-    sheet = TouchedSheet(inverted, shared_mesh(size_mm, None, skin))
+    inverted = inverted_metric(metric, ELEMENT_MM, skin=skin, gauge=gauge)
+    sheet = TouchedSheet(inverted, shared_mesh(ELEMENT_MM, None, skin))
     found = unseen(sheet, metric, surface, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
     own = np.zeros(found.n_waves + len(found.names)) if held is None else held
-    return Model(sheet, metric, surface, found, flat_model_V(skin, size_mm), spreads, skin, size_mm, own)
+    return Model(sheet, metric, surface, found, flat_model_V(skin), spreads, skin, own)

@@ -29,7 +29,7 @@ from eitskin_sim.surface.predict import FittedSurface, noise_tangents
 from eitskin_sim.unit_grid.units import to_voltages
 from eitskin_sim.verification.free.usual_waves import usual_waves
 from eitskin_sim.verification.free.waves import Waves, waves_of
-from eitskin_sim.verification.spreads import Spreads
+from eitskin_sim.verification.spreads import Spreads, layer_fields
 
 LEAST: Final = 0.01
 """Ways in which a scan's noise changes voltages by less, of the strongest, are none."""
@@ -92,7 +92,8 @@ def unseen(
     sheet = touched.sheet
     mesh = sheet.system.mesh
     at = mesh.centres_mm
-    E, F, G = metric(at).T
+    first = metric(at)
+    E, F, G = first.T
     ratio = mesh.sizes_mm[:, 1] / mesh.sizes_mm[:, 0]
     sigma = sheet.system.background * sheet.system.relative
     scale = sigma * sheet.system.thickness_mm * MM / (E * G - F**2)
@@ -114,14 +115,7 @@ def unseen(
     waves = waves_of(skin)
     mixed = spreads.material * usual_waves(skin)
     stretch = answer(*waves.rates(metric, at)) @ mixed
-    length, width = skin.outline.size_mm
-    x, y = at.T
-    fields = {
-        "drift": (np.ones(len(at)), spreads.drift),
-        "tilt x": (np.sqrt(12.0) * (x / length - 0.5), spreads.tilt),
-        "tilt y": (np.sqrt(12.0) * (y / width - 0.5), spreads.tilt),
-        "gauge": (-0.5 * np.log(E * G - F**2), spreads.gauge),
-    }
+    fields = layer_fields(at, first, skin, spreads)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
     parts = [stretch, layer]
     if surface is not None and spreads.scan_mm > 0.0:

@@ -114,7 +114,7 @@ class Search:
         if self._satisfied(start) or judge.late():
             return self._last(start)
         best = start
-        if self._judge.rows_missing:
+        if judge.rows_missing:
             best = judge.better(best, judge.as_whole(self._grown()))
             if judge.explained(best):
                 return self._last(best)
@@ -122,10 +122,11 @@ class Search:
             best = judge.better(best, self._exchanged(level, most))
             if judge.explained(best) or judge.late():
                 return self._last(best)
-        for other in (self._from_nothing, self._refitted):
+        for from_nothing in (True, False):
             if judge.explained(best) or judge.late():
                 break
-            best = judge.better(best, other(best))
+            start = state_of(judge.model, _NONE, np.zeros(0)) if from_nothing else best
+            best = judge.better(best, self._either_sign(start))
         return self._last(best)
 
     def _last(self, best: State) -> State:
@@ -261,15 +262,8 @@ class Search:
             state = refitted(self._judge, fewer, free)
         return state
 
-    def _from_nothing(self, best: State) -> State:
-        """Return a set that is built up from nothing with contrasts of either sign."""
-        return self._either_sign(state_of(self._judge.model, _NONE, np.zeros(0)))
-
-    def _refitted(self, best: State) -> State:
-        """Return the best set with steps of either sign, and its contrasts fitted anew."""
-        return self._either_sign(best)
-
     def _either_sign(self, state: State) -> State:
+        """Return a set after steps with contrasts of either sign, and its contrasts fitted anew."""
         judge, contrasts = self._judge, (self._judge.usual, *OTHERS)
         found = self._steps.descended(state, contrasts)
         if len(found.units) and not judge.late() and not judge.explained(found):
