@@ -22,7 +22,9 @@ def parsed(text: str) -> recipes.BuildRecipe:
     return recipes.parse(tomllib.loads(text))
 
 
-@pytest.mark.parametrize("name", ["free", "free-small", "press", "press-small", "tiny", "units", "units-small"])
+@pytest.mark.parametrize(
+    "name", ["free", "free-small", "gentle", "press", "press-small", "tiny", "units", "units-small"]
+)
 def test_every_shipped_recipe_can_be_planned(name: str) -> None:
     assert name in files.RECIPE.names()
     found = recipes.load(name)
