@@ -13,6 +13,7 @@
     [idle]      drives = [0, 1, 2, 3]   rate_Hz = 20.0          (the table may be left out)
 """
 
+import json
 from pathlib import Path
 from typing import Any, Final
 
@@ -34,6 +35,15 @@ KEYS: Final[dict[str, dict[str, type]]] = {
     "idle": {"drives": list, "rate_Hz": float},
 }
 """Tables and keys with their types; all are required, except skin, and that [idle] may be missing as a whole."""
+
+FIELDS: Final = {
+    "": ("name", "revision", "hardware_id", "skin"),
+    "drive": ("frequency_hz", "current_ua"),
+    "measure": ("settle_us", "averages", "gain", "sample_bytes"),
+    "scan": ("rows", "drives", "rate_mHz"),
+    "idle": ("idle_drives", "idle_rate_mHz"),
+}
+"""Fields of a configuration by the tables that hold them; a skin that is none is left out."""
 
 
 def _where(table: str) -> str:
@@ -122,37 +132,19 @@ def parse(text: str) -> Configuration:
 
 
 def to_toml(configuration: Configuration) -> str:
-    """Return the TOML text of a configuration; ``parse`` gives the same configuration back."""
-    name = configuration.name.replace("\\", "\\\\").replace('"', '\\"')
-    lines = [
-        f"format = {FORMAT}",
-        f'name = "{name}"',
-        f"revision = {configuration.revision}",
-        f'hardware = "{hardware.by_id(configuration.hardware_id).name}"',
-        *([f'skin = "{configuration.skin}"'] if configuration.skin else []),
-        "",
-        "[drive]",
-        f"frequency_Hz = {configuration.frequency_hz}",
-        f"current_uA = {configuration.current_ua}",
-        "",
-        "[measure]",
-        f"settle_us = {configuration.settle_us}",
-        f"averages_periods = {configuration.averages}",
-        f"gain = {configuration.gain}",
-        f"sample_bits = {8 * configuration.sample_bytes}",
-        "",
-        "[scan]",
-        f"rows = {configuration.rows}",
-        f"drives = {drives_to_list(configuration.drives)}",
-        f"rate_Hz = {configuration.rate_mHz / 1000!r}",
-    ]
-    if configuration.idle_drives:
-        lines += [
-            "",
-            "[idle]",
-            f"drives = {drives_to_list(configuration.idle_drives)}",
-            f"rate_Hz = {configuration.idle_rate_mHz / 1000!r}",
-        ]
+    """Return the TOML text of a configuration; ``parse`` gives the same configuration back.
+
+    Raises:
+        ValueError: Its hardware is unknown.
+    """
+    hardware.by_id(configuration.hardware_id)
+    lines = [f"format = {FORMAT}"]
+    for table, fields in FIELDS.items():
+        if table == "idle" and not configuration.idle_drives:
+            continue
+        lines += ["", f"[{table}]"] if table else []
+        found = (in_file(field, getattr(configuration, field)) for field in fields)
+        lines += [f"{name.removeprefix('idle ')} = {json.dumps(value)}" for name, value in found if value != ""]
     return "\n".join(lines) + "\n"
 
 

@@ -125,9 +125,8 @@ def judge(found: Reference, movement: float, yardstick: Yardstick, refused: tupl
     model, older = None, None
     if yardstick.flat_V is not None:
         model = _difference(found.voltages_V, yardstick.flat_V, usable, noise)
-        _compare(model, MODEL_DIFFERENCE, "the bundle's flat, untouched sheet", refusals, remarks)
-        if model > MODEL_DIFFERENCE[1]:
-            refusals[-1] += f" ({ANOTHER_SHEET})"
+        flat = "the bundle's flat, untouched sheet"
+        _compare(model, MODEL_DIFFERENCE, flat, refusals, remarks, f" ({ANOTHER_SHEET})")
     touched = None
     if (before := _same_device(found, yardstick.older)) is not None:
         both = usable & ~lost_rows(before.voltages_V, before.spread_V)
@@ -169,12 +168,12 @@ def _difference(voltages: Array, against: Array, usable: npt.NDArray[np.bool_], 
 
 
 def _compare(
-    difference: float, bounds: tuple[float, float], what: str, refusals: list[str], remarks: list[str]
+    difference: float, bounds: tuple[float, float], what: str, refusals: list[str], remarks: list[str], hint: str = ""
 ) -> None:
     noted, largest = bounds
     text = f"the sheet differs from {what} by {difference:.0%} (rms over rows, beyond a common factor)"
     if difference > largest:
-        refusals.append(f"{text}, expected at most {largest:.0%}")
+        refusals.append(f"{text}, expected at most {largest:.0%}{hint}")
     elif difference > noted:
         remarks.append(f"{text}, usual is {noted:.0%}: is it flat and untouched, are electrodes in their places?")
 
