@@ -42,7 +42,10 @@ class Transport(Protocol):
         """
 
     def cancel(self) -> None:
-        """Make the ``read`` that waits now, or else the next one, return at once."""
+        """Make the ``read`` that waits now, or else the next one, return at once.
+
+        It takes no lock that ``read`` or ``write`` may hold: a signal handler calls it amid them.
+        """
 
     def report(self) -> list[str]:
         """Return what was got of what was asked for, a line for people each."""

@@ -1,8 +1,11 @@
 """A recording behind a line: the runtime greets it as it greets a device, and reads what was recorded."""
 
+import sys
 import threading
 from dataclasses import replace
 from pathlib import Path
+from queue import Empty
+from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -46,18 +49,21 @@ def test_what_belongs_before_a_frame_is_done_when_the_one_before_it_was_taken() 
 def test_at_its_pace_no_frame_comes_before_its_time(monkeypatch: pytest.MonkeyPatch) -> None:
     from eitskin_tools.recording.replay import line as module
 
-    class Passing(threading.Event):
+    class Passing:
         """Waiting lets the clock pass."""
 
-        def wait(self, timeout: float | None = None) -> bool:
+        def put(self, item: None) -> None:
+            pass
+
+        def get(self, timeout: float | None = None) -> None:
             now[0] += int((timeout or 0.0) * 1e9) + 1
-            return False
+            raise Empty
 
     now = [1]
     monkeypatch.setattr(module, "perf_counter_ns", lambda: now[0])
     steps = scans(10)
     line = RecordedLine("it", hello(), lambda: iter(steps), speed=2.0)
-    line._woken = Passing()
+    line._wakes = Passing()  # type: ignore[assignment]
     line.write(b"")
     line._streaming = True
     came = []
@@ -98,6 +104,37 @@ def test_a_read_that_waits_is_woken_by_cancel() -> None:
     line.cancel()
     thread.join(30)
     assert found == [b""]
+
+
+def test_a_signal_amid_a_read_ends_it_whatever_was_being_done() -> None:
+    """A signal's handler runs between any two instructions of the thread that reads, and calls ``cancel`` there."""
+    for number in range(10_000):
+        line = RecordedLine("it", hello(), lambda: iter(()))
+        line.write(b"")  # wakes the first wait: one more is to come
+        met: list[str] = []
+
+        def read(line: RecordedLine = line, at: int = number, met: list[str] = met) -> None:
+            left = at
+
+            def between(frame: FrameType, event: str, _: object) -> Any:
+                nonlocal left
+                frame.f_trace_opcodes = True
+                if event == "opcode" and (left := left - 1) == -1:
+                    sys.settrace(None)
+                    met.append(frame.f_code.co_name)
+                    line.cancel()
+                return between
+
+            sys.settrace(between)
+            assert line.read(0.002) == b""
+
+        thread = threading.Thread(target=read, daemon=True)
+        thread.start()
+        thread.join(30)
+        assert not thread.is_alive(), f"it hangs when cancelled amid {met}, instruction {number}"
+        if not met:  # it was over before
+            break
+    assert number > 100
 
 
 def play(path: Path, **options: Any) -> list[Any]:

@@ -7,10 +7,11 @@ Played again and again, sequence numbers and the device's clock go on.
 """
 
 import struct
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from dataclasses import replace
+from queue import Empty, SimpleQueue
 from time import perf_counter_ns
 from typing import Final
 
@@ -64,7 +65,7 @@ class RecordedLine:
         self._steps = steps()
         self._deframer = Deframer()
         self._answers: deque[bytes] = deque()
-        self._woken = threading.Event()
+        self._wakes: SimpleQueue[None] = SimpleQueue()  # a signal handler may put into it amid a wait, as into no Event
         self._cancelled = False
         self._streaming = self._closed = self._over = False
         self._next: Step | None = None
@@ -94,8 +95,8 @@ class RecordedLine:
             wait_ns = min(moments) - now_ns if moments else None
             if deadline_ns is not None and now_ns >= deadline_ns:
                 return b""
-            self._woken.wait(None if wait_ns is None else max(wait_ns, 0) * 1e-9)
-            self._woken.clear()
+            with suppress(Empty):
+                self._wakes.get(timeout=None if wait_ns is None else max(wait_ns, 0) * 1e-9)
 
     @property
     def pause_s(self) -> float:
@@ -155,7 +156,7 @@ class RecordedLine:
         for payload in self._deframer.feed(data):
             if answer := self._answer(payload):
                 self._answers.append(encode(answer))
-        self._woken.set()
+        self._wakes.put(None)
 
     def _answer(self, payload: bytes) -> bytes:
         kind, tag = payload[0], payload[1] if len(payload) > 1 else 0
@@ -184,9 +185,9 @@ class RecordedLine:
         return int(_SEQUENCE.unpack_from(step.frame.payload, _AT)[1] + self._ahead[1] - left_us) & 0xFFFFFFFF
 
     def cancel(self) -> None:
-        """Make the ``read`` that waits now, or else the next one, return at once."""
+        """Make the ``read`` that waits now, or else the next one, return at once; safe in a signal handler."""
         self._cancelled = True
-        self._woken.set()
+        self._wakes.put(None)
 
     def report(self) -> list[str]:
         """Return how it is played, a line for people."""
@@ -196,4 +197,4 @@ class RecordedLine:
     def close(self) -> None:
         """End it; closing twice is fine."""
         self._closed = self._over = True
-        self._woken.set()
+        self._wakes.put(None)
