@@ -5,6 +5,7 @@ last byte. (``read(size)`` waits for a timeout, ``read_until`` reads byte by byt
 """
 
 import errno
+import math
 import os
 import re
 import select
@@ -77,7 +78,7 @@ class SerialPort:
     def read(self, timeout_s: float | None = None) -> bytes:
         """Return what has arrived, waiting for the first byte; see :class:`eitskin.acquisition.transport.Transport`."""
         try:
-            ready = self._poll.poll(None if timeout_s is None else max(0, round(timeout_s * 1000)))
+            ready = self._poll.poll(None if timeout_s is None else max(0, math.ceil(timeout_s * 1000)))
             if not ready:
                 return b""
             if len(ready) > 1 or ready[0][0] == self._wake:

@@ -6,6 +6,7 @@ a read blocks in slices, and ``cancel`` takes effect at the end of one. Driver e
 """
 
 import errno
+import math
 import os
 import time
 from array import array
@@ -116,7 +117,7 @@ class UsbPort:
         """Return what has arrived, waiting for the first byte; see :class:`eitskin.acquisition.transport.Transport`."""
         deadline_s = None if timeout_s is None else time.perf_counter() + timeout_s
         while not self._cancelled:
-            left_ms = SLICE_MS if deadline_s is None else round((deadline_s - time.perf_counter()) * 1000)
+            left_ms = SLICE_MS if deadline_s is None else math.ceil((deadline_s - time.perf_counter()) * 1000)
             data = self._read_once(max(1, min(SLICE_MS, left_ms)))
             if data or (deadline_s is not None and time.perf_counter() >= deadline_s):
                 return data
