@@ -21,6 +21,7 @@ from eitskin_tools.command_line.parser import Parser
 from eitskin_tools.console.closed import replace_closed, written_out
 from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
+from eitskin_tools.processes.signals import Told, told_as_by_ctrl_c
 
 LIVE: Final[dict[str, tuple[str, str]]] = {
     "demo": ("live.demo", "a virtual skin, the runtime, a scanner and a subscriber, with the map drawn live"),
@@ -124,13 +125,16 @@ def main(argv: Sequence[str] | None = None) -> int:
     replace_closed()
     words = list(sys.argv[1:] if argv is None else argv)
     try:
-        with written_out():
+        with told_as_by_ctrl_c(), written_out():
             return _main(words)
     except BrokenPipeError:
         return 1
     except OSError as error:  # of standard output
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
+    except Told as told:  # whoever sent it, a shell or systemd, sees that it ended this process
+        signal.raise_signal(told.number)
+        return 128 + told.number
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
 

@@ -12,6 +12,7 @@ from eitskin_tools import cli
 from eitskin_tools.commands.live import flash
 from eitskin_tools.emulator.device_core import HostDevice
 from eitskin_tools.emulator.firmware import missing_tools
+from eitskin_tools.flash import procedure
 
 FAST = config_toml.named("fast")
 
@@ -55,6 +56,24 @@ def test_show_write_verify_diff_and_rollback_tell_one_story(device, capsys):
     assert {"field": "rows", "device": 104, "file": 208} in compared["differences"]
     assert report(capsys, "rollback") == (0, {"action": "rollback", "configuration": "full208", "generation": 1})
     assert report(capsys, "show")[1]["active"]["name"] == "full208"
+
+
+@pytest.mark.parametrize("step", procedure.LEFT_BY)
+def test_whoever_interrupts_a_write_is_told_what_the_device_is_left_with(device, capsys, monkeypatch, step):
+    def interrupted(begun, done, total):
+        if begun == step:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(flash, "_progress", interrupted)
+    status, out, err = run(capsys, "write", "fast", "--port", "host")
+    assert (status, out) == (130, "")
+    assert len(err.splitlines()) == 1
+    assert procedure.LEFT_BY[step] in err
+    device.run(31_000_000, step_us=10_000)  # longer than a trial
+    monkeypatch.undo()
+    monkeypatch.setattr(flash, "open_line", lambda port, baud: device)
+    assert report(capsys, "show")[1]["active"]["name"] == ("fast" if step == "done" else "paper")
+    assert report(capsys, "write", "full208")[0] == 0, "and it can be flashed again"
 
 
 def test_show_says_what_becomes_of_either_slot(device, capsys):

@@ -1,8 +1,37 @@
-"""Which signals ask a command to end."""
+"""Which signals ask a command to end, and what is left by one that ends."""
 
 import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
 
 from eitskin_tools.processes.signals import endings, met_by
+
+WRITER = """
+import signal, sys
+from eitskin_proto.files.writing import replacing
+from eitskin_tools import cli
+from eitskin_tools.commands.live import doctor
+
+def run(arguments):
+    with replacing(sys.argv[1]) as file:
+        file.write(b"half of it")
+        for _ in range(int(sys.argv[3])):
+            try:
+                signal.raise_signal(int(sys.argv[2]))
+            finally:
+                print("met", flush=True)
+                if sys.argv[3] == "2":
+                    signal.raise_signal(int(sys.argv[2]))
+                    print("not the last thing", flush=True)
+    return 0
+
+doctor.run = run
+sys.exit(cli.main(["doctor"]))
+"""
+"""A command that gets a signal, once or twice, while it writes."""
 
 
 def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_it_may_close() -> None:
@@ -10,3 +39,29 @@ def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_i
         assert endings() == (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
     with met_by(signal.SIG_IGN, signal.SIGHUP):
         assert endings() == (signal.SIGINT, signal.SIGTERM)
+
+
+def ended(path: Path, number: int, times: int, *before: str) -> tuple[int, str]:
+    """Run the writer, and return its status and what it printed."""
+    command = [*before, sys.executable, "-c", WRITER, str(path), str(number), str(times)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL)
+    assert "Traceback" not in done.stderr
+    return done.returncode, done.stdout
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP])
+def test_what_ends_a_command_while_it_writes_leaves_nothing_half_written(tmp_path: Path, number: int) -> None:
+    assert ended(tmp_path / "a.json", number, 1) == (-number, "met\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.process
+def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
+    assert ended(tmp_path / "a.json", signal.SIGTERM, 2) == (-signal.SIGTERM, "met\n")
+
+
+@pytest.mark.process
+def test_under_nohup_a_closed_terminal_ends_no_command(tmp_path: Path) -> None:
+    assert ended(tmp_path / "a.json", signal.SIGHUP, 1, "nohup") == (0, "met\n")
+    assert (tmp_path / "a.json").read_bytes() == b"half of it"

@@ -29,6 +29,18 @@ BOOT_TIMEOUT_S: Final = 10.0
 BOOT_TRIES: Final = 200
 """One in 0.05 s; a device that talks without end would else be asked as fast as it answers."""
 
+KEPT: Final = "the device keeps its old configuration"
+LEFT_BY: Final = {
+    **dict.fromkeys(("begin", "write", "verify"), KEPT),
+    **dict.fromkeys(
+        ("commit", "restart"), f"{KEPT}, or tries the new one at its next boot and goes back at the one after that"
+    ),
+    "boot": "the device goes back to its old configuration by itself, 30 s after its restart",
+    "confirm": "the device goes back to its old configuration by itself within 30 s, if it did not confirm the new one",
+    "done": "the device runs the new configuration",
+}
+"""What an interrupted :func:`write` leaves, by the step that was begun last."""
+
 Progress = Callable[[str, int, int], None]
 """Called with the step's name, the steps done and their number."""
 
@@ -109,10 +121,12 @@ def write(
             raise FlashError("what the device stored differs from what was sent")
         progress("commit", total - 4, total)
         generation = exchange.command(messages.ConfigCommit, token=token, digest=configuration.digest).detail
-    except SkinError as error:
-        with suppress(SkinError):
+    except (SkinError, KeyboardInterrupt) as error:
+        with suppress(SkinError):  # without it the device would refuse others for ten seconds
             exchange.command(messages.ConfigAbort, token=token)
-        raise FlashError(f"{error}; the device keeps its old configuration") from error
+        if isinstance(error, KeyboardInterrupt):
+            raise
+        raise FlashError(f"{error}; {KEPT}") from error
     progress("restart", total - 3, total)
     try:
         restart(exchange, token)

@@ -17,6 +17,34 @@ def endings() -> tuple[signal.Signals, ...]:
     return asked if signal.getsignal(signal.SIGHUP) == signal.SIG_IGN else (*asked, signal.SIGHUP)
 
 
+class Told(KeyboardInterrupt):
+    """SIGTERM or SIGHUP asked for an end, which is met as Ctrl-C is: what is half written is taken away.
+
+    Args:
+        number: Of the signal.
+    """
+
+    def __init__(self, number: int) -> None:
+        super().__init__()
+        self.number = number
+
+
+@contextmanager
+def told_as_by_ctrl_c() -> Iterator[None]:
+    """Let SIGTERM and SIGHUP raise :class:`Told` while the block lasts, each once; the second one ends the process.
+
+    One for which somebody else has a handler, or that is ignored, stays as it is.
+    """
+    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    with met_by(_told, *ours):
+        yield
+
+
+def _told(number: int, frame: FrameType | None) -> None:
+    signal.signal(number, signal.SIG_DFL)
+    raise Told(number)
+
+
 class Stopped(BaseException):
     """The process was told to end; no Exception, so that nothing on the way out takes it for a fault."""
 

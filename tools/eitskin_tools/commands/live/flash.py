@@ -71,9 +71,7 @@ def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Confi
         )
     assert configuration is not None
     if arguments.action == "write" and not arguments.dry_run:
-        written = procedure.write(
-            exchange, configuration, allow_downgrade=arguments.allow_downgrade, progress=_progress, reopen=opened
-        )
+        written = _written(exchange, configuration, arguments, opened)
         return _print(arguments, {"action": "write", "generation": written.generation, **_describe(configuration)})
     found = procedure.verify(exchange, configuration)
     listed = [{"field": name, "device": old, "file": new} for name, old, new in found]
@@ -83,6 +81,28 @@ def _act(arguments: argparse.Namespace, exchange: Exchange, configuration: Confi
         return _print(arguments, {**report, "dry_run": True})
     _print(arguments, {**report, "same": not found})
     return 1 if found else 0
+
+
+def _written(
+    exchange: Exchange, configuration: Configuration, arguments: argparse.Namespace, opened: Any
+) -> stored.Stored:
+    """Write; whoever interrupts it is told what the device is left with."""
+    begun = "begin"
+
+    def progress(step: str, done: int, total: int) -> None:
+        nonlocal begun
+        begun = step
+        _progress(step, done, total)
+
+    try:
+        return procedure.write(
+            exchange, configuration, allow_downgrade=arguments.allow_downgrade, progress=progress, reopen=opened
+        )
+    except KeyboardInterrupt:
+        end_of_bar = "\n" if sys.stderr.isatty() else ""
+        left = procedure.LEFT_BY[begun]
+        print(f"{end_of_bar}eitskin flash: interrupted; {left}; see 'eitskin flash show'", file=sys.stderr)
+        raise
 
 
 def _describe(configuration: Configuration) -> dict[str, Any]:

@@ -113,8 +113,8 @@ def run(arguments: argparse.Namespace) -> int:
         from eitskin_tools.robot.command import run_all
 
         return run_all(arguments, add_arguments)
-    # Until there is something to close, Ctrl-C ends it as SIGTERM does: at once, and not amid some module's import.
-    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    for number in endings():  # until there is something to close, at once, and not as an error amid some import
+        signal.signal(number, signal.SIG_DFL)
     log = RunLog(sys.stderr, arguments.log_format, quiet=arguments.quiet)
     # One inference thread means one: numpy's BLAS would start a pool as soon as it is imported.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
