@@ -113,7 +113,7 @@ ROOMS: dict[str, Arrows] = {
         "recording": {"command_line", "pictures", "processes"},
         "scans": {"command_line"},
         "scenes": set(),
-        "service": {"processes"}, "robot": {"console", "errors", "processes", "service"},
+        "service": {"processes"}, "robot": {"command_line", "console", "errors", "processes", "service"},
         "verifier": {"command_line", "errors", "evaluation", "processes"},
         "view": {"console", "pictures", "processes", "recording"},
         "scripted_scene": {"processes"},

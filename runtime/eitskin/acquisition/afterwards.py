@@ -11,8 +11,8 @@ from typing import Any, Final
 from eitskin.acquisition.device import Device
 
 GIVE_WAY_S: Final = 0.001
-"""The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame on two
-shared cores (``deliver`` of ``eitskin bench recording``)."""
+"""The least that ports wait, which count in milliseconds; several times what a subscriber takes to have its frame
+(``deliver`` of ``eitskin bench recording``)."""
 
 
 class Afterwards:

@@ -55,7 +55,8 @@ RESTARTS: Final = ("never", "on-failure", "always")
 """When a skin's process that ended is started again."""
 
 SHIPPED_SKINS: Final = ("paper", "hydrogel", "lab")
-"""Descriptions that are named and not looked for."""
+SHIPPED_BUNDLES: Final = ("free", "press", "units")
+"""Descriptions and bundles that are named and not looked for."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +185,6 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
     curve_keys = table.path("curve_keys", beside)
     publish = _endpoint(table, "publish", folder / name / FRAMES, keys=curve_keys is not None)
     control = _endpoint(table, "control", folder / name / CONTROL, keys=curve_keys is not None)
-    description = table.text("skin")
     restart = table.one_of("restart", RESTARTS) or "never"
     reference = table.path("reference", beside)
     reference_frames = table.whole("reference_frames", 2, 10_000)
@@ -199,8 +199,8 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         skin=RobotSkin(name, publish, control, _pose(table)),
         port=port,
         baud=table.whole("baud", 300, 1 << 30),
-        bundle=table.path("bundle", beside),
-        description=Path(description) if description in SHIPPED_SKINS else _beside(description, beside),
+        bundle=_named(table.text("bundle"), SHIPPED_BUNDLES, beside),
+        description=_named(table.text("skin"), SHIPPED_SKINS, beside),
         touches=table.one_of("touches", ("lower", "raise")),
         reference=reference,
         reference_frames=reference_frames,
@@ -220,8 +220,8 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
     return found
 
 
-def _beside(value: str | None, beside: Path) -> Path | None:
-    return None if value is None else beside / Path(value).expanduser()
+def _named(value: str | None, shipped: tuple[str, ...], beside: Path) -> Path | None:
+    return None if value is None else Path(value) if value in shipped else beside / Path(value).expanduser()
 
 
 def _endpoint(table: Table, key: str, default: Path, *, keys: bool) -> str:

@@ -3,7 +3,8 @@
 import pytest
 
 from eitskin.errors import RobotError
-from eitskin.robot.config import load_robot
+from eitskin.model.bundle import shipped
+from eitskin.robot.config import SHIPPED_BUNDLES, load_robot
 from eitskin.robot.described import robot_skins
 
 HEAD = 'format = "eitskin-robot"\nversion = 1\n'
@@ -23,6 +24,13 @@ def robot(tmp_path):
 
 def skin(name="left", port="/dev/ttyACM0", more=""):
     return f'[[skins]]\nname = "{name}"\nport = "{port}"\n{more}\n'
+
+
+def test_what_is_shipped_is_named_and_everything_else_lies_beside_the_file(robot, tmp_path):
+    assert set(SHIPPED_BUNDLES) == set(shipped())
+    for name in SHIPPED_BUNDLES:
+        assert str(robot(skin(more=f'bundle = "{name}"')).skins[0].bundle) == name
+    assert robot(skin(more='bundle = "./press"')).skins[0].bundle == tmp_path / "press"
 
 
 def test_a_whole_file_is_read(robot, tmp_path):

@@ -95,6 +95,8 @@ def test_options_that_do_not_go_together_are_bad_usage(words, said, capsys):
 
 
 def test_a_look_says_what_would_run_and_opens_nothing(robot, capsys, tmp_path):
+    assert cli.main(["run", "--config", robot('bundle = "press"', 'touches = "lower"'), "--check"]) == 0
+    assert "left" in capsys.readouterr().out
     path = robot(f'bundle = "{GOLDEN}/tiny.eitskin"', "pose.translation_mm = [1, 2, 3]")
     assert cli.main(["run", "--config", path, "--check"]) == 0
     assert capsys.readouterr().out.startswith(

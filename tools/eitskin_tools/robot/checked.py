@@ -6,6 +6,7 @@ from pathlib import Path
 from eitskin.errors import RobotError
 from eitskin.robot.config import SHIPPED_SKINS, Robot, SkinSettings
 from eitskin_proto.errors import SkinError
+from eitskin_tools.command_line import files
 
 
 def check(robot: Robot) -> None:
@@ -30,15 +31,16 @@ def _check_files(settings: SkinSettings) -> None:
     from eitskin.reference import captured
     from eitskin_proto.skin import toml
 
+    bundle_path = None if settings.bundle is None else files.named(settings.bundle, files.BUNDLE)
     for key, path in (
-        ("bundle", settings.bundle), ("skin", settings.description), ("reference", settings.reference),
+        ("bundle", bundle_path), ("skin", settings.description), ("reference", settings.reference),
         ("curve_keys", settings.curve_keys),
     ):  # fmt: skip
         if path is not None and not path.exists() and str(path) not in SHIPPED_SKINS:
             raise RobotError(f"no {key} {str(path)!r}; expected it to exist: check the path")
     description = None if settings.description is None else toml.load(settings.description)
     touches = {"lower": "lowering", "raise": "raising"}.get(settings.touches or "")
-    bundle = settings.bundle if touches is None else knowing(touches, settings.bundle)  # type: ignore[arg-type]
+    bundle = bundle_path if touches is None else knowing(touches, bundle_path)  # type: ignore[arg-type]
     _, used = bundle_and_skin(bundle, description)
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:
