@@ -7,6 +7,7 @@ from eitskin.errors import RobotError
 from eitskin.robot.config import SHIPPED_SKINS, Robot, SkinSettings
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.touches import WAYS
 
 
 def check(robot: Robot) -> None:
@@ -39,8 +40,7 @@ def _check_files(settings: SkinSettings) -> None:
         if path is not None and not path.exists() and str(path) not in SHIPPED_SKINS:
             raise RobotError(f"no {key} {str(path)!r}; expected it to exist: check the path")
     description = None if settings.description is None else toml.load(settings.description)
-    touches = {"lower": "lowering", "raise": "raising"}.get(settings.touches or "")
-    bundle = bundle_path if touches is None else knowing(touches, bundle_path)  # type: ignore[arg-type]
+    bundle = bundle_path if settings.touches is None else knowing(WAYS[settings.touches], bundle_path)
     _, used = bundle_and_skin(bundle, description)
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:

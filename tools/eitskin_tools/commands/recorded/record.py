@@ -13,6 +13,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from eitskin.errors import NoFrame
 from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
@@ -119,7 +120,6 @@ class _Stop:
 
 def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _Stop) -> bool:
     """Record until the end, and return whether the disk was full."""
-    from eitskin.errors import NoFrame
     from eitskin_tools.console.status_line import StatusLine
 
     line = StatusLine(sys.stderr)
@@ -136,10 +136,8 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
                 recorder.series.sync()
             if recorder.full:
                 return True
-            if recorder.series is None and now_s - begin_s > (arguments.timeout_s or FIRST_S):
-                raise intake.silent or NoFrame(
-                    "the runtime does not say what skin it has: it is older than recordings; update it"
-                )
+            if recorder.series is None and now_s - begin_s > (patience_s := arguments.timeout_s or FIRST_S):
+                raise _nothing(arguments.endpoint, patience_s, silent=intake.silent is not None)
             if arguments.timeout_s is not None and now_s - heard_s > arguments.timeout_s:
                 return False
             if not recorder.frames:
@@ -154,6 +152,17 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
                 shown_s = now_s
                 line.show(_text(recorder) + ("; nothing comes" if now_s - heard_s > SILENCE_S else ""))
     return False
+
+
+def _nothing(endpoint: str | None, waited_s: float, *, silent: bool) -> NoFrame:
+    """Return what to say of a stream of which nothing came, or nothing that a recording begins with."""
+    from eitskin.messaging.endpoints import default_publish
+    from eitskin.messaging.reachability import explain_silence
+
+    if not silent:
+        return NoFrame("the runtime does not say what skin it has: it is older than recordings; update it")
+    where = endpoint or default_publish()
+    return NoFrame(f"nothing of a stream from {where} within {waited_s:g} s: {explain_silence(where, waited_s)}")
 
 
 def _wait_s(series: Any) -> float:
