@@ -43,7 +43,7 @@ from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.virtual_skin.configure import configuration_for
 from eitskin_tools.virtual_skin.process import WIRE_CAPACITY
 from eitskin_tools.virtual_skin.pty import PtyPort
-from eitskin_tools.virtual_skin.server import wire_times
+from eitskin_tools.virtual_skin.server import LOOK_S, wire_times
 from eitskin_tools.virtual_skin.sources import Noise
 
 LONGEST_S: Final = 60.0
@@ -103,7 +103,8 @@ class Relay:
             port = self._port.fileno()
             heard = [port] if self._port.unsent else [port, self._board]
             full = [port] if self._port.unsent else []
-            readable, writable, _ = select.select(heard, full, [], (until_ns - now) * 1e-9)
+            rest_s = min((until_ns - now) * 1e-9, LOOK_S)
+            readable, writable, _ = select.select(heard, full, [], rest_s)
             if writable:
                 self._port.flush()
             if port in readable:

@@ -31,6 +31,9 @@ LATEST_NS: Final = 200_000_000
 ANSWER_TIMEOUT_S: Final = 0.5
 """How long an answer waits for a host that does not read."""
 
+LOOK_S: Final = 0.5
+"""How long it waits at most: a signal that comes just before a wait does not end that one."""
+
 Log = Callable[[dict[str, Any]], None]
 
 
@@ -110,7 +113,7 @@ class SkinServer:
 
     def _wait(self, until_ns: int | None) -> None:
         moments = [moment for moment in (until_ns, self.next_ns()) if moment]
-        timeout_s = max(min(moments) - self._clock(), 0) * 1e-9 if moments else None
+        timeout_s = min(max(min(moments) - self._clock(), 0) * 1e-9, LOOK_S) if moments else LOOK_S
         ports = [self.port.fileno()] if self.port.plugged else []
         select.select([*ports, self._wake], ports if self.port.unsent else [], [], timeout_s)
 
@@ -150,12 +153,12 @@ class SkinServer:
         data = self.port.read()
         if not data:
             return
+        now = max(now, self._clock())  # the process may have rested since the turn began: bytes met no device of then
         device = self.device
         streaming, rate, first = device.streaming, device.rate_mHz, device.script_start_ns is None
         packets, late_s = self.player.answers(device.receive(data, now), self._time_s(now))
         if late_s and packets:
-            # From when it was read and not from when the turn began: the process may have rested in between
-            self._late.append((max(now, self._clock()) + int(late_s * 1e9), b"".join(packets)))
+            self._late.append((now + int(late_s * 1e9), b"".join(packets)))
         elif packets:
             self.port.write_all(b"".join(packets), ANSWER_TIMEOUT_S)
         if device.streaming and (not streaming or device.rate_mHz != rate):

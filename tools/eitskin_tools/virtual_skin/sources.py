@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_sim.measurement.noise import add_noise
+
 if TYPE_CHECKING:
     from eitskin_tools.scripted_scene.keyframes import Keyframes
     from eitskin_tools.scripted_scene.script import Script
@@ -37,8 +39,6 @@ class Noise:
 
     def on(self, voltages: Array) -> Array:
         """Return (104,) V as a noisy front end measures them."""
-        from eitskin_sim.measurement.noise import add_noise
-
         reference = voltages if self.reference is None else self.reference
         noisy = add_noise(voltages, reference, self.kind, self.snr_db, self._rng)  # type: ignore[arg-type]
         if self.kind != "none" and self.converter_V > 0.0:
