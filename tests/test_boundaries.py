@@ -115,7 +115,7 @@ ROOMS: dict[str, Arrows] = {
         "scenes": set(),
         "service": {"processes"}, "robot": {"command_line", "console", "errors", "processes", "service"},
         "verifier": {"command_line", "errors", "evaluation", "processes"},
-        "view": {"console", "pictures", "processes", "recording"},
+        "view": {"command_line", "console", "pictures", "processes", "recording"},
         "scripted_scene": {"processes"},
         "virtual_skin": {"processes", "scripted_scene"},
         "emulator": {"flash", "scripted_scene", "virtual_skin"},

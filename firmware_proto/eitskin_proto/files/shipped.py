@@ -28,6 +28,17 @@ def text_named(name: str, names: Sequence[str], folder: str, what: str) -> str:
     return resources.files("eitskin_proto").joinpath(folder, f"{name}.toml").read_text(encoding="utf-8")
 
 
+def is_name(path: str | Path, names: Sequence[str]) -> bool:
+    """Return whether a path is the name of a file that comes with the package: no file of one's own lies there.
+
+    Args:
+        path: As it was given.
+        names: Of those that come.
+    """
+    own = Path(path)
+    return str(path) in names and (own.is_dir() or not own.exists())
+
+
 def parse_file(path: str | Path, parse: Callable[[str], Content]) -> Content:
     """Return what a file says.
 

@@ -17,7 +17,7 @@ from typing import Any, Final, Literal, get_args, get_origin, get_type_hints
 
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import parse_toml
-from eitskin_proto.files.shipped import parse_file, text_named
+from eitskin_proto.files.shipped import is_name, parse_file, text_named
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Deformations, Doubts, Instrument, Layer, Map, Outline, Ring, Touches
 from eitskin_proto.skin.quantity import LAWS, Law, Quantity
@@ -51,7 +51,7 @@ def load(path: str | Path) -> Skin:
         ValueError: The file's content is wrong; the text names file and key.
         OSError: There is no such file.
     """
-    if str(path) in NAMED and not Path(path).exists():
+    if is_name(path, NAMED):
         return named(str(path))
     return parse_file(path, parse)
 

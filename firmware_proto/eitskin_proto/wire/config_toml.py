@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import parse_toml
-from eitskin_proto.files.shipped import parse_file, text_named
+from eitskin_proto.files.shipped import is_name, parse_file, text_named
 from eitskin_proto.wire import hardware
 from eitskin_proto.wire.config import FORMAT, Configuration
 from eitskin_proto.wire.scan_rows import drives_from_list, drives_to_list
@@ -175,7 +175,7 @@ def load(path: str | Path) -> Configuration:
         ValueError: The file's content is wrong; the text names file and key.
         OSError: There is no such file.
     """
-    if str(path) in NAMED and not Path(path).exists():
+    if is_name(path, NAMED):
         return named(str(path))
     return parse_file(path, parse)
 

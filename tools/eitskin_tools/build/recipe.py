@@ -26,6 +26,7 @@ from typing import Any, Final
 from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
+from eitskin_proto.files.shipped import is_name
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.toml import to_toml, unknown
 from eitskin_tools.build.missing_lesson import MissingElectrodesWork
@@ -152,7 +153,7 @@ class BuildRecipe:
         if self.small_recipe is not None or not self.small:
             return self.small_recipe
         own = self.beside / self.small
-        found = load(str(own) if own.exists() else self.small)
+        found = load(str(own) if own.is_file() else self.small)
         if found.small:
             raise ValueError(f"small is {quoted(self.small)}, which has a smaller one itself; expected one without")
         for what, one, other in (
@@ -171,7 +172,7 @@ def load(name: str) -> BuildRecipe:
         MissingFileError: There is no such file.
         ValueError: It is neither a recipe nor a skin's description; the text names file and key.
     """
-    if not Path(name).exists() and name in files.SKIN.names() and name not in files.RECIPE.names():
+    if is_name(name, files.SKIN.names()) and name not in files.RECIPE.names():
         return usual(skins.read(name))
     path = files.find(name, files.RECIPE)
     try:
@@ -246,7 +247,7 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
 
 def _skin(name: str, beside: Path) -> Skin:
     own = beside / name
-    return skins.read(str(own) if own.exists() else name)
+    return skins.read(str(own) if own.is_file() else name)
 
 
 def _text(content: dict[str, Any], key: str) -> str:

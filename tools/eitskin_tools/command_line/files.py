@@ -9,6 +9,7 @@ from typing import Final
 
 from eitskin_proto.errors import SkinError
 from eitskin_proto.files.reading import FileError, kind_of
+from eitskin_proto.files.shipped import is_name
 from eitskin_proto.files.writing import check_target
 from eitskin_tools.command_line.suggest import did_you_mean
 
@@ -78,10 +79,9 @@ def find(name: str | Path, kind: Kind) -> Path:
 
 def named(name: str | Path, kind: Kind) -> Path:
     """Return the path that a name stands for, as :func:`find`, whether anything is there or not."""
-    path = Path(name)
-    if not path.exists() and str(name) in kind.names():
+    if is_name(name, kind.names()):
         return Path(str(resources.files(kind.package) / f"{name}{kind.suffix}"))
-    return path
+    return Path(name)
 
 
 def bundle(name: str) -> Path:

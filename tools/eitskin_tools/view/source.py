@@ -13,6 +13,7 @@ from eitskin.robot.pose import Pose
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin import toml
 from eitskin_proto.skin.skin import Skin
+from eitskin_tools.command_line import files
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +68,9 @@ def _skin_of(settings: SkinSettings, otherwise: Skin) -> Skin:
             str(settings.description) in SHIPPED_SKINS or settings.description.exists()
         ):
             return toml.load(settings.description)
-        if settings.bundle is not None and settings.bundle.exists():
-            return load_bundle(settings.bundle, lazily=True).skin
+        bundle = None if settings.bundle is None else files.named(settings.bundle, files.BUNDLE)
+        if bundle is not None and bundle.exists():
+            return load_bundle(bundle, lazily=True).skin
     except (SkinError, OSError, ValueError) as error:
         raise RobotError(f"skin {settings.name}: {error}") from error
     return otherwise
