@@ -37,8 +37,6 @@ class RegionWorker:
         self._closing = threading.Event()
         self.made = 0
         """Unions made so far."""
-        self.failure = ""
-        """Why the last wish could not be met; the whole sheet is computed then."""
 
     def want(self, regions: Regions) -> None:
         """Wish for other regions; returns at once."""
@@ -60,10 +58,8 @@ class RegionWorker:
                     return
             try:
                 self._pipeline.use_regions(wanted)
-                self.failure = ""
-            except (BundleError, MemoryError) as error:
+            except (BundleError, MemoryError):  # every frame says which regions it shows
                 self._pipeline.use_regions(self._pipeline.whole)
-                self.failure = str(error)
             made = wanted
             self.made += 1
             self._closing.wait(REST_S)

@@ -44,7 +44,10 @@ def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_i
 def ended(path: Path, number: int, times: int, *before: str) -> tuple[int, str]:
     """Run the writer, and return its status and what it printed."""
     command = [*before, sys.executable, "-c", WRITER, str(path), str(number), str(times)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL)
+    with met_by(signal.SIG_DFL, signal.SIGHUP):  # these tests may run under nohup themselves
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL
+        )
     assert "Traceback" not in done.stderr
     return done.returncode, done.stdout
 

@@ -72,14 +72,12 @@ class BusPort:
             SkinError: umockdev cannot be used.
         """
         umockdev, glib = bindings()
-        self._umockdev = umockdev
         self.serial_number = serial_number
         self.overruns = 0
         """Packets dropped because the host did not read."""
         self._bed = umockdev.Testbed.new()
         self._handler = _handler_class(umockdev)
         self._number = 1
-        self._path = ""
         self._now: Plugged | None = None
         self._handlers: list[Any] = []
         self._stalls = False

@@ -67,7 +67,7 @@ class RecordedLine:
         self._answers: deque[bytes] = deque()
         self._wakes: SimpleQueue[None] = SimpleQueue()  # a signal handler may put into it amid a wait, as into no Event
         self._cancelled = False
-        self._streaming = self._closed = self._over = False
+        self._streaming = self._over = False
         self._next: Step | None = None
         self._start_ns = self._first_log_ns = self._last_log_ns = 0
         self._first: tuple[int, int] | None = None
@@ -196,5 +196,5 @@ class RecordedLine:
 
     def close(self) -> None:
         """End it; closing twice is fine."""
-        self._closed = self._over = True
+        self._over = True
         self._wakes.put(None)

@@ -52,7 +52,6 @@ class Overview:
         self._events: list[tuple[float, str]] = []
         self._last: dict[str, float] = {}
         self._before: dict[str, int] = {}
-        self._missing = 0
         self._sequence: int | None = None
         self.at_s = 0.0
         """How far it is."""
