@@ -106,7 +106,7 @@ def test_a_read_that_waits_is_woken_by_cancel() -> None:
     assert found == [b""]
 
 
-def test_a_signal_amid_a_read_ends_it_whatever_was_being_done() -> None:
+def test_a_signal_amid_a_read_leaves_nobody_waiting_for_ever() -> None:
     """A signal's handler runs between any two instructions of the thread that reads, and calls ``cancel`` there."""
     for number in range(10_000):
         line = RecordedLine("it", hello(), lambda: iter(()))

@@ -32,9 +32,7 @@ BOOT_TRIES: Final = 200
 KEPT: Final = "the device keeps its old configuration"
 LEFT_BY: Final = {
     **dict.fromkeys(("begin", "write", "verify"), KEPT),
-    **dict.fromkeys(
-        ("commit", "restart"), f"{KEPT}, or tries the new one at its next boot and goes back at the one after that"
-    ),
+    **dict.fromkeys(("commit", "restart"), f"{KEPT}, or tries the new one when it boots and goes back by itself"),
     "boot": "the device goes back to its old configuration by itself, 30 s after its restart",
     "confirm": "the device goes back to its old configuration by itself within 30 s, if it did not confirm the new one",
     "done": "the device runs the new configuration",
