@@ -18,11 +18,11 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import ImageLinear, fixed, images_of_clouds, places, signs
 from eitskin_training.network.linear import Narrow
-from eitskin_training.network.mirror import Mirror
+from eitskin_training.network.mirror import of_outputs
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
 from eitskin_training.network.sharpen import CELL, LOGITS, Sharpen, cells, pixel_of_cell
 
-Mirrors = tuple[Mirror, ...]
+Index = npt.NDArray[np.int64]
 
 
 class GeometryHalf(nn.Module):
@@ -97,11 +97,12 @@ class Head(nn.Module):
         self.activation = activation(self.architecture)
         self.out = out
         self.blocks = sharpen.blocks
-        channel_of_cell, pixel = _permutations(self.skin.grid, bool(len(self.blocks)))
+        sharpened = bool(len(self.blocks))
+        channel_of_cell, pixel = _permutations(self.skin.grid, self.architecture, sharpened)
         if self.architecture.symmetric:
-            place = places(model.mirrors)[:1]
-            channel_of_cell = place[:, channel_of_cell[0]]
-            pixel = pixel if len(self.blocks) else place
+            place = places(of_outputs(model.mirrors, self.architecture.outputs))[0]
+            channel_of_cell = place[channel_of_cell]
+            pixel = pixel if sharpened else place[pixel]
             rows = np.stack([mirror.rows for mirror in model.mirrors])
             blocks = N_ROWS * np.arange(self.architecture.feature_blocks)
             self.register_buffer(
@@ -139,10 +140,11 @@ class Head(nn.Module):
         return z.flatten(1)
 
 
-def _permutations(grid: Grid, sharpened: bool) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+def _permutations(grid: Grid, architecture: Architecture, sharpened: bool) -> tuple[Index, Index]:
     """Return two (1, n_pixels): pixels in the order of channels, then cells, and what each pixel takes at the end."""
     if not sharpened:
-        return np.zeros((1, 0), dtype=np.int64), grid.unit_of_pixel.reshape(1, -1)
+        pixels = np.arange(grid.n_pixels) if architecture.outputs == "pixels" else grid.unit_of_pixel
+        return np.zeros((1, 0), dtype=np.int64), pixels.reshape(1, -1)
     channel_of_cell = pixel_of_cell(grid.shape).reshape(-1, CELL**2).T.reshape(1, -1)
     return channel_of_cell, np.argsort(channel_of_cell)
 
@@ -188,7 +190,7 @@ def split(model: VD2T) -> tuple[GeometryHalf, Head]:
         mixed = Mixed(fusion_voltage)
         mixed.linear.weight = nn.Parameter(mixed.linear.weight.detach() * scale[:, None])
         fusion: nn.Module = mixed
-        last = Mixed(_central(last, exact.mirrors))
+        last = Mixed(_central(last, of_outputs(exact.mirrors, architecture.outputs)))
     else:
         assert isinstance(fusion_voltage, nn.Linear)
         fusion = _linear(fusion_voltage.weight * scale[:, None], None)
@@ -235,11 +237,16 @@ def _parts(layer: nn.Module) -> list[nn.Module]:
     return list(layer) if isinstance(layer, Narrow) else [layer]
 
 
-def _central(layer: nn.Module, mirrors: Mirrors) -> ImageLinear:
-    """Return the last layer with pixels on a mirror's own line even in it, as the mean over their places makes them."""
+def _central(layer: nn.Module, images: Index) -> ImageLinear:
+    """Return the last layer with outputs on a mirror's own line even in it, as the mean over their places makes them.
+
+    Args:
+        layer: The last one.
+        images: (n, outputs) permutation of the outputs by each mirror.
+    """
     assert isinstance(layer, ImageLinear)
-    odd = signs(len(mirrors)) < 0
-    vanish = torch.from_numpy(odd.astype(int) @ fixed(mirrors).astype(int) > 0)
+    odd = signs(len(images)) < 0
+    vanish = torch.from_numpy(odd.astype(int) @ fixed(images).astype(int) > 0)
     layer.weight = nn.Parameter(torch.where(vanish[:, None, :], 0.0, layer.weight.detach()))
     return layer
 

@@ -79,6 +79,9 @@ ARCHITECTURES = {
         widths=(64, 64), cloud_channels=(4, 4), hidden=48, outputs="units", ranks=(24, 20, 20, 16)
     ),
     "symmetric, not sharpened": Architecture(widths=(40, 40), cloud_channels=(4, 4), hidden=32, symmetric=True),
+    "symmetric units": Architecture(
+        widths=(40, 40), cloud_channels=(4, 4), hidden=32, log_predicted=True, outputs="units", symmetric=True
+    ),
 }
 
 
@@ -139,7 +142,7 @@ def test_the_exported_graphs_say_what_the_network_says(name: str) -> None:
 
 
 @pytest.mark.parametrize("skin", SKINS.values(), ids=SKINS)
-@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "units", "narrow"])
+@pytest.mark.parametrize("name", ["symmetric", "symmetric, not sharpened", "symmetric units", "units", "narrow"])
 def test_networks_of_other_skins_fold_to_what_they_say(name: str, skin: Skin) -> None:
     model = trained_looking(ARCHITECTURES[name], skin)
     geometry, head = split(model)
@@ -285,8 +288,9 @@ def test_a_symmetric_head_that_does_not_sharpen_is_cut_behind_its_last_layer() -
     assert np.array_equal(found[0], expected[0, wanted])
 
 
-def test_a_head_that_spreads_units_is_cut_where_it_spreads_them() -> None:
-    _, head = split(trained_looking(ARCHITECTURES["units"]))
+@pytest.mark.parametrize("name", ["units", "symmetric units"])
+def test_a_head_that_spreads_units_is_cut_where_it_spreads_them(name: str) -> None:
+    _, head = split(trained_looking(ARCHITECTURES[name]))
     whole = graphs.head_graph(head)
     wanted = pixels((Region(3, 11, 5, 20),), PAPER.grid.shape)
     expected, found = both(whole, cut(whole, wanted, PAPER.grid.shape), seed=3)

@@ -16,7 +16,7 @@ from .test_graphs import ARCHITECTURES, trained_looking
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
 
-NAMES = ("units", "predicted", "sharpened", "symmetric", "narrow", "narrow units")
+NAMES = ("units", "predicted", "sharpened", "symmetric", "narrow", "narrow units", "symmetric units")
 
 
 def _recipe(name):

@@ -19,8 +19,8 @@ def test_every_variant_changes_the_inputs_and_nothing_else() -> None:
     assert {variant_recipe(base, name).architecture.widths for name in as_wide} == {base.architecture.widths}
     with pytest.raises(ValueError, match="variant 'voltages' is unknown"):
         variant_recipe(base, "voltages")
-    with pytest.raises(ValueError, match="'units' knows no symmetry"):
-        variant_recipe(recipe("units"), "unmirrored")
+    with pytest.raises(ValueError, match="'paper' knows no symmetry"):
+        variant_recipe(recipe("paper"), "unmirrored")
 
 
 def test_parts_of_the_network_are_left_out_one_at_a_time() -> None:

@@ -142,7 +142,7 @@ def test_a_run_goes_on_and_starts_with_data_of_its_own_skin_alone(toy_data: Any,
     train.train(second, plain, tmp_path / "run")
     with pytest.raises(MismatchError, match=f"skin_digest: found {SECOND.digest}, expected {PAPER.digest}"):
         train.train(paper, plain, tmp_path / "run", resume=True)
-    with pytest.raises(MismatchError, match="start from: map: found 18 x 45 pixels, 9 x 15 units, expected 30"):
+    with pytest.raises(MismatchError, match="map: found 18 x 45 pixels, 9 x 15 units, mirror images: xy, expected 30"):
         train.train(paper, plain, tmp_path / "other", start=Start.of_run(tmp_path / "run"))
 
 

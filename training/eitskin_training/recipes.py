@@ -2,8 +2,9 @@
 
 ``paper`` is section V.A of the paper. ``units`` and ``free`` are what a robot needs: several-parameter deformations,
 all three noises, the sheet's mirror symmetries, missing rows; ``units`` keeps the paper's hard labels on the 126 units,
-``free`` has area labels of touches anywhere. ``small`` and ``small-units`` are these two with layers
-narrowed to a fifth or a quarter of the weights; ``tiny`` is one in seconds, for tests and CI.
+``free`` has area labels of touches anywhere. ``small`` is ``free`` with layers narrowed to a fifth of the weights,
+``small-units`` is ``units`` of about half the width, a third of the weights; ``tiny`` is one in seconds, for tests
+and CI.
 """
 
 from dataclasses import asdict, dataclass, replace
@@ -31,9 +32,6 @@ PAPER_SNR_DB: Final = 50.0
 
 RANKS: Final = (64, 26, 30, 30)
 """Of the layers of ``small``: a fifth of the weights of ``free``, whose first layer sees 312 numbers."""
-
-UNITS_RANKS: Final = (64, 32, 32, 96, 101)
-"""Of the layers of ``small-units``: 126 units need more of the last two, which have most of the weights therefore."""
 
 OF_AN_IMAGE: Final = 1.6
 """Width of a network without symmetry beside that of each of four images, for as many weights a frame."""
@@ -143,13 +141,22 @@ _ROBUST: Final = Recipe(
     predicted_dropout=0.1,
 )
 
+
+def _units_network(width: int) -> Architecture:
+    return replace(
+        _ROBUST.architecture, widths=(width,) * 3, hidden=width, outputs="units", sharpening=(), symmetric=True
+    )
+
+
 RECIPES: Final[dict[str, Recipe]] = {
     "paper": Recipe(name="paper", labels="units", architecture=_PAPER_NETWORK),
     "units": replace(
         _ROBUST,
         name="units",
         labels="units",
-        architecture=replace(_ROBUST.architecture, widths=(512, 512, 512), hidden=512, outputs="units", sharpening=()),
+        architecture=_units_network(256),
+        flips=False,
+        together=48,
         lost_electrode=0.15,
     ),
     "free": replace(
@@ -174,16 +181,9 @@ RECIPES: Final[dict[str, Recipe]] = {
         _ROBUST,
         name="small-units",
         labels="units",
-        architecture=replace(
-            _ROBUST.architecture,
-            widths=(512, 512, 512),
-            hidden=512,
-            outputs="units",
-            sharpening=(),
-            ranks=UNITS_RANKS,
-        ),  # begins with a network of "units"
-        epochs=24,
-        learning_rate=2e-3,
+        architecture=_units_network(136),
+        flips=False,
+        together=48,
         lost_electrode=0.15,
     ),
     "tiny": replace(

@@ -1,5 +1,6 @@
 """A recipe with a smaller network: both are made, one goes into the other, and what does not fit is told at once."""
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -7,7 +8,7 @@ import pytest
 from tests.export.test_pair import made as tiny_bundle
 
 from eitskin.model.bundle import load_bundle
-from eitskin_tools.build import making
+from eitskin_tools.build import making, steps
 from eitskin_tools.build import recipe as recipes
 from eitskin_tools.build.hours import SMALL_SHARE
 from eitskin_tools.build.recipe import BuildRecipe
@@ -96,3 +97,24 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     assert found.manifest["small"]["metrics"]["card"] == {"cc": 4}
     work = tmp_path / "work"
     assert asked == [(work, 3.0, 1.0 - SMALL_SHARE, "some"), (work / "small", 3.0, SMALL_SHARE, None)]
+
+
+def test_a_data_set_that_both_have_alike_is_made_once(tmp_path: Path) -> None:
+    large, work = recipes.load("tiny"), tmp_path / "work"
+    other = replace(large.data["presses"], seed=2)
+    small = replace(large, data={"same": large.data["presses"], "other": other})
+    (work / "data" / "presses").mkdir(parents=True)
+    for _ in range(2):  # a build that goes on finds it shared already
+        steps.share_data(small, work / "small", large, work)
+    assert [path.name for path in (work / "small" / "data").iterdir()] == ["same"]
+    shared = work / "small" / "data" / "same"
+    assert shared.resolve() == work / "data" / "presses"
+    moved = work.rename(tmp_path / "elsewhere")
+    assert (moved / "small" / "data" / "same").resolve() == moved / "data" / "presses", "a folder that is moved"
+
+
+def test_the_smaller_units_learn_from_what_the_larger_ones_learned_from() -> None:
+    large = recipes.load("units")
+    small = large.smaller()
+    assert small is not None
+    assert small.data == large.data

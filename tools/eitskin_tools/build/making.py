@@ -46,6 +46,7 @@ class Making:
         share: float = 1.0,
         presses: Any = None,
         larger: Path | None = None,
+        beside: tuple[BuildRecipe, Path] | None = None,
     ) -> Made:
         """Make a bundle, or go on with it.
 
@@ -56,6 +57,7 @@ class Making:
             share: Of these hours.
             presses: A recording of some, to be learned from besides; None without.
             larger: The bundle whose network it begins with, narrowed, if it is of its shape; None as the recipe says.
+            beside: Another recipe and its folder, whose data sets are taken where they are the same.
 
         Raises:
             OtherBuildError: The folder holds another one.
@@ -68,6 +70,8 @@ class Making:
             if given is not None:
                 wanted = hours.scaled(recipe, share * given, hours.measure(recipe, self.workers, self.tell))
             half_made.begin(work, recipe, wanted, given)
+        if beside is not None:
+            steps.share_data(wanted, work, *beside)
         steps.make_data(wanted, work, self.workers, self.tell)
         trained = steps.train_legs(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
@@ -101,6 +105,6 @@ def with_smaller(
     large = making.whole(recipe, work, given, share=1.0 - share, presses=presses)
     halves = work / "large.eitskin", work / "small.eitskin"
     large.finish(halves[0])
-    small = making.whole(smaller, work / "small", given, share=share, larger=halves[0])
+    small = making.whole(smaller, work / "small", given, share=share, larger=halves[0], beside=(large.recipe, work))
     small.finish(halves[1])
     return large, str(pair(*halves, out)["bundle"])

@@ -74,6 +74,16 @@ def _check_start(recipe: BuildRecipe, leg: Leg) -> None:
         start.require(wanted.architecture, skin)
 
 
+def share_data(recipe: BuildRecipe, folder: Path, other: BuildRecipe, made: Path) -> None:
+    """Take the data sets that another recipe has made, where the same are wanted: a link to each."""
+    for name, data in recipe.data.items():
+        plan, own = plan_of(recipe, data), folder / "data" / name
+        same = next((found for found, one in other.data.items() if plan_of(other, one) == plan), None)
+        if same is not None and not own.exists():
+            own.parent.mkdir(parents=True, exist_ok=True)
+            own.symlink_to(os.path.relpath(made / "data" / same, own.parent), target_is_directory=True)
+
+
 def make_data(recipe: BuildRecipe, folder: Path, workers: int, tell: Tell) -> None:
     """Make every data set, or go on with it."""
     from eitskin_sim.dataset.generate import generate

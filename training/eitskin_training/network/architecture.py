@@ -29,7 +29,7 @@ class Architecture:
         activation: ReLU, as in the paper, or SiLU, which learns more in as many epochs.
         sharpening: Channels of each block that sharpens the map; none leaves it as the last linear layer gives it.
         symmetric: Whether every layer but the sharpening keeps the skin's mirror symmetries; widths are then those of
-            one image. Residual voltage channels with pixels out only.
+            one image. Residual voltage channels only.
         ranks: Of each linear layer that a frame passes, in order: the voltage channel's, the first fusion layer, the
             last one. Such a layer is two, with so many features in between, of each image; none leaves all whole. A
             frame is 104 numbers, so a wide layer's weights are mostly not needed.
@@ -57,8 +57,8 @@ class Architecture:
             raise ValueError(f"widths of a residual channel are {self.widths}; expected all equal")
         if self.sharpening and self.outputs != "pixels":
             raise ValueError(f"sharpening needs pixels as outputs, found {self.outputs}: units have no pixels around")
-        if self.symmetric and (self.voltage_channel != "residual" or self.outputs != "pixels"):
-            raise ValueError("a symmetric network needs a residual voltage channel and pixels as outputs")
+        if self.symmetric and self.voltage_channel != "residual":
+            raise ValueError("a symmetric network needs a residual voltage channel")
         if self.ranks and (self.voltage_channel != "residual" or len(self.ranks) != len(self.widths) + 2):
             raise ValueError(
                 f"ranks are {self.ranks}; expected {len(self.widths) + 2} of a residual channel, one a layer, or none"

@@ -8,7 +8,7 @@ images, each even or odd in every mirror, do not mix at all ::
     y_k        =  x_k W_k                           n = 4: even-even, odd-even, even-odd, odd-odd
 
 so a layer from n C to n C features has n C^2 weights instead of n^2 C^2: for as many weights a frame, sqrt(n) times the
-width, and nothing to learn twice. Voltages, clouds and pixels have images of their own:
+width, and nothing to learn twice. Voltages, clouds and outputs have images of their own:
 :mod:`eitskin_training.network.mirror`.
 """
 
@@ -20,6 +20,8 @@ import torch
 from torch import Tensor, nn
 
 from eitskin_training.network.mirror import Mirror
+
+Index = npt.NDArray[np.intp]
 
 
 def signs(count: int) -> npt.NDArray[np.int64]:
@@ -84,56 +86,59 @@ class ImageNorm(nn.BatchNorm1d):
         return super().forward(input.flatten(0, 1)).view(input.shape)
 
 
-def part(mirrors: Sequence[Mirror]) -> npt.NDArray[np.intp]:
-    """Return the (p,) pixels whose images are the map: the first of each set that mirrors exchange.
+def part(images: Index) -> npt.NDArray[np.intp]:
+    """Return the (p,) outputs whose images are all of them: the first of each set that mirrors exchange.
 
     With four images it is the quarter at (0, 0), with two a half, with one the whole.
+
+    Args:
+        images: (n, outputs) permutation of the outputs by each mirror (:func:`~.mirror.of_outputs`).
     """
-    return np.unique(_first(mirrors))
+    return np.unique(_first(images))
 
 
-def places(mirrors: Sequence[Mirror]) -> npt.NDArray[np.int64]:
-    """Return (k, n_pixels) places in n parts where each pixel is; k is 1, 2 or 4.
+def places(images: Index) -> npt.NDArray[np.int64]:
+    """Return (k, outputs) places in n parts where each output is; k is 1, 2 or 4.
 
-    They differ for pixels on a mirror's own line alone, which are their own image.
+    They differ for outputs on a mirror's own line alone, which are their own image.
     """
-    first = _first(mirrors)
+    first = _first(images)
     own = np.unique(first)
     where = np.searchsorted(own, first)
-    shows = np.stack([mirror.pixels[first] == np.arange(len(first)) for mirror in mirrors])
+    shows = images[:, first] == np.arange(len(first))
     most = int(shows.sum(axis=0).max())
     found = np.empty((most, len(first)), dtype=np.int64)
-    for pixel in range(len(first)):
-        images = np.flatnonzero(shows[:, pixel])
-        found[:, pixel] = np.tile(images, most // len(images)) * len(own) + where[pixel]
+    for output in range(len(first)):
+        showing = np.flatnonzero(shows[:, output])
+        found[:, output] = np.tile(showing, most // len(showing)) * len(own) + where[output]
     return found
 
 
-def fixed(mirrors: Sequence[Mirror]) -> npt.NDArray[np.bool_]:
-    """Return (n, p) which pixels of :func:`part` each image leaves where they are."""
-    own = part(mirrors)
-    return np.stack([mirror.pixels[own] == own for mirror in mirrors])
+def fixed(images: Index) -> npt.NDArray[np.bool_]:
+    """Return (n, p) which outputs of :func:`part` each mirror leaves where they are."""
+    own = part(images)
+    return np.asarray(images[:, own] == own)
 
 
-def _first(mirrors: Sequence[Mirror]) -> npt.NDArray[np.intp]:
-    return np.asarray(np.min([mirror.pixels for mirror in mirrors], axis=0))
+def _first(images: Index) -> npt.NDArray[np.intp]:
+    return np.asarray(images.min(axis=0))
 
 
 class Parts(nn.Module):
-    """(n, B, p) values of a part's pixels in each image -> (B, n_pixels).
+    """(n, B, p) values of a part's outputs in each image -> (B, outputs).
 
     Args:
-        mirrors: The skin's images.
+        images: (n, outputs) permutations.
     """
 
     places: Tensor
 
-    def __init__(self, mirrors: Sequence[Mirror]) -> None:
+    def __init__(self, images: Index) -> None:
         super().__init__()
-        self.register_buffer("places", torch.from_numpy(places(mirrors)), persistent=False)
+        self.register_buffer("places", torch.from_numpy(places(images)), persistent=False)
 
     def forward(self, parts: Tensor) -> Tensor:
-        """Return (B, n_pixels)."""
+        """Return (B, outputs)."""
         flat = parts.transpose(0, 1).flatten(1)
         found = flat[:, self.places[0]]
         for place in self.places[1:]:

@@ -7,6 +7,7 @@ the image of (k, m) has the larger number first, reciprocity says that (m, k) is
 mirroring x (x -> 150 mm - x) takes electrode k to 4 - k, mirroring y takes it to 12 - k.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,6 +17,7 @@ import numpy.typing as npt
 from eitskin_proto.sensor.table import N_ELECTRODES, TABLE
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.symmetry import images, near_images
+from eitskin_training.network.architecture import Outputs
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +59,11 @@ def mirrors(skin: Skin, *, near: bool = False) -> tuple[Mirror, ...]:
         Mirror(one.x, one.y, _rows(one.electrodes), _cells(shape, one.x, one.y), _cells(units, one.x, one.y))
         for one in (near_images(skin) if near else images(skin))
     )
+
+
+def of_outputs(mirrors: Sequence[Mirror], outputs: Outputs) -> npt.NDArray[np.intp]:
+    """Return the (n, outputs) permutation of a network's outputs, pixels or units, by each mirror."""
+    return np.stack([one.pixels if outputs == "pixels" else one.units for one in mirrors])
 
 
 def _rows(electrodes: tuple[int, ...]) -> npt.NDArray[np.intp]:

@@ -24,7 +24,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
 from eitskin_training.network.images import ImageNorm, Parts, images_of_clouds, images_of_rows, part
 from eitskin_training.network.linear import last_part, linear
-from eitskin_training.network.mirror import mirrors
+from eitskin_training.network.mirror import mirrors, of_outputs
 from eitskin_training.network.sharpen import Sharpen
 
 MEASURED_FLOOR: Final = 1e-2
@@ -105,10 +105,11 @@ class VD2T(nn.Module):
             _norm(architecture.hidden, architecture), activation(architecture), nn.Dropout(architecture.dropout)
         )
         if architecture.symmetric:
-            outputs = len(part(self.mirrors))
-            self.pixels: nn.Module = Parts(self.mirrors)
+            images_of_outputs = of_outputs(self.mirrors, architecture.outputs)
+            outputs = len(part(images_of_outputs))
+            self.outputs: nn.Module = Parts(images_of_outputs)
         else:
-            outputs, self.pixels = outputs_of(architecture, skin), nn.Identity()
+            outputs, self.outputs = outputs_of(architecture, skin), nn.Identity()
         self.out = linear(architecture.hidden, outputs, architecture, images, number=layers + 1, bias=True)
         self.sharpen = Sharpen(architecture.sharpening, _kind(architecture), skin.grid.shape)
         bias = last_part(self.out).bias
@@ -148,7 +149,7 @@ class VD2T(nn.Module):
             x = images_of_rows(x, self.architecture.feature_blocks, self.mirrors)
             bias = bias.view(len(bias), len(self.mirrors), -1).transpose(0, 1)
         hidden = self.fusion(self.fusion_voltage(self.voltage(self.standardise(x))) + bias)
-        return self.sharpen(self.pixels(self.out(hidden)))  # type: ignore[no-any-return]
+        return self.sharpen(self.outputs(self.out(hidden)))  # type: ignore[no-any-return]
 
     def forward(
         self, dv: Tensor, clouds: Tensor, which: Tensor | None = None, log_predicted: Tensor | None = None
