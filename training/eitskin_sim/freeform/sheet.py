@@ -23,22 +23,28 @@ from eitskin_sim.unit_grid.units import to_voltages
 
 
 @dataclass(frozen=True, slots=True)
-class InvertedSheet:
-    """One deformation, assembled and inverted."""
+class AssembledSheet:
+    """One deformation, assembled."""
 
     system: System
     tensor: Array
     """(n_elements, 3, 3) conductance: components at the middle, their change along x and along y."""
     before: Array
     """(n_elements, 9, 9) blocks without middles."""
+    ground: tuple[int, float]
+    """The unknown that is tied to the ground, and by how many S."""
+
+
+@dataclass(frozen=True, slots=True)
+class InvertedSheet(AssembledSheet):
+    """One deformation, assembled and inverted."""
+
     inverse: Array
     """(n_dofs, n_dofs) V for 1 A, up to a constant."""
     to_terminals: Array
     """(n_dofs, 16) its columns of the electrodes."""
     at_terminals: Array
     """(16, 16) of the electrodes alone."""
-    ground: tuple[int, float]
-    """The unknown that is tied to the ground, and by how many S."""
 
     @property
     def untouched_V(self) -> Array:
@@ -72,9 +78,24 @@ def inverted_metric(
     into: Array | None = None,
     device: Device | None = None,
     skin: Skin = PAPER,
-    gauge: float = 0.0,
 ) -> InvertedSheet:
-    """Return a sheet of any first fundamental form, ready for touch sets; see :func:`inverted_sheet`.
+    """Return a sheet of any first fundamental form, ready for touch sets; see :func:`inverted_sheet`."""
+    sheet = assembled_metric(first_form, size_mm, device, skin)
+    grid = shared_mesh(size_mm, (device or ideal(skin)).electrodes, skin)
+    inverse = dense_inverse(grid.lines, sheet.before, sheet.ground, into)
+    to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
+    at_terminals = to_terminals[grid.terminals]
+    return InvertedSheet(sheet.system, sheet.tensor, sheet.before, sheet.ground, inverse, to_terminals, at_terminals)
+
+
+def assembled_metric(
+    first_form: Metric,
+    size_mm: float = ELEMENT_MM,
+    device: Device | None = None,
+    skin: Skin = PAPER,
+    gauge: float = 0.0,
+) -> AssembledSheet:
+    """Return a sheet of any first fundamental form, assembled.
 
     A ``gauge`` is added to the gauge factor that device or skin state.
     """
@@ -88,10 +109,7 @@ def inverted_metric(
     before = without_middle(with_contacts(system.background * system.stiffness, elements, density, system.contacts))
     tie = float(system.contacts.area_m2 @ density) / N_ELECTRODES
     middle = int(np.sort(grid.terminals)[N_ELECTRODES // 2])  # far from it rounding adds up: from an end, ten times
-    inverse = dense_inverse(grid.lines, before, (middle, tie), into)
-    to_terminals = np.ascontiguousarray(inverse[grid.terminals].T)
-    tensor = _tensors(first_form, system, true.sheet)
-    return InvertedSheet(system, tensor, before, inverse, to_terminals, to_terminals[grid.terminals], (middle, tie))
+    return AssembledSheet(system, _tensors(first_form, system, true.sheet), before, (middle, tie))
 
 
 def _tensors(first_form: Metric, system: System, sheet: Sheet = IDEAL.sheet) -> Array:
@@ -109,7 +127,7 @@ def _tensors(first_form: Metric, system: System, sheet: Sheet = IDEAL.sheet) -> 
     return np.stack([at(0.5, 0.5), at(1.0, 0.5) - at(0.0, 0.5), at(0.5, 1.0) - at(0.5, 0.0)], axis=-1)
 
 
-def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
+def touched_blocks(sheet: AssembledSheet, cuts: Cuts) -> tuple[Array, Array]:
     """Return the (e, 9, 9) stiffness of touched elements and the (e,) density of contacts on them."""
     stiffness, contacts = sheet.system.stiffness, sheet.system.contacts
     blocks = np.empty((len(cuts.element), 9, 9))
@@ -127,7 +145,7 @@ def touched_blocks(sheet: InvertedSheet, cuts: Cuts) -> tuple[Array, Array]:
     return blocks, np.asarray(cuts.share * touched + (1.0 - cuts.share) * untouched)
 
 
-def sheet_blocks(sheet: InvertedSheet, touches: TouchTable, number: int) -> tuple[Array, Array]:
+def sheet_blocks(sheet: AssembledSheet, touches: TouchTable, number: int) -> tuple[Array, Array]:
     """Return the (n_elements, 9, 9) blocks and (m,) densities of one touch set, for a Factor."""
     system = sheet.system
     cuts = find_cuts(touches, np.array([number]), system.mesh)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from eitskin_sim.fem.borders.cut_touches import Cuts, find_cuts
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import with_contacts, without_middle
-from eitskin_sim.freeform.sheet import InvertedSheet, touched_blocks
+from eitskin_sim.freeform.sheet import AssembledSheet, touched_blocks
 from eitskin_sim.scene.touch_table import Array, TouchTable
 from eitskin_sim.shapes.parameters import COUNT
 from eitskin_sim.shapes.ways import neighbours, ways_of
@@ -49,7 +49,7 @@ class Rates:
     """(q, 9, 9) S by mm, rad, or 1."""
 
 
-def touched(sheet: InvertedSheet, sets: list[Array], among: Index | None = None) -> Blocks:
+def touched(sheet: AssembledSheet, sets: list[Array], among: Index | None = None) -> Blocks:
     """Return what touch sets, (n, 8) pieces each, make of a sheet's elements, sorted by set and element.
 
     Args:
@@ -79,7 +79,7 @@ def _once(cuts: Cuts, n_elements: int) -> Index:
     return np.asarray(order[last])
 
 
-def rates(sheet: InvertedSheet, pieces: Array, free: npt.NDArray[np.bool_], base: Blocks) -> Rates:
+def rates(sheet: AssembledSheet, pieces: Array, free: npt.NDArray[np.bool_], base: Blocks) -> Rates:
     """Return the rates of the blocks of one touch set.
 
     Args:

@@ -1,7 +1,7 @@
 """Voltages of touches on one deformation, and their derivatives by every parameter, by the adjoint method.
 
-The untouched sheet is factorised once a deformation (:mod:`eitskin_sim.freeform.sheet`). Touches change the stiffness
-on the nodes D of the elements that they reach, by dS, so with G the inverse of the untouched sheet and E the electrodes
+The untouched sheet is factorised once a deformation. Touches change the stiffness on the nodes D of the elements that
+they reach, by dS, so with G the inverse of the untouched sheet, made where it is needed, and E the electrodes
 
     X = (1 + G_DD dS)^-1 G_DE          the fields on D of 1 A into each electrode
     U = G_EE - G_ED dS X
@@ -19,11 +19,10 @@ import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
 
-from eitskin_sim.fem.inverse import solve_lines
+from eitskin_sim.fem.inverse import PartialInverse, solve_lines
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.freeform.mesh import SharedMesh
-from eitskin_sim.freeform.parts import between
-from eitskin_sim.freeform.sheet import InvertedSheet
+from eitskin_sim.freeform.sheet import AssembledSheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.elements import Blocks, Rates, rates, touched
 from eitskin_sim.unit_grid.units import to_voltages
@@ -61,13 +60,23 @@ class TouchedSheet:
         grid: Its mesh.
     """
 
-    def __init__(self, sheet: InvertedSheet, grid: SharedMesh) -> None:
+    def __init__(self, sheet: AssembledSheet, grid: SharedMesh) -> None:
         self.sheet, self.grid = sheet, grid
+        self._inverse = PartialInverse(grid.lines, sheet.before, sheet.ground)
+        self.to_terminals = self._inverse.solve(self._currents())
+        """(n_dofs, 16) V for 1 A into each electrode, with nothing touched."""
+        at_terminals = self.to_terminals[grid.terminals]
+        self._at_terminals = (at_terminals + at_terminals.T) / 2
+
+    def _currents(self) -> Array:
+        currents = np.zeros((len(self.grid.sharing), len(self.grid.terminals)))
+        currents[self.grid.terminals, np.arange(len(self.grid.terminals))] = 1.0
+        return currents
 
     @property
     def untouched_V(self) -> Array:
         """(104,) under 1 A with nothing touched."""
-        return self.sheet.untouched_V
+        return np.asarray(to_voltages(self._at_terminals[None])[0])
 
     def solve(self, pieces: Array) -> Solved:
         """Return a touch set's fields and voltages.
@@ -82,7 +91,7 @@ class TouchedSheet:
         if not len(pieces):
             none = np.zeros(0, dtype=np.intp)
             base = Blocks(none, none, np.zeros((0, 9, 9)))
-            return Solved(pieces, base, none, np.zeros((0, 16)), sheet.at_terminals)
+            return Solved(pieces, base, none, np.zeros((0, 16)), self._at_terminals)
         base = touched(sheet, [pieces])
         own = self.grid.dofs[base.element]
         dofs, place = np.unique(own, return_inverse=True)
@@ -94,22 +103,20 @@ class TouchedSheet:
         where = (place[:, :, None] * len(dofs) + place[:, None, :]).ravel()
         change = np.bincount(where, added, len(dofs) ** 2).reshape(len(dofs), len(dofs))
         dofs, change = dofs[hidden:], change[hidden:, hidden:]
-        seen = sheet.to_terminals[dofs]
-        matrix = change @ between(sheet.inverse, dofs, dofs)  # symmetric both: its transpose is wanted
+        seen = self.to_terminals[dofs]
+        matrix = change @ self._inverse.among(dofs)  # symmetric both: its transpose is wanted
         matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
         _, _, fields, failed = lapack.dgesv(matrix.T, seen, overwrite_a=1)
         if failed:
             raise ValueError("touches take away more conductance than the sheet has")
-        response = sheet.at_terminals - seen.T @ (change @ fields)
+        response = self._at_terminals - seen.T @ (change @ fields)
         return Solved(pieces, base, dofs, fields, np.asarray((response + response.T) / 2))
 
     def _solved_whole(self, pieces: Array, base: Blocks, dofs: Index) -> Solved:
         sheet, grid = self.sheet, self.grid
         blocks = sheet.before.copy()
         blocks[base.element] = base.blocks
-        currents = np.zeros((len(grid.sharing), len(grid.terminals)))
-        currents[grid.terminals, np.arange(len(grid.terminals))] = 1.0
-        fields = solve_lines(grid.lines, blocks, sheet.ground, currents)
+        fields = solve_lines(grid.lines, blocks, sheet.ground, self._currents())
         response = fields[grid.terminals]
         return Solved(pieces, base, dofs, fields[dofs], np.asarray((response + response.T) / 2))
 

@@ -8,6 +8,7 @@ import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
@@ -136,17 +137,44 @@ def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() ->
     assert np.sqrt(np.square(told).sum(axis=0)) == pytest.approx(np.sqrt(np.square(own).sum(axis=0)), rel=0.2)
 
 
-def test_waves_keep_the_border_and_their_rates_are_quotients() -> None:
+def uneven_metric(xy_mm: Array) -> Array:
+    x, y = xy_mm.T / 100.0
+    return np.stack([1.2 + 0.1 * x + 0.05 * x * y, 0.1 * x - 0.2 * y, 0.9 + 0.1 * y + 0.05 * x], axis=-1)
+
+
+@pytest.mark.parametrize("metric", [flat_metric, uneven_metric])
+def test_waves_keep_the_border_and_their_rates_are_quotients(metric: Metric) -> None:
     waves = waves_of()
-    edge = np.array([[0.0, 30.0], [150.0, 70.0]])
-    assert np.abs(waves.at(edge)[0][:, :, 0]).max() < 1e-12
+    ends = ([[0.0, 30.0], [150.0, 70.0]], [[20.0, 0.0], [90.0, 100.0]])
+    for axis, edge in enumerate(ends):
+        assert np.abs(waves.along(axis, np.array(edge))[0]).max() < 1e-12
     at = np.array([[33.0, 21.0], [101.0, 77.0]])
-    rates = np.array(waves.rates(flat_metric, at))
-    for number in (1, 5, 20):
+    rates = np.array(waves.rates(metric, at))
+    for number in (1, 5, 17, 18, 20, 29):
         step = np.zeros(len(waves.sd))
         step[number] = 1e-4
-        quotient = (waves.moved(flat_metric, step)(at) - waves.moved(flat_metric, -step)(at)) / 2e-4
-        assert np.allclose(rates[:, :, number].T, quotient, atol=1e-6)
+        quotient = (waves.moved(metric, step)(at) - waves.moved(metric, -step)(at)) / 2e-4
+        assert np.allclose(rates[:, :, number].T, quotient, atol=2e-5)
+
+
+def test_a_material_that_lies_elsewhere_has_the_metric_of_the_points_that_it_lies_under() -> None:
+    """The moved metric measures a short way as the metric does between where its ends lie."""
+    waves, rng = waves_of(), np.random.default_rng(3)
+    amplitudes = 0.02 * rng.standard_normal(len(waves.sd))
+
+    def lies(at: Array) -> Array:
+        parts = np.split(amplitudes, [6 * 3])
+        return at + np.stack([waves.along(axis, at)[0] @ part for axis, part in enumerate(parts)], axis=-1)
+
+    at, way = np.array([[40.0, 30.0], [110.0, 64.0]]), 1e-4 * rng.standard_normal((2, 2))
+    length = [
+        np.einsum("kc,kc->k", metric(where), np.stack([w[:, 0] ** 2, 2.0 * w[:, 0] * w[:, 1], w[:, 1] ** 2], axis=-1))
+        for metric, where, w in (
+            (waves.moved(uneven_metric, amplitudes), at, way),
+            (uneven_metric, lies(at), lies(at + way) - lies(at)),
+        )
+    ]
+    assert length[0] == pytest.approx(length[1], rel=1e-4)
 
 
 @pytest.mark.slow

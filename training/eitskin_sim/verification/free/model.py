@@ -16,7 +16,7 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.mesh import Metric
 from eitskin_sim.freeform.mesh import shared_mesh
-from eitskin_sim.freeform.sheet import inverted_metric
+from eitskin_sim.freeform.sheet import assembled_metric
 from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
@@ -39,7 +39,7 @@ RATIO: Final = (0.3, 3.0)
 @lru_cache(maxsize=4)
 def flat_model_V(skin: Skin) -> Array:
     """Return the (104,) V of the flat sheet on the model's mesh."""
-    return inverted_metric(flat_metric_of(skin), ELEMENT_MM, skin=skin).untouched_V
+    return _touched(flat_metric_of(skin), skin).untouched_V
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +134,12 @@ def _model(
     held: Array | None = None,
     gauge: float = 0.0,
 ) -> Model:
-    inverted = inverted_metric(metric, ELEMENT_MM, skin=skin, gauge=gauge)
-    sheet = TouchedSheet(inverted, shared_mesh(ELEMENT_MM, None, skin))
+    sheet = _touched(metric, skin, gauge)
     found = unseen(sheet, metric, surface, spreads, skin, nominal_sheet(skin).gauge_factor + gauge)
     own = np.zeros(found.n_waves + len(found.names)) if held is None else held
     return Model(sheet, metric, surface, found, flat_model_V(skin), spreads, skin, own)
+
+
+def _touched(metric: Metric, skin: Skin, gauge: float = 0.0) -> TouchedSheet:
+    assembled = assembled_metric(metric, ELEMENT_MM, skin=skin, gauge=gauge)
+    return TouchedSheet(assembled, shared_mesh(ELEMENT_MM, None, skin))

@@ -19,6 +19,7 @@ from typing import Final
 
 import numpy as np
 
+from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.fem.borders.cut_blocks import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
@@ -26,7 +27,6 @@ from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, noise_tangents
-from eitskin_sim.unit_grid.units import to_voltages
 from eitskin_sim.verification.free.usual_waves import usual_waves
 from eitskin_sim.verification.free.waves import Waves, waves_of
 from eitskin_sim.verification.spreads import Spreads, layer_fields
@@ -62,13 +62,13 @@ def powers(touched: TouchedSheet) -> Array:
     contacts = sheet.system.contacts
     density = contacts.density(np.full(len(contacts.element), sheet.system.background))
     whole = with_contacts(sheet.system.background * sheet.system.stiffness, elements, density, contacts)
-    padded = np.concatenate([sheet.to_terminals, np.zeros((1, 16))])
-    outer = padded[grid.dofs]  # (e, 9, 16), the electrode last
+    driven = touched.to_terminals - np.roll(touched.to_terminals, -1, axis=1)
+    outer = np.concatenate([driven, np.zeros((1, 16))])[grid.dofs]  # (e, 9, 16), the electrode last
     middle = -(whole[:, MIDDLE, KEPT][:, None, :] @ outer) / whole[:, MIDDLE, MIDDLE][:, None, None]
     fields = np.insert(outer[:, :8], MIDDLE, middle[:, 0], axis=1)
     tables = PRODUCTS.sum(axis=0).reshape(3, 9, 9)
-    flipped = np.swapaxes(fields, 1, 2)
-    return np.array([-to_voltages(flipped @ (table @ fields)) for table in tables])
+    flipped, (drive, measure) = np.swapaxes(fields, 1, 2), TABLE.T.astype(np.intp)
+    return np.array([-(flipped @ (table @ fields))[:, drive, measure] for table in tables])
 
 
 def unseen(
@@ -100,38 +100,34 @@ def unseen(
     power = powers(touched)
     tensor = scale * np.array([G * ratio, -F, E / ratio])  # (3, e)
 
-    def answer(dE: Array, dF: Array, dG: Array) -> Array:
-        """Return (104, m) V for changes (e, m) of the metric."""
-        stretch = (dE * G[:, None] + E[:, None] * dG - 2.0 * F[:, None] * dF) / (E * G - F**2)[:, None]
-        shrink = -(1.0 + gauge / 2.0) * stretch
-        parts = (
-            scale[:, None] * ratio[:, None] * dG + tensor[0][:, None] * shrink,
-            -scale[:, None] * dF + tensor[1][:, None] * shrink,
-            scale[:, None] / ratio[:, None] * dE + tensor[2][:, None] * shrink,
-        )
-        return np.asarray(power[0].T @ parts[0] + power[1].T @ parts[1] + power[2].T @ parts[2])
-
     by_log_sigma = np.einsum("ce,cer->er", tensor, power)
+    stretch = (1.0 + gauge / 2.0) / (E * G - F**2)  # by how much the area's stretch shrinks all of K
+    by_metric = np.array(
+        [
+            power[2] * (scale / ratio)[:, None] - by_log_sigma * (stretch * G)[:, None],
+            by_log_sigma * (2.0 * stretch * F)[:, None] - power[1] * scale[:, None],
+            power[0] * (scale * ratio)[:, None] - by_log_sigma * (stretch * E)[:, None],
+        ]
+    )  # (3, e, 104) V by E, F and G of each element
     waves = waves_of(skin)
     mixed = spreads.material * usual_waves(skin)
-    stretch = answer(*waves.rates(metric, at)) @ mixed
+    moved = sum(by.T @ rate for by, rate in zip(by_metric, waves.rates(metric, at), strict=True))
     fields = layer_fields(at, first, skin, spreads)
     layer = np.array([by_log_sigma.T @ (size * one) for one, size in fields.values()]).T
-    parts = [stretch, layer]
+    parts = [moved @ mixed, layer]
     if surface is not None and spreads.scan_mm > 0.0:
-        parts.append(_strongest(answer(*_scans(surface, at, spreads.scan_mm, skin))))
+        parts.append(_strongest(spreads.scan_mm * _scans(surface, at, by_metric, skin)))
     return Unseen(tuple(fields), np.concatenate(parts, axis=1), waves, mixed, by_log_sigma)
 
 
-def _scans(surface: FittedSurface, at: Array, noise_mm: float, skin: Skin) -> tuple[Array, Array, Array]:
-    """Return (e, m) changes of E, F and G by a scanner's noise, each of one standard deviation."""
-    by_x, by_y = surface.tangents(at)
+def _scans(surface: FittedSurface, at: Array, by_metric: Array, skin: Skin) -> Array:
+    """Return (104, m) V by a scanner's noise of 1 mm, which changes the surface's tangents, each of one sd."""
+    by_E, by_F, by_G = by_metric
     dx, dy = noise_tangents(at, skin.grid)
-
-    def along(tangents: Array, changes: Array) -> Array:
-        return noise_mm * (tangents[:, :, None] * changes[:, None, :]).reshape(len(at), -1)
-
-    return 2.0 * along(by_x, dx), along(by_x, dy) + along(by_y, dx), 2.0 * along(by_y, dy)
+    found = []
+    for x, y in zip(*(tangents.T[:, :, None] for tangents in surface.tangents(at)), strict=True):
+        found.append((2.0 * by_E * x + by_F * y).T @ dx + (by_F * x + 2.0 * by_G * y).T @ dy)
+    return np.concatenate(found, axis=1)
 
 
 def _strongest(columns: Array) -> Array:

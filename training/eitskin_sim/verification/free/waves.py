@@ -46,25 +46,40 @@ class Waves:
     """(n,) of the stretch that each brings."""
     size_mm: tuple[float, float]
 
-    def at(self, xy_mm: Array) -> tuple[Array, Array]:
-        """Return (k, n, 2) displacements by the amplitudes, mm, and (k, n, 2, 2) derivatives: of which, by which."""
-        move, slope = [], []
-        for axis, count in enumerate(WAVES):
-            along, across = self.size_mm[axis], self.size_mm[1 - axis]
-            wave = np.pi * np.arange(1, count + 1) / along
-            t = 2.0 * xy_mm[:, 1 - axis] / across - 1.0
-            power = np.stack([np.ones_like(t), t, 1.5 * t * t - 0.5], axis=-1)
-            rise = np.stack([np.zeros_like(t), np.ones_like(t), 3.0 * t], axis=-1) * 2.0 / across
-            sine = np.sin(wave * xy_mm[:, axis, None]) / wave
-            cosine = np.cos(wave * xy_mm[:, axis, None])
-            n = count * ORDERS
-            moved, by = np.zeros((len(xy_mm), n, 2)), np.zeros((len(xy_mm), n, 2, 2))
-            moved[:, :, axis] = (sine[:, :, None] * power[:, None, :]).reshape(-1, n)
-            by[:, :, axis, axis] = (cosine[:, :, None] * power[:, None, :]).reshape(-1, n)
-            by[:, :, axis, 1 - axis] = (sine[:, :, None] * rise[:, None, :]).reshape(-1, n)
-            move.append(moved)
-            slope.append(by)
-        return np.concatenate(move, axis=1), np.concatenate(slope, axis=1)
+    def along(self, axis: int, xy_mm: Array) -> tuple[Array, Array, Array]:
+        """Return (k, n) displacements along an axis by its waves' amplitudes, mm, and their slopes along and across it.
+
+        The waves of x come first, then those of y; each moves material along its own axis.
+        """
+        sine, cosine, power, rise = self._factors(axis, xy_mm)
+        return tuple(
+            (wave[:, :, None] * by[:, None, :]).reshape(len(xy_mm), -1)
+            for wave, by in ((sine, power), (cosine, power), (sine, rise))
+        )
+
+    def _factors(self, axis: int, xy_mm: Array) -> tuple[Array, Array, Array, Array]:
+        """Return (k, waves) waves and their slopes, and (k, orders) polynomials across them and their slopes."""
+        along, across = self.size_mm[axis], self.size_mm[1 - axis]
+        wave = np.pi * np.arange(1, WAVES[axis] + 1) / along
+        t = 2.0 * xy_mm[:, 1 - axis] / across - 1.0
+        one = np.ones_like(t)
+        power = np.stack([one, t, 1.5 * t * t - 0.5], axis=-1)
+        rise = np.stack([0.0 * one, one, 3.0 * t], axis=-1) * 2.0 / across
+        angle = wave * xy_mm[:, axis, None]
+        return np.sin(angle) / wave, np.cos(angle), power, rise
+
+    def _displaced(self, xy_mm: Array, amplitudes: Array) -> tuple[Array, Array]:
+        """Return (k, 2) displacements, mm, and their (2, 2, k) slopes: of which axis, along which."""
+        move, slope = np.empty((len(xy_mm), 2)), np.empty((2, 2, len(xy_mm)))
+        parts = np.split(amplitudes, [WAVES[0] * ORDERS])
+        for axis, own in enumerate(parts):
+            sine, cosine, power, rise = self._factors(axis, xy_mm)
+            table = own.reshape(-1, ORDERS)
+            sines = sine @ table
+            move[:, axis] = np.einsum("ko,ko->k", sines, power)
+            slope[axis, axis] = np.einsum("ko,ko->k", cosine @ table, power)
+            slope[axis, 1 - axis] = np.einsum("ko,ko->k", sines, rise)
+        return move, slope
 
     def moved(self, metric: Metric, amplitudes: Array) -> Metric:
         """Return the metric of the material, if it lies so under that of the scan's points."""
@@ -73,10 +88,9 @@ class Waves:
         parts = [RectBivariateSpline(x, y, one.reshape(len(x), len(y))) for one in whole.T]
 
         def found(xy_mm: Array) -> Array:
-            move, slope = self.at(xy_mm)
-            where = xy_mm + np.einsum("kna,n->ka", move, amplitudes)
-            E, F, G = (part.ev(*np.clip(where, 0.0, self.size_mm).T) for part in parts)
-            (a, b), (c, d) = np.moveaxis(np.eye(2) + np.einsum("knab,n->kab", slope, amplitudes), 0, -1)
+            move, slope = self._displaced(xy_mm, amplitudes)
+            E, F, G = (part.ev(*np.clip(xy_mm + move, 0.0, self.size_mm).T) for part in parts)
+            (a, b), (c, d) = np.eye(2)[:, :, None] + slope
             return np.stack(
                 [
                     a * a * E + 2.0 * a * c * F + c * c * G,
@@ -90,21 +104,20 @@ class Waves:
 
     def rates(self, metric: Metric, at: Array) -> tuple[Array, Array, Array]:
         """Return (k, n) derivatives of E, F and G by the amplitudes, at none."""
-        move, slope = self.at(at)
-        by = []
+        E, F, G = metric(at).T[:, :, None]
+        found = []
         for axis in (0, 1):
             step = np.zeros(2)
             step[axis] = 0.5
-            by.append(metric(at + step) - metric(at - step))
-        grad = np.stack(by, axis=-1)  # (k, 3, 2)
-        carried = np.einsum("kca,kna->ckn", grad, move)
-        E, F, G = metric(at).T[:, :, None]
-        (a, b), (c, d) = np.moveaxis(slope, (2, 3), (0, 1))
-        return (
-            carried[0] + 2.0 * (a * E + c * F),
-            carried[1] + b * E + (a + d) * F + c * G,
-            carried[2] + 2.0 * (b * F + d * G),
-        )
+            carried = (metric(at + step) - metric(at - step)).T[:, :, None]
+            move, along, across = self.along(axis, at)
+            if axis == 0:
+                own = 2.0 * along * E, across * E + along * F, 2.0 * across * F
+            else:
+                own = 2.0 * across * F, along * F + across * G, 2.0 * along * G
+            found.append([part * move + rest for part, rest in zip(carried, own, strict=True)])
+        by_E, by_F, by_G = (np.concatenate(both, axis=1) for both in zip(*found, strict=True))
+        return by_E, by_F, by_G
 
 
 def waves_of(skin: Skin = PAPER) -> Waves:
