@@ -52,10 +52,11 @@ class Waves:
         The waves of x come first, then those of y; each moves material along its own axis.
         """
         sine, cosine, power, rise = self._factors(axis, xy_mm)
-        return tuple(
-            (wave[:, :, None] * by[:, None, :]).reshape(len(xy_mm), -1)
-            for wave, by in ((sine, power), (cosine, power), (sine, rise))
-        )
+
+        def each(wave: Array, across: Array) -> Array:
+            return (wave[:, :, None] * across[:, None, :]).reshape(len(xy_mm), -1)
+
+        return each(sine, power), each(cosine, power), each(sine, rise)
 
     def _factors(self, axis: int, xy_mm: Array) -> tuple[Array, Array, Array, Array]:
         """Return (k, waves) waves and their slopes, and (k, orders) polynomials across them and their slopes."""
