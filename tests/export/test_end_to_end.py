@@ -18,7 +18,7 @@ from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
 from eitskin_training.gate import fit, stored, untouched
 
-pytestmark = pytest.mark.heavy
+pytestmark = [pytest.mark.heavy, pytest.mark.slow]
 
 
 @pytest.fixture(scope="module")

@@ -87,6 +87,7 @@ def test_a_recording_comes_out_as_the_volts_that_went_in(storage):
     assert scale == pytest.approx(np.abs(volts).max() * 2**-22, rel=1e-12)
 
 
+@pytest.mark.slow
 def test_flash_survives_a_kill_at_any_stage_and_then_takes_the_new_configuration(storage):
     with Board(storage) as board:
         port = SerialPort(board.port)

@@ -65,7 +65,11 @@ class Model:
     def solve(self, pieces: Array) -> tuple[Solved, Array]:
         """Return a touch set solved, and its (104,) dV."""
         solved = self.touched.solve(pieces)
-        return solved, np.asarray(solved.voltages_V / self.flat_V - 1.0)
+        return solved, self.seen(solved)
+
+    def seen(self, solved: Solved) -> Array:
+        """Return the (104,) dV of a touch set that was solved."""
+        return np.asarray(solved.voltages_V / self.flat_V - 1.0)
 
     def jacobian(self, solved: Solved, free: npt.NDArray[np.bool_]) -> Array:
         """Return (104, r) dV by the free parameters."""

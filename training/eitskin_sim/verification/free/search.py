@@ -241,7 +241,7 @@ class FreeVerifier:
         whole = self._anew > 0
         while self._anew < ANEW and not (effort.searched() or (effort.setup_s and effort.over_with_models())):
             model = frame.model
-            residual = frame.change - frame.expected - model.solve(fit.pieces)[1]
+            residual = frame.change - frame.expected - model.seen(fit.solved)
             amplitudes, _ = frame.white.amplitudes(residual)
             waves, gauge = model.beyond(amplitudes)
             near = np.abs(waves).max(initial=0.0) < TRUSTED and abs(gauge) < TRUSTED_GAUGE
