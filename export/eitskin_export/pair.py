@@ -1,9 +1,10 @@
-"""Another network in a bundle: a smaller one besides, or one that learned on in place of its own.
+"""Another network in a bundle: one besides, or one that learned on in place of its own.
 
-A smaller one is the solver ``vd2t-small``, what a stream falls to before it falls to a matrix. Both learned the same
-kind of touch on the same skin. Of its bundle two graphs are taken, the head in 8 bits where nearly the same is shown;
-gate, projection and what healthy frames look like stay the larger one's. The manifest's ``small`` says where they are
-from, with their card.
+One besides is a smaller one, the solver ``vd2t-small``, what a stream falls to before it falls to a matrix; or one for
+gentle touches, which draws what the bundle's own hardly shows (:mod:`eitskin.model.gentle`). All learned the same kind
+of touch on the same skin. Of its bundle two graphs are taken, the head in 8 bits where nearly the same is shown; gate,
+projection and what healthy frames look like stay the bundle's own. The manifest's ``small`` or ``gentle`` says where
+they are from, with their card.
 
 One that takes the place of the bundle's own brings its graphs and what is known of them. Gate, projection and healthy
 frames ask nothing of a network, and stay.
@@ -13,13 +14,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.errors import BundleError
-from eitskin.model.bundle import OF_SMALL, Bundle, load_bundle
+from eitskin.model.bundle import Bundle, graphs_of, load_bundle
 from eitskin.model.engine import HEADS, QUANTISED, default_solver, flipped_pixels, solvers
+from eitskin.model.manifest import BESIDE, GENTLE, SMALL
 from eitskin_export.bundle import read, write
 from eitskin_proto.errors import SkinError
 
 CARD: Final = ("card", "phantoms", "int8", "held_out")
-"""What is kept of the smaller one's metrics."""
+"""What is kept of the metrics of a network besides."""
 
 GRAPHS: Final = ("geometry.onnx", "head.onnx", "head_int8.onnx")
 """A network's members."""
@@ -31,60 +33,78 @@ OF_FRAMES: Final = ("electrodes",)
 """Of a manifest's metrics, what is not of the network."""
 
 FLIPPED_PIXELS: Final = 2.0
-"""A smaller head is taken in 8 bits where these show fewer pixels than this on the other side of half height: it is
-there to be fast, where a larger one's rule is half as much."""
+"""A head that goes besides is taken in 8 bits where these show fewer pixels than this on the other side of half height:
+it is there to be fast, where the bundle's own has half as much."""
 
 
-def pair(large: Path, small: Path, out: Path) -> dict[str, Any]:
-    """Write a bundle with a smaller network besides, in place of one that it had, and return what was done.
+def pair(bundle: Path, other: Path, out: Path, name: str = SMALL) -> dict[str, Any]:
+    """Write a bundle with another network besides, in place of one that it had, and return what was done.
 
     Args:
-        large: The bundle that goes on as it is.
-        small: A bundle of the same skin, labels and touches.
-        out: Where; may be ``large``.
+        bundle: The bundle that goes on as it is.
+        other: A bundle of the same skin, labels and touches.
+        out: Where; may be ``bundle``.
+        name: Of the network besides: ``small`` or ``gentle``.
 
     Returns:
-        path, bundle and bytes of the new one; ``large_head_bytes`` and ``small_head_bytes`` that a frame reads.
+        path, bundle and bytes of the new one; ``large_head_bytes`` and ``small_head_bytes`` or ``gentle_head_bytes``
+        that a frame reads.
 
     Raises:
         SkinError: They do not go together, or one is no whole bundle.
         OSError: A file cannot be read or written.
     """
-    whole, part = _that_go_together(large, small)
-    chosen = {"large": HEADS[default_solver(whole)], "small": _fast_head(part)}
-    sizes = {name: len(one.files[chosen[name]]) for name, one in (("large", whole), ("small", part))}
-    if sizes["small"] >= sizes["large"]:
+    whole, part = _that_go_together(bundle, other)
+    head = _fast_head(part)
+    own_bytes, its_bytes = len(whole.files[HEADS[default_solver(whole)]]), len(part.files[head])
+    if name == SMALL and its_bytes >= own_bytes:
         raise SkinError(
-            f"{small}: {chosen['small']} has {sizes['small']} bytes, expected fewer than the {sizes['large']} of "
-            f"{large}; name the smaller one second"
+            f"{other}: {head} has {its_bytes} bytes, expected fewer than the {own_bytes} of {bundle}; "
+            "name the smaller one second"
         )
-    files, facts, skin = read(large)
-    for name in OF_SMALL:
-        files.pop(name, None)
-    files |= dict(zip(OF_SMALL, (part.files["geometry.onnx"], part.files[chosen["small"]]), strict=True))
+    files, facts, skin = read(bundle)
+    files |= dict(zip(graphs_of(name), (part.files["geometry.onnx"], part.files[head]), strict=True))
     metrics = part.manifest.get("metrics", {})
     about = {
         "bundle": part.id,
         "bias": part.bias_width,
-        "head": chosen["small"],
+        "head": head,
         "recipe": part.manifest.get("recipe"),
-        "metrics": {name: metrics[name] for name in CARD if name in metrics},
+        "metrics": {kept: metrics[kept] for kept in CARD if kept in metrics},
     }
-    identity = write(out, files, {**facts, "small": about}, skin)
+    identity = write(out, files, {**facts, name: about}, skin)
     return {
         "path": str(out),
         "bundle": identity,
         "bytes": out.stat().st_size,
-        "large_head_bytes": sizes["large"],
-        "small_head_bytes": sizes["small"],
+        "large_head_bytes": own_bytes,
+        f"{name}_head_bytes": its_bytes,
     }
+
+
+def carried(bundle: Path, other: Path, name: str = GENTLE) -> str:
+    """Give a bundle the network besides that another one has, as it is; return the bundle's id.
+
+    Args:
+        bundle: Is written anew.
+        other: A bundle with such a network.
+        name: Of that network.
+
+    Raises:
+        SkinError: One is no whole bundle.
+        OSError: A file cannot be read or written.
+    """
+    whole = load_bundle(other)
+    files, facts, skin = read(bundle)
+    files |= {file: whole.files[file] for file in graphs_of(name)}
+    return write(bundle, files, {**facts, name: whole.manifest[name]}, skin)
 
 
 def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
     """Write a bundle with another's network in place of its own, and return what was done.
 
     Args:
-        bundle: Whose gate, projection and healthy frames stay. A smaller network that it had is left out.
+        bundle: Whose gate, projection and healthy frames stay. Networks besides that it had are left out.
         newer: A bundle of the same skin, labels and touches.
         out: Where; may be ``bundle``.
 
@@ -97,9 +117,10 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
     """
     _, after = _that_go_together(bundle, newer)
     files, facts, skin = read(bundle)
-    files = {name: data for name, data in files.items() if name not in (*GRAPHS, *OF_SMALL)}
+    gone = [*GRAPHS, *(file for name in BESIDE for file in graphs_of(name))]
+    files = {name: data for name, data in files.items() if name not in gone}
     files |= {name: after.files[name] for name in GRAPHS if name in after.files}
-    facts = {name: value for name, value in facts.items() if name not in ("small", *OF_NETWORK)}
+    facts = {name: value for name, value in facts.items() if name not in (*BESIDE, *OF_NETWORK)}
     facts |= {name: after.manifest[name] for name in OF_NETWORK if name in after.manifest}
     own = facts.get("metrics", {})
     metrics = {name: one for name, one in after.manifest.get("metrics", {}).items() if name not in OF_FRAMES}
@@ -110,7 +131,7 @@ def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:
 
 
 def _fast_head(part: Bundle) -> str:
-    """Return the member of a smaller network's head that is taken."""
+    """Return the member of a bundle's head that is taken where its network goes besides another."""
     names = solvers(part)
     few = QUANTISED in names and flipped_pixels(part) < FLIPPED_PIXELS
     return HEADS[QUANTISED] if few else HEADS[names[0]]

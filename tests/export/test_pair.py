@@ -10,11 +10,12 @@ from tests.golden import make_tiny_bundle
 from tests.second_skin import SECOND
 
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import OF_SMALL, load_bundle
-from eitskin.model.engine import SMALL, engines
+from eitskin.model.bundle import graphs_of, load_bundle
+from eitskin.model.engine import VD2T_SMALL, engines
 from eitskin.model.geometry import GeometryGraph
+from eitskin.model.manifest import GENTLE
 from eitskin_export.bundle import read, write
-from eitskin_export.pair import FLIPPED_PIXELS, GRAPHS, pair, replaced
+from eitskin_export.pair import FLIPPED_PIXELS, GRAPHS, carried, pair, replaced
 from eitskin_proto.errors import SkinError
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
@@ -60,7 +61,7 @@ def test_both_networks_give_what_they_gave_in_bundles_of_their_own(large: Path, 
     both, one, other = shown(tmp_path / "both.eitskin"), shown(large), shown(small)
     for name, image in one.items():
         assert np.array_equal(both[name], image)
-    assert np.array_equal(both[SMALL], other["vd2t-int8"])
+    assert np.array_equal(both[VD2T_SMALL], other["vd2t-int8"])
     assert result["bundle"] == load_bundle(tmp_path / "both.eitskin").id
     assert result["small_head_bytes"] < result["large_head_bytes"]
 
@@ -73,7 +74,7 @@ def test_the_manifest_says_where_it_is_from_and_what_it_is_worth(large: Path, sm
     assert about["head"] == "head_int8.onnx"
     assert about["bias"] == 4
     assert about["metrics"] == {"card": {"cc": 0.5}, "int8": {"flipped": 0.0}}
-    assert set(whole.files) == {*before.files, "skin.toml", *OF_SMALL}
+    assert set(whole.files) == {*before.files, "skin.toml", *graphs_of("small")}
     assert {name: whole.files[name] for name in before.files if name != "skin.toml"} == {
         name: before.files[name] for name in before.files if name != "skin.toml"
     }
@@ -111,7 +112,7 @@ def test_a_network_that_learned_on_takes_the_place_of_its_own(large: Path, small
         assert found.files[name] == before.files[name], name
     assert "small" in known
     assert "small" not in found.manifest
-    assert not set(OF_SMALL) & set(found.files)
+    assert not set(graphs_of("small")) & set(found.files)
     assert found.manifest["seeds"] == {"training": 9}
     assert found.manifest["gate"] == before.manifest["gate"]
     assert found.manifest["metrics"]["card"] == {"cc": 0.7}
@@ -146,6 +147,26 @@ def test_what_does_not_go_together_is_refused(
     assert not out.exists()
 
 
+def test_a_network_for_gentle_touches_goes_besides_and_may_be_larger(large: Path, tmp_path: Path) -> None:
+    out, again = tmp_path / "out.eitskin", tmp_path / "again.eitskin"
+    other = made(tmp_path / "gentle.eitskin", 64, metrics={"int8": {"flipped": 0.0}, "card": {"cc": 0.6}})
+    result = pair(large, other, out, GENTLE)
+    found = load_bundle(out)
+    assert result["gentle_head_bytes"] > result["large_head_bytes"]
+    assert found.beside == {"gentle": 64}
+    assert found.manifest["gentle"]["metrics"]["card"] == {"cc": 0.6}
+    for name, own in zip(graphs_of(GENTLE), ("geometry.onnx", "head_int8.onnx"), strict=True):
+        assert found.files[name] == load_bundle(other).files[own]
+    pair(large, made(tmp_path / "small.eitskin", 4), again)
+    assert carried(again, out) == load_bundle(again).id
+    both = load_bundle(again)
+    assert both.beside == {"small": 4, "gentle": 64}
+    assert both.manifest["gentle"] == found.manifest["gentle"]
+    assert all(both.files[name] == found.files[name] for name in graphs_of(GENTLE))
+    replaced(again, other, again)
+    assert load_bundle(again).beside == {}
+
+
 def test_the_larger_one_named_second_is_told(large: Path, small: Path, tmp_path: Path) -> None:
     with pytest.raises(SkinError, match="name the smaller one second"):
         pair(small, large, tmp_path / "both.eitskin")
@@ -161,3 +182,5 @@ def test_the_command_reports_sizes(
     assert "with vd2t-small 0.0" in capsys.readouterr().out
     assert main(["pair", str(large), str(small), "--out", str(out), "--replace"]) == 0
     assert "vd2t-small" not in capsys.readouterr().out
+    assert main(["pair", str(large), str(small), "--out", str(out), "--gentle"]) == 0
+    assert "MB where it shows faint touches alone" in capsys.readouterr().out

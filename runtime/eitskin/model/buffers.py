@@ -17,15 +17,15 @@ class Buffers:
         change: (104,) memory for dV that somebody else reads as well; None makes it.
     """
 
-    __slots__ = ("bias", "change", "geometry", "log_predicted", "map", "revision", "small_bias", "surface")
+    __slots__ = ("beside", "bias", "change", "geometry", "log_predicted", "map", "revision", "surface")
 
     def __init__(self, bundle: Bundle, change: npt.NDArray[np.float32] | None = None) -> None:
         self.change = np.zeros((1, N_ROWS), dtype=np.float32) if change is None else change.reshape(1, N_ROWS)
         """(1, 104) dV of the frame."""
         self.bias = np.zeros((1, bundle.bias_width), dtype=np.float32)
         """(1, H)."""
-        self.small_bias = np.zeros((1, bundle.small_bias_width or 0), dtype=np.float32)
-        """(1, H) of the smaller network; (1, 0) where there is none."""
+        self.beside = {name: np.zeros((1, width), dtype=np.float32) for name, width in bundle.beside.items()}
+        """(1, H) of each network beside the bundle's own."""
         self.log_predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         """(1, 104)."""
         self.map = np.zeros((1, bundle.skin.grid.n_pixels), dtype=np.float32)
@@ -41,7 +41,8 @@ class Buffers:
         """Use another geometry from the next frame on."""
         self.geometry = geometry
         self.bias[:] = geometry.bias
-        self.small_bias[:] = geometry.small_bias
+        for name, bias in self.beside.items():
+            bias[:] = geometry.beside[name]
         self.log_predicted[:] = geometry.log_predicted
         self.revision = geometry.revision
         self.surface = geometry.surface

@@ -8,6 +8,7 @@
       geometry.onnx     cloud (1, 3, 30, 45) -> bias (1, H)                   runs when a cloud arrives
       head.onnx         dv (1, 104) [, log_predicted (1, 104)], bias (1, H) -> map (1, 1350)   runs a frame
       head_int8.onnx    the same, dynamic int8 (optional)
+      small_*.onnx      both graphs of a smaller network, gentle_*.onnx of one for faint touches (optional)
       tikhonov.npy      (1350, 104) the projection for the flat sheet
       gate.npz          the touch gate (optional)
       consistency.npz   what healthy frames look like: failing electrodes and drift are told by it (optional)
@@ -28,7 +29,7 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError
 from eitskin.model.bundle_skin import skin_of
-from eitskin.model.manifest import LABELS, manifest_of
+from eitskin.model.manifest import BESIDE, LABELS, manifest_of
 from eitskin_proto.files.archive import BadArchiveError, Member, members
 from eitskin_proto.files.arrays import parse_npy, parse_npz
 from eitskin_proto.files.digest import id_of, sha256_of
@@ -52,9 +53,6 @@ HOME: Final = Path(__file__).parents[1] / "bundles"
 REQUIRED: Final = ("geometry.onnx", "head.onnx", "tikhonov.npy")
 """Files without which a bundle is no bundle."""
 
-OF_SMALL: Final = ("small_geometry.onnx", "small_head.onnx")
-"""Files of a second, smaller network, where the manifest says ``small``."""
-
 LARGEST_MANIFEST: Final = 1 << 20
 LARGEST_FILE: Final = 64 << 20
 LARGEST_BUNDLE: Final = 256 << 20
@@ -64,6 +62,11 @@ LARGEST_ARRAYS: Final = 16 << 20
 """Bytes of all arrays of a gate, or of what healthy frames look like."""
 
 EXPORT_HINT: Final = "make it again with 'eitskin export'"
+
+
+def graphs_of(name: str) -> tuple[str, str]:
+    """Return the files of a network beside the bundle's own: what a cloud means to it, and its head."""
+    return f"{name}_geometry.onnx", f"{name}_head.onnx"
 
 
 class Files(Mapping[str, bytes]):
@@ -132,10 +135,9 @@ class Bundle:
         return int(self.manifest["head"]["bias"])
 
     @property
-    def small_bias_width(self) -> int | None:
-        """Likewise of the smaller network; None where the bundle has none."""
-        small = self.manifest.get("small")
-        return None if small is None else int(small["bias"])
+    def beside(self) -> dict[str, int]:
+        """Likewise of each network that it holds besides, by its name."""
+        return {name: int(self.manifest[name]["bias"]) for name in BESIDE if self.manifest.get(name) is not None}
 
     @property
     def uses_prediction(self) -> bool:
@@ -218,7 +220,8 @@ def load_bundle(path: str | Path | None = None, *, lazily: bool = False) -> Bund
         raw = _member(archive.members, "manifest.json", LARGEST_MANIFEST, where)
         sizes = {name: member.entry.file_size for name, member in archive.members.items()}
     manifest = manifest_of(raw, where, EXPORT_HINT)
-    required = (*REQUIRED, *OF_SMALL) if manifest.get("small") is not None else REQUIRED
+    besides = [file for name in BESIDE if manifest.get(name) is not None for file in graphs_of(name)]
+    required = (*REQUIRED, *besides)
     missing = [name for name in (*required, *manifest["files"]) if name not in sizes or name not in manifest["files"]]
     if missing:
         raise BundleError(f"{where} lacks {', '.join(map(plain, dict.fromkeys(missing)))}; {EXPORT_HINT}")

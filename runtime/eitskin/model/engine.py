@@ -16,14 +16,16 @@ import numpy.typing as npt
 
 from eitskin.errors import BundleError, UncutError
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import EXPORT_HINT, Bundle
+from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
+from eitskin.model.gentle import GentleEngine
+from eitskin.model.manifest import GENTLE, SMALL
 from eitskin.model.session import check_signature, first_line, onnxruntime, open_session
 
-SMALL: Final = "vd2t-small"
+VD2T_SMALL: Final = "vd2t-small"
 """The head of a smaller network, which some bundles have besides."""
 
-HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", SMALL: "small_head.onnx"}
+HEADS: Final = {"vd2t": "head.onnx", "vd2t-int8": "head_int8.onnx", VD2T_SMALL: graphs_of(SMALL)[1]}
 """What frames call a head, and its file; from the most accurate to the fastest."""
 
 QUANTISED: Final = "vd2t-int8"
@@ -49,8 +51,8 @@ class HeadEngine:
 
     Args:
         bundle: Where the graph is.
-        file: A graph of :data:`HEADS`.
-        name: What frames call it; ``vd2t-small`` has its own bias.
+        file: A graph of :data:`HEADS`, or another head of a network beside the bundle's own.
+        name: What frames call it.
         buffers: Bound as inputs and output.
         pixels: (n,) the only pixels that are computed, ascending; None for all. The others keep their values.
         graph: Instead of the file's; it gives the pixels alone.
@@ -75,7 +77,7 @@ class HeadEngine:
         self._map = buffers.map[0]
         self._cropped = buffers.map if pixels is None else np.zeros((1, len(pixels)), dtype=np.float32)
         self._session = open_session(bundle, file, bundle.files[file] if graph is None else graph)
-        arrays = {"dv": buffers.change, "bias": buffers.small_bias if name == SMALL else buffers.bias}
+        arrays = {"dv": buffers.change, "bias": _bias_of(file, buffers)}
         if bundle.uses_prediction:
             arrays["log_predicted"] = buffers.log_predicted
         shapes = {key: value.shape for key, value in arrays.items()}
@@ -191,9 +193,7 @@ def engines(
     if alone:
         del names[1:]
     return [
-        _head(bundle, HEADS[name], name, buffers, pixels)
-        if name in HEADS
-        else ProjectionEngine(bundle, buffers, pixels)
+        _network(bundle, name, buffers, pixels) if name in HEADS else ProjectionEngine(bundle, buffers, pixels)
         for name in names
     ]
 
@@ -201,8 +201,8 @@ def engines(
 def solvers(bundle: Bundle) -> list[str]:
     """Return the names of what a bundle offers, from the most accurate to the fastest."""
     heads = [name for name, file in HEADS.items() if file in bundle.files]
-    if bundle.small_bias_width is None and SMALL in heads:
-        heads.remove(SMALL)
+    if SMALL not in bundle.beside and VD2T_SMALL in heads:
+        heads.remove(VD2T_SMALL)
     return [*heads, "tikhonov"]
 
 
@@ -223,6 +223,20 @@ def flipped_pixels(bundle: Bundle) -> float:
     except (KeyError, TypeError, ValueError, OverflowError):
         return math.inf
     return flipped * bundle.skin.grid.n_pixels if flipped >= 0.0 else math.inf
+
+
+def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
+    """Return what the cloud adds in the network of a head."""
+    return next((bias for name, bias in buffers.beside.items() if file == graphs_of(name)[1]), buffers.bias)
+
+
+def _network(bundle: Bundle, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
+    """Return a head by what frames call it, with the bundle's network for gentle touches behind it where it has one."""
+    own = _head(bundle, HEADS[name], name, buffers, pixels)
+    if GENTLE not in bundle.beside:
+        return own
+    gentle = _head(bundle, graphs_of(GENTLE)[1], GENTLE, buffers, pixels)
+    return GentleEngine(own, gentle, buffers.map, bundle.skin)
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:

@@ -3,19 +3,23 @@
 It yields a :class:`Geometry`, which the frame loop copies in between two frames.
 """
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError
-from eitskin.model.bundle import EXPORT_HINT, Bundle
+from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.session import check_signature, first_line, open_session
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
+
+OWN: Final = "geometry.onnx"
+"""The file of the bundle's own network."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -40,8 +44,8 @@ class Geometry:
 
     bias: npt.NDArray[np.float32]
     """(1, H) what the cloud adds in the first fusion layer."""
-    small_bias: npt.NDArray[np.float32]
-    """(1, H) likewise of the smaller network; (1, 0) where the bundle has none."""
+    beside: Mapping[str, npt.NDArray[np.float32]]
+    """(1, H) likewise of each network beside the bundle's own, by its name."""
     log_predicted: npt.NDArray[np.float32]
     """(1, 104) log |V_pred| / |V0|; zeros without a prediction."""
     revision: int
@@ -67,9 +71,8 @@ class GeometryGraph:
     def __init__(self, bundle: Bundle) -> None:
         self._bundle = bundle
         self._grid = bundle.skin.grid
-        self._widths = {"geometry.onnx": bundle.bias_width}
-        if bundle.small_bias_width is not None:
-            self._widths["small_geometry.onnx"] = bundle.small_bias_width
+        self._beside = {name: graphs_of(name)[0] for name in bundle.beside}
+        self._widths = {OWN: bundle.bias_width} | {self._beside[name]: width for name, width in bundle.beside.items()}
         self._sessions: dict[str, Any] = {}
         for file in self._widths:
             self._open(file)
@@ -102,13 +105,13 @@ class GeometryGraph:
         """
         given = self._grid.flat_cloud_mm() if cloud is None else cloud
         points = flushed(network_input(given, self._grid))[np.newaxis]
-        biases = [self._bias(file, points, flat=cloud is None) for file in self._widths]
-        nothing = np.zeros((1, 0), dtype=np.float32)
+        biases = {file: self._bias(file, points, flat=cloud is None) for file in self._widths}
+        beside = {name: biases[file] for name, file in self._beside.items()}
         predicted = np.zeros((1, N_ROWS), dtype=np.float32)
         if log_predicted is not None:
             predicted[0] = log_predicted
-        bias, small_bias = (*biases, nothing)[:2]
-        return Geometry(bias, small_bias, flushed(predicted), revision, Surface(np.asarray(given), self._grid))
+        surface = Surface(np.asarray(given), self._grid)
+        return Geometry(biases[OWN], beside, flushed(predicted), revision, surface)
 
     def _bias(self, file: str, points: npt.NDArray[np.float32], *, flat: bool) -> npt.NDArray[np.float32]:
         try:

@@ -14,6 +14,15 @@ VERSION: Final = 1
 LABELS: Final = ("area", "units")
 """What a bundle's maps may mean."""
 
+SMALL: Final = "small"
+"""What the manifest calls a second, smaller network, for a machine that is too slow."""
+
+GENTLE: Final = "gentle"
+"""What it calls one that draws touches which the bundle's own hardly shows (:mod:`eitskin.model.gentle`)."""
+
+BESIDE: Final = (SMALL, GENTLE)
+"""Networks that a bundle may hold beside its own."""
+
 
 def manifest_of(raw: bytes, where: Path, hint: str) -> dict[str, Any]:
     """Return a manifest whose fields are of the kinds that its readers expect.
@@ -54,7 +63,7 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
     touches = manifest.get("touches", "raising")
     if not isinstance(touches, str) or touches not in TOUCH_KINDS:
         return f"touches found {quoted(touches)}, expected one of {', '.join(TOUCH_KINDS)}"
-    for name in ("gate", "metrics", "recipe", "small"):
+    for name in ("gate", "metrics", "recipe", *BESIDE):
         if not isinstance(manifest.get(name), dict | None):
             return f"{name} found {quoted(manifest[name])}, expected an object"
     if not isinstance(files, dict) or len(files) > 32:
@@ -63,8 +72,9 @@ def _shape_problem(manifest: dict[str, Any]) -> str | None:
         return "every file needs a sha256"
     if not isinstance(head, dict) or not isinstance(head.get("inputs"), list):
         return "head.inputs must be a list"
-    small = manifest.get("small")
-    for name, of in (("head", head), *((("small", small),) if small is not None else ())):
+    for name, of in (("head", head), *((name, manifest.get(name)) for name in BESIDE)):
+        if of is None:
+            continue
         bias = of.get("bias")
         if isinstance(bias, bool) or not isinstance(bias, int) or not 1 <= bias <= 65536:
             return f"{name}.bias found {quoted(bias)}, expected a width from 1 to 65536"

@@ -19,6 +19,7 @@ from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
 from eitskin.model.engine import Engine, ProjectionEngine, engines
+from eitskin.model.gentle import GentleEngine
 from eitskin.pipeline.latency_budget import EASY, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 
@@ -90,10 +91,10 @@ class MapSource:
     def _warm_up(self) -> dict[str, float]:
         medians = {}
         for engine in self.engines:
-            spans = []
+            spans, infer = [], engine.infer_both if isinstance(engine, GentleEngine) else engine.infer
             for _ in range(WARM_UPS):
                 start = time.perf_counter_ns()
-                engine.infer()
+                infer()
                 spans.append(time.perf_counter_ns() - start)
             medians[engine.name] = float(np.median(spans))
         return medians

@@ -112,7 +112,7 @@ def test_what_is_loaded_is_what_was_mended(tiny, monkeypatch):
 def test_a_projections_denormals_are_0_also_after_rows_were_taken_out():
     matrix = np.full((1350, 104), 0.5, dtype=np.float32)
     matrix[::2] = DENORMAL
-    bundle = SimpleNamespace(tikhonov=lambda: matrix, bias_width=8, small_bias_width=None, skin=PAPER)
+    bundle = SimpleNamespace(tikhonov=lambda: matrix, bias_width=8, beside={}, skin=PAPER)
     buffers = Buffers(bundle)
     engine = ProjectionEngine(bundle, buffers)
     buffers.change[0] = 1e6

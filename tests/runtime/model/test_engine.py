@@ -121,7 +121,7 @@ def test_a_malformed_cloud_is_refused_with_value_and_bound(tiny):
 def test_a_graph_with_another_signature_is_refused(tiny):
     with pytest.raises(BundleError, match="inputs found"):
         HeadEngine(tiny, "geometry.onnx", "vd2t", Buffers(tiny))
-    wider = SimpleNamespace(bias_width=tiny.bias_width + 1, small_bias_width=None, skin=tiny.skin)
+    wider = SimpleNamespace(bias_width=tiny.bias_width + 1, beside={}, skin=tiny.skin)
     with pytest.raises(BundleError, match="inputs found"):
         HeadEngine(tiny, "head.onnx", "vd2t", Buffers(wider))
 

@@ -8,14 +8,14 @@ import pytest
 
 from eitskin.errors import BundleError
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import OF_SMALL, load_bundle
-from eitskin.model.engine import SMALL, default_solver, engines, solvers
+from eitskin.model.bundle import graphs_of, load_bundle
+from eitskin.model.engine import VD2T_SMALL, default_solver, engines, solvers
 from eitskin.model.geometry import GeometryGraph
 from eitskin.pipeline import map_source
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin_proto.skin.cloud import flat_cloud
 
-ALL = ["vd2t", "vd2t-int8", SMALL, "tikhonov"]
+ALL = ["vd2t", "vd2t-int8", VD2T_SMALL, "tikhonov"]
 
 
 def changed(path, out, change):
@@ -30,13 +30,13 @@ def changed(path, out, change):
     return out
 
 
-def maps(bundle, cloud=None, forget=""):
-    """Return {solver: map} of one dV; the bias named ``forget`` is 0."""
+def maps(bundle, cloud=None, forget=None):
+    """Return {solver: map} of one dV; the bias of the network ``forget`` is 0; the bundle's own is ""."""
     buffers = Buffers(bundle)
     buffers.take(GeometryGraph(bundle).geometry(cloud, None, 1))
     buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
-    if forget:
-        getattr(buffers, forget)[:] = 0.0
+    if forget is not None:
+        buffers.beside.get(forget, buffers.bias)[:] = 0.0
     found = {}
     for engine in engines(bundle, buffers):
         engine.infer()
@@ -58,11 +58,11 @@ def test_the_smaller_network_is_a_solver_before_the_matrix(tiny, paired):
 
 def test_its_maps_are_of_its_own_graphs_and_of_its_own_half_of_the_geometry(paired):
     found = maps(paired, bent())
-    assert np.array_equal(found[SMALL], found["vd2t-int8"])  # the same graphs, in this bundle
-    without_own, without_others = maps(paired, bent(), "small_bias"), maps(paired, bent(), "bias")
+    assert np.array_equal(found[VD2T_SMALL], found["vd2t-int8"])  # the same graphs, in this bundle
+    without_own, without_others = maps(paired, bent(), "small"), maps(paired, bent(), "")
     assert np.array_equal(without_own["vd2t-int8"], found["vd2t-int8"])
-    assert not np.array_equal(without_own[SMALL], found[SMALL])
-    assert np.array_equal(without_others[SMALL], found[SMALL])
+    assert not np.array_equal(without_own[VD2T_SMALL], found[VD2T_SMALL])
+    assert np.array_equal(without_others[VD2T_SMALL], found[VD2T_SMALL])
     assert not np.array_equal(without_others["vd2t-int8"], found["vd2t-int8"])
 
 
@@ -70,13 +70,13 @@ def test_a_part_of_the_map_is_computed_by_it_too(paired):
     buffers, pixels = Buffers(paired), np.arange(40, 90)
     buffers.take(GeometryGraph(paired).geometry(bent(), None, 1))
     buffers.change[0] = np.random.default_rng(5).normal(0, 0.1, 104)
-    engines(paired, buffers, pixels, best=SMALL, alone=True)[0].infer()
-    assert np.allclose(buffers.map[0, pixels], maps(paired, bent())[SMALL][pixels], atol=1e-6)
+    engines(paired, buffers, pixels, best=VD2T_SMALL, alone=True)[0].infer()
+    assert np.allclose(buffers.map[0, pixels], maps(paired, bent())[VD2T_SMALL][pixels], atol=1e-6)
     assert not np.delete(buffers.map[0], pixels).any()
 
 
 @pytest.mark.parametrize(
-    ("easy", "first"), [(ALL, "vd2t"), (ALL[1:], "vd2t-int8"), (ALL[2:], SMALL), (["tikhonov"], "tikhonov")]
+    ("easy", "first"), [(ALL, "vd2t"), (ALL[1:], "vd2t-int8"), (ALL[2:], VD2T_SMALL), (["tikhonov"], "tikhonov")]
 )
 def test_a_budget_begins_with_the_most_accurate_solver_that_leaves_half_of_it(paired, hello, monkeypatch, easy, first):
     monkeypatch.setattr(
@@ -89,10 +89,10 @@ def test_a_budget_begins_with_the_most_accurate_solver_that_leaves_half_of_it(pa
 
 
 def test_without_a_budget_there_is_one_solver_and_any_may_be_named(paired, hello):
-    assert [one.name for one in Pipeline(paired, hello, solver=SMALL).engines] == [SMALL]
+    assert [one.name for one in Pipeline(paired, hello, solver=VD2T_SMALL).engines] == [VD2T_SMALL]
 
 
-@pytest.mark.parametrize("name", OF_SMALL)
+@pytest.mark.parametrize("name", graphs_of("small"))
 def test_a_bundle_that_lacks_one_of_its_graphs_is_refused(paired_path, tmp_path, name):
     path = changed(paired_path, tmp_path / "b.eitskin", lambda manifest: manifest["files"].pop(name))
     with pytest.raises(BundleError, match=f"lacks {name}"):

@@ -98,7 +98,7 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
     assert small.gate == GateWork(0, FEW_STEPS)
     assert alone.digest not in {both.digest, small.digest}
     assert json.loads(json.dumps(both.as_dict()))["small_recipe"]["network"] == "small"
-    for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}):
+    for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}, {"recipe": {"name": "small-units"}}):
         assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lowering", Adaptation()) == alone
 
 

@@ -92,7 +92,7 @@ def test_both_are_made_and_the_smaller_one_goes_into_the_larger_one(
     found = load_bundle(out)
     assert found.id == identity
     assert found.bias_width == 8
-    assert found.small_bias_width == 4
+    assert found.beside == {"small": 4}
     assert found.manifest["metrics"]["card"] == large.card == {"cc": 8}
     assert found.manifest["small"]["metrics"]["card"] == {"cc": 4}
     work = tmp_path / "work"

@@ -30,8 +30,9 @@ def adapted(
     """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
 
     It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
-    as after presses of a stamp; else the usual ones of its kind. Where the bundle has a smaller network, one of that
-    shape is made of the adapted one and learns on likewise, of data of its own.
+    as after presses of a stamp; else the usual ones of its kind. Where the bundle has a smaller network that is its own
+    narrowed, one of that shape is made of the adapted one and learns on likewise, of data of its own; another kind of
+    smaller network is left out.
 
     Args:
         bundle: The file that it begins with.
@@ -62,8 +63,10 @@ def adapted(
 
 
 def _small_network(facts: dict[str, Any]) -> str | None:
-    """Return which network of ``eitskin train`` the smaller one of a manifest is; None where there is none."""
+    """Return which network of ``eitskin train`` the smaller one of a manifest is; None where there is no narrow one."""
+    from eitskin_training.recipes import RECIPES
+
     about = facts.get("small")
     recipe = about.get("recipe") if isinstance(about, dict) else None
     name = recipe.get("name") if isinstance(recipe, dict) else None
-    return name if isinstance(name, str) else None
+    return name if isinstance(name, str) and name in RECIPES and RECIPES[name].architecture.ranks else None

@@ -148,7 +148,7 @@ def bundle_on(request: Request, labels: str, touch_kind: TouchKind, skin: Skin) 
 
 def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> Named:
     from eitskin.model.buffers import Buffers
-    from eitskin.model.engine import SMALL, engines
+    from eitskin.model.engine import VD2T_SMALL, engines
     from eitskin.model.geometry import GeometryGraph
     from eitskin.reference.predicted import log_ratio
 
@@ -158,7 +158,7 @@ def _network(request: Request, labels: str, skin: Skin, touches: TouchKind) -> N
     buffers = Buffers(loaded)
     engine = next((one for one in engines(loaded, buffers) if one.name == request.name), None)
     if engine is None:
-        how = "'eitskin pair' puts one in" if request.name == SMALL else "export one with 'eitskin export'"
+        how = "'eitskin pair' puts one in" if request.name == VD2T_SMALL else "export one with 'eitskin export'"
         raise ValueError(f"{loaded.path} holds no network {request.name!r}; {how}")
     graph = GeometryGraph(loaded)
     prediction = request.prediction if loaded.uses_prediction else None

@@ -47,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Adapt, and report."""
     from eitskin.model.bundle import load_bundle
+    from eitskin.model.manifest import GENTLE
     from eitskin_tools.build import adaptation
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
@@ -56,10 +57,11 @@ def run(arguments: argparse.Namespace) -> int:
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(adaptation.Adaptation(), **chosen)
     recipe = adaptation.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
+    gentle_of = bundle.path if GENTLE in bundle.beside else None
     if arguments.presses is None:
-        return make(recipe, arguments)
+        return make(recipe, arguments, gentle_of=gentle_of)
     recording, identity = _recorded(arguments.presses, twin, bundle.labels)
-    return make(replace(recipe, presses=identity), arguments, presses=recording)
+    return make(replace(recipe, presses=identity), arguments, presses=recording, gentle_of=gentle_of)
 
 
 def _recorded(name: str, twin: Any, labels: str) -> tuple[Any, str]:

@@ -56,7 +56,11 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def make(
-    asked: "BuildRecipe", arguments: argparse.Namespace, hours_asked: float | None = None, presses: Any = None
+    asked: "BuildRecipe",
+    arguments: argparse.Namespace,
+    hours_asked: float | None = None,
+    presses: Any = None,
+    gentle_of: Path | None = None,
 ) -> int:
     """Make the bundle of a recipe, or go on with it, and report.
 
@@ -65,9 +69,11 @@ def make(
         arguments: Those of :func:`add_making`.
         hours_asked: To scale it to; None leaves it as it is.
         presses: A recording of some, to be learned from besides; None without.
+        gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
     """
     import torch
 
+    from eitskin_export.pair import carried
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import press_lesson, steps
     from eitskin_tools.build.making import Making, with_smaller
@@ -95,6 +101,8 @@ def make(
             identity = made.finish(arguments.out)
         else:
             made, identity = with_smaller(making, asked, small, work, hours_asked, arguments.out, presses)
+        if gentle_of is not None:
+            identity = carried(arguments.out, gentle_of)
     wanted, exported, found = made.recipe, made.exported, made.card
     result: dict[str, Any] = {
         "bundle": identity,
