@@ -192,10 +192,11 @@ def engines(
     names = found[found.index(best) :]
     if alone:
         del names[1:]
-    return [
-        _network(bundle, name, buffers, pixels) if name in HEADS else ProjectionEngine(bundle, buffers, pixels)
-        for name in names
-    ]
+    heads = [_head(bundle, HEADS[name], name, buffers, pixels) for name in names if name in HEADS]
+    if heads and GENTLE in bundle.beside:
+        gentle = _head(bundle, graphs_of(GENTLE)[1], GENTLE, buffers, pixels)  # one for all of them
+        heads = [GentleEngine(head, gentle, buffers.map, bundle.skin) for head in heads]
+    return [*heads, *(ProjectionEngine(bundle, buffers, pixels) for name in names if name not in HEADS)]
 
 
 def solvers(bundle: Bundle) -> list[str]:
@@ -228,15 +229,6 @@ def flipped_pixels(bundle: Bundle) -> float:
 def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
     """Return what the cloud adds in the network of a head."""
     return next((bias for name, bias in buffers.beside.items() if file == graphs_of(name)[1]), buffers.bias)
-
-
-def _network(bundle: Bundle, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
-    """Return a head by what frames call it, with the bundle's network for gentle touches behind it where it has one."""
-    own = _head(bundle, HEADS[name], name, buffers, pixels)
-    if GENTLE not in bundle.beside:
-        return own
-    gentle = _head(bundle, graphs_of(GENTLE)[1], GENTLE, buffers, pixels)
-    return GentleEngine(own, gentle, buffers.map, bundle.skin)
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:
