@@ -149,18 +149,18 @@ class MaskedEngine:
         pixels: (n,) those that stay.
     """
 
-    __slots__ = ("_engine", "_kept", "_map", "name")
+    __slots__ = ("_kept", "_map", "engine", "name")
 
     def __init__(self, engine: Engine, buffers: Buffers, pixels: npt.NDArray[np.intp]) -> None:
         self.name = engine.name
-        self._engine = engine
+        self.engine = engine
         self._map = buffers.map[0]
         self._kept = np.zeros(self._map.shape, dtype=np.float32)
         self._kept[pixels] = 1.0
 
     def infer(self) -> None:
         """Fill the map."""
-        self._engine.infer()
+        self.engine.infer()
         np.multiply(self._map, self._kept, out=self._map)
 
 
@@ -192,11 +192,18 @@ def engines(
     names = found[found.index(best) :]
     if alone:
         del names[1:]
-    heads = [_head(bundle, HEADS[name], name, buffers, pixels) for name in names if name in HEADS]
-    if heads and GENTLE in bundle.beside:
-        gentle = _head(bundle, graphs_of(GENTLE)[1], GENTLE, buffers, pixels)  # one for all of them
-        heads = [GentleEngine(head, gentle, buffers.map, bundle.skin) for head in heads]
+    wanted = [name for name in names if name in HEADS]
+    if wanted and GENTLE in bundle.beside:
+        heads = _with_gentle(bundle, wanted, buffers, pixels)
+    else:
+        heads = [_head(bundle, HEADS[name], name, buffers, pixels) for name in wanted]
     return [*heads, *(ProjectionEngine(bundle, buffers, pixels) for name in names if name not in HEADS)]
+
+
+def longest(engine: Engine) -> Callable[[], None]:
+    """Return what does all that a frame may take of an engine."""
+    inner = engine.engine if isinstance(engine, MaskedEngine) else engine
+    return inner.infer_both if isinstance(inner, GentleEngine) else engine.infer
 
 
 def solvers(bundle: Bundle) -> list[str]:
@@ -229,6 +236,20 @@ def flipped_pixels(bundle: Bundle) -> float:
 def _bias_of(file: str, buffers: Buffers) -> npt.NDArray[np.float32]:
     """Return what the cloud adds in the network of a head."""
     return next((bias for name, bias in buffers.beside.items() if file == graphs_of(name)[1]), buffers.bias)
+
+
+def _with_gentle(
+    bundle: Bundle, names: list[str], buffers: Buffers, pixels: npt.NDArray[np.intp] | None
+) -> list[Engine]:
+    """Return heads with the network for faint touches behind them, which is one for all.
+
+    Which of both draws a region is decided by the whole map, so that is computed: a firm touch may lie elsewhere.
+    """
+    gentle = HeadEngine(bundle, graphs_of(GENTLE)[1], GENTLE, buffers)
+    both = [
+        GentleEngine(HeadEngine(bundle, HEADS[name], name, buffers), gentle, buffers.map, bundle.skin) for name in names
+    ]
+    return list(both) if pixels is None else [MaskedEngine(one, buffers, pixels) for one in both]
 
 
 def _head(bundle: Bundle, file: str, name: str, buffers: Buffers, pixels: npt.NDArray[np.intp] | None) -> Engine:

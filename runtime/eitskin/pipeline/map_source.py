@@ -18,8 +18,7 @@ from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine, ProjectionEngine, engines
-from eitskin.model.gentle import GentleEngine
+from eitskin.model.engine import Engine, ProjectionEngine, engines, longest
 from eitskin.pipeline.latency_budget import EASY, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 
@@ -91,7 +90,7 @@ class MapSource:
     def _warm_up(self) -> dict[str, float]:
         medians = {}
         for engine in self.engines:
-            spans, infer = [], engine.infer_both if isinstance(engine, GentleEngine) else engine.infer
+            spans, infer = [], longest(engine)
             for _ in range(WARM_UPS):
                 start = time.perf_counter_ns()
                 infer()
