@@ -1,5 +1,7 @@
 """The memory that all engines share: what a frame and a cloud bring, and the map that comes of it."""
 
+from typing import Protocol
+
 import numpy as np
 import numpy.typing as npt
 
@@ -7,6 +9,17 @@ from eitskin.model.bundle import Bundle
 from eitskin.model.geometry import Geometry
 from eitskin.touches.surface import Surface
 from eitskin_proto.sensor.table import N_ROWS
+
+
+class Engine(Protocol):
+    """One way from ``Buffers.change`` to ``Buffers.map``."""
+
+    @property
+    def name(self) -> str:
+        """What frames call it: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
+
+    def infer(self) -> None:
+        """Fill the map from dV, without making an array."""
 
 
 class Buffers:

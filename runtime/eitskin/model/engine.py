@@ -9,13 +9,13 @@ array. What a cloud means was computed before (:mod:`eitskin.model.geometry`). :
 
 import math
 from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
 from eitskin.errors import BundleError, UncutError
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import EXPORT_HINT, Bundle, graphs_of
 from eitskin.model.denormals import flushed
 from eitskin.model.gentle import GentleEngine
@@ -33,17 +33,6 @@ QUANTISED: Final = "vd2t-int8"
 
 SMALLEST_MAP: Final = 1e-12
 """A projection below this is zero, not something to scale up."""
-
-
-class Engine(Protocol):
-    """One way from ``Buffers.change`` to ``Buffers.map``."""
-
-    @property
-    def name(self) -> str:
-        """What frames call it: ``vd2t``, ``vd2t-int8``, ``vd2t-small``, ``tikhonov``."""
-
-    def infer(self) -> None:
-        """Fill the map from dV, without making an array."""
 
 
 class HeadEngine:

@@ -12,14 +12,15 @@ that it shows fills a window of 15 mm, a second one, which learned all contrasts
     NOTHING <= shown  <= SURE[0]                       the gentle network's map
                shown  <  NOTHING                       the own map, with no touch in it
 
-A frame with a firm touch costs sums over the map besides, 10 us; one with faint touches alone costs both networks.
+A frame with a firm touch costs sums over the map besides, 20 us; one with faint touches alone costs both networks.
 """
 
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.model.buffers import Engine
 from eitskin_proto.skin.skin import Skin
 
 WINDOW_MM: Final = 15.0
@@ -34,17 +35,6 @@ NOTHING: Final = 1.0
 Map = npt.NDArray[np.float32]
 
 
-class Inference(Protocol):
-    """What fills the map."""
-
-    @property
-    def name(self) -> str:
-        """What frames call it."""
-
-    def infer(self) -> None:
-        """Fill the map."""
-
-
 class GentleEngine:
     """A network's head, and another one's for frames in which it shows faint touches alone.
 
@@ -57,7 +47,7 @@ class GentleEngine:
 
     __slots__ = ("_across", "_down", "_first", "_gentle", "_map", "_own", "_pixel_mm2", "name")
 
-    def __init__(self, own: Inference, gentle: Inference, whole: Map, skin: Skin) -> None:
+    def __init__(self, own: Engine, gentle: Engine, whole: Map, skin: Skin) -> None:
         self.name = own.name
         self._own, self._gentle = own, gentle
         rows, columns = skin.grid.shape

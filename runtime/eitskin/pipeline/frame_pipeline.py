@@ -15,9 +15,8 @@ from eitskin.health.imputation import MISSING
 from eitskin.health.monitor import Health
 from eitskin.messaging.frame_record import DECODE, GATE, INFER, NORMALISE, READ, FrameRecord
 from eitskin.messaging.regions import Regions, whole
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine
 from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import Geometry
 from eitskin.pipeline.front_end_watch import FrontEndWatch

@@ -16,9 +16,9 @@ import numpy.typing as npt
 from eitskin.errors import BudgetError
 from eitskin.messaging.frame_record import FrameRecord
 from eitskin.messaging.regions import Regions, pixels, whole
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine, ProjectionEngine, engines, longest
+from eitskin.model.engine import ProjectionEngine, engines, longest
 from eitskin.pipeline.latency_budget import EASY, LatencyBudget
 from eitskin.pipeline.stillness import REFRESH_FRAMES, Stillness
 

@@ -21,9 +21,9 @@ from eitskin.health.gate_without_rows import GateWithoutRows
 from eitskin.health.imputation import Consistency, without_rows
 from eitskin.messaging.regions import Regions, pixels, whole
 from eitskin.messaging.streams.measured import CloudInUse, Conditions
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine, ProjectionEngine, engines
+from eitskin.model.engine import ProjectionEngine, engines
 from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import GeometryGraph
 from eitskin.reference.captured import Reference

@@ -22,6 +22,7 @@ from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation
 from eitskin_tools.build.recipe import CardWork, GateWork
 from eitskin_tools.cli import main
 from eitskin_tools.command_line import files
+from eitskin_tools.commands.bundles import adapt_skin
 from eitskin_training.start import Start
 
 EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "skin.toml"
@@ -100,6 +101,16 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
     assert json.loads(json.dumps(both.as_dict()))["small_recipe"]["network"] == "small"
     for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}, {"recipe": {"name": "small-units"}}):
         assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lowering", Adaptation()) == alone
+
+
+@pytest.mark.parametrize("name", ["free", "press"])
+def test_a_network_for_faint_touches_is_handed_on_where_there_is_one(name, tmp_path, monkeypatch):
+    given = []
+    monkeypatch.setattr(adapt_skin, "make", lambda *_, gentle_of, **__: given.append(gentle_of) or 0)
+    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
+    assert main(["adapt-skin", name, "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f")]) == 0
+    path = files.find(name, files.BUNDLE)
+    assert given == [path if "gentle" in load_bundle(path, lazily=True).beside else None]
 
 
 def test_a_bundle_that_does_not_say_how_it_was_trained_is_refused():

@@ -12,8 +12,9 @@ import numpy as np
 import numpy.typing as npt
 
 from eitskin.health.monitor import health_of
+from eitskin.model.buffers import Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import Engine, engines
+from eitskin.model.engine import engines
 from eitskin.model.geometry import Geometry, GeometryGraph
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference

@@ -13,10 +13,10 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
 from eitskin.model.denormals import flushed
-from eitskin.model.engine import Engine, engines
+from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
 from eitskin.model.session import open_session
 from eitskin_proto.sensor.table import N_ROWS
