@@ -5,12 +5,14 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 import time
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from eitskin_tools.demo import show
 from eitskin_tools.processes.children import Child, ChildDiedError, process_group
 from eitskin_tools.scripted_scene.prepare import prepare
 from eitskin_tools.scripted_scene.script import demonstration
@@ -166,6 +168,33 @@ def test_ctrl_c_ends_it_early_with_its_summary(place: Path, cache: Path) -> None
         process.communicate()
     assert process.returncode == 0, error
     assert json.loads(out)["frames"] > 0
+    assert ours(place) == []
+    assert left_in(place) == set()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("after_first", [False, True])
+def test_ctrl_c_while_it_starts_is_the_first_frame_s_to_decide(
+    place: Path, cache: Path, monkeypatch: pytest.MonkeyPatch, after_first: bool
+) -> None:
+    """What starts last is still to come when the first frame may be there already."""
+
+    def interrupted(options: show.Options, control: str, folder: Path, scene: list[str]) -> Child:
+        if after_first:
+            while show.FIRST not in (folder / "subscriber.out").read_text():
+                time.sleep(0.05)
+        raise KeyboardInterrupt
+
+    for name, value in environment(place, cache).items():
+        monkeypatch.setenv(name, value)
+    monkeypatch.setattr(tempfile, "tempdir", str(place))
+    monkeypatch.setattr(show, "_scanner", interrupted)
+    options = show.Options(seconds=900.0, bundle=BUNDLE)
+    if after_first:
+        assert show.summarise(options, show.stream(options))["frames"] > 0
+    else:
+        with pytest.raises(KeyboardInterrupt):
+            show.stream(options)
     assert ours(place) == []
     assert left_in(place) == set()
 

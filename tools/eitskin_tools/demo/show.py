@@ -40,6 +40,9 @@ START_S: Final = 600.0
 READY_S: Final = 120.0
 """How long the runtime may take for handshake and reference."""
 
+FIRST: Final = "first"
+"""What the subscriber says when its first frame has come."""
+
 CLOUDS_HZ: Final = 4.0
 """Clouds a second, as a robot's camera would give."""
 
@@ -107,9 +110,7 @@ def stream(options: Options) -> Streamed:
         publish, control = f"ipc://{folder}/frames", f"ipc://{folder}/control"
         log, record = folder / "skin.log", folder / "record.npz"
         with process_group() as children:
-            begin_s = time.monotonic()
-            _start(options, folder, publish, control, children)
-            start_s = _look_on(options, publish, log, children, begin_s)
+            start_s = _shown(options, folder, publish, control, children)
             skin, runtime, subscriber = children[:3]
             if subscriber.wait(GRACE_S) != 0:
                 subscriber.check()
@@ -156,6 +157,24 @@ def summarise(options: Options, streamed: Streamed) -> dict[str, Any]:
         "touches": f"{options.touches}{played.told(script_of(options))}",
         "solvers": streamed.runtime.get("solvers"),
     }
+
+
+def _shown(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> float:
+    """Start everything and look on; Ctrl-C after the first frame only shortens it. Return when that frame came."""
+    begin_s, first_s = time.monotonic(), None
+    try:
+        _start(options, folder, publish, control, children)
+        children[2].line(children[2].out, FIRST, READY_S, children)
+        first_s = time.monotonic() - begin_s
+        if options.talk:
+            print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
+        _look_on(options, publish, folder / "skin.log", children)
+    except KeyboardInterrupt:
+        if len(children) < 3 or FIRST not in children[2].out.read_text():
+            raise  # there is nothing to sum up
+        first_s = first_s or time.monotonic() - begin_s
+        children[2].stop()
+    return first_s
 
 
 def _start(options: Options, folder: Path, publish: str, control: str, children: list[Child]) -> None:
@@ -220,27 +239,16 @@ def _scanner(options: Options, control: str, folder: Path, scene: list[str]) -> 
     )  # fmt: skip
 
 
-def _look_on(options: Options, publish: str, log: Path, children: list[Child], begin_s: float) -> float:
-    """Wait for the subscriber to finish; draw meanwhile; stop early on Ctrl-C. Return when its first frame came."""
-    subscriber, first_s = children[2], 0.0
-    try:
-        subscriber.line(subscriber.out, "first", READY_S, children)
-        first_s = time.monotonic() - begin_s
-        if options.talk:
-            print(f"first frame after {first_s:.1f} s; streaming for {options.seconds:g} s", file=sys.stderr)
-        end = time.monotonic() + options.seconds + READY_S
-        if options.draw:
-            from eitskin_tools.demo.live import live
+def _look_on(options: Options, publish: str, log: Path, children: list[Child]) -> None:
+    """Wait for the subscriber to finish; draw meanwhile."""
+    end = time.monotonic() + options.seconds + READY_S
+    if options.draw:
+        from eitskin_tools.demo.live import live
 
-            live(publish, script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
-            return first_s
-        while _going_on(children, end):
-            time.sleep(0.05)
-    except KeyboardInterrupt:
-        if "first" not in subscriber.out.read_text():
-            raise  # there is nothing to sum up
-        subscriber.stop()
-    return first_s
+        live(publish, script_of(options), script_start(log)["device_us"], lambda: _going_on(children, end))
+        return
+    while _going_on(children, end):
+        time.sleep(0.05)
 
 
 def _going_on(children: list[Child], end: float) -> bool:
@@ -270,31 +278,3 @@ def _last_object(child: Child) -> dict[str, Any]:
 def _told(log: Path, what: str) -> int | None:
     """Return a count that the skin wrote down when it stopped."""
     return next((int(event[what]) for event in read_log(log) if event["event"] == "stop"), None)
-
-
-def print_summary(summary: dict[str, Any]) -> None:
-    """Print a summary for people."""
-    latency, stages = summary["latency_us"], summary["stages_us"]
-
-    def ms(value: float) -> str:
-        return f"{value / 1000:.2f}"
-
-    out = sys.stdout
-    print(f"{summary['frames']} frames at {summary['rate_hz']:g} frames/s; {summary['lost']} lost, "
-          f"{summary['corrupt']} corrupt", file=out)  # fmt: skip
-    print(f"wire to subscriber: p50 {ms(latency['p50'])} ms, p99 {ms(latency['p99'])} ms, max {ms(latency['max'])} ms",
-          file=out)  # fmt: skip
-    if alone := summary["latency_inferred_us"]:
-        print(f"  the {summary['inferred']} frames that a solver ran for: p50 {ms(alone['p50'])} ms, "
-              f"p99 {ms(alone['p99'])} ms", file=out)  # fmt: skip
-    parts = ", ".join(f"{name} {spans['p50']:.0f}/{spans['p99']:.0f}" for name, spans in stages.items() if spans)
-    print(f"stages, us p50/p99: {parts}", file=out)
-    if summary["cc_median"] is not None:
-        split = [f"{name} {summary[key]:.3f}" for name, key in (("flat", "cc_median_flat"), ("bent", "cc_median_bent"))
-                 if summary[key] is not None]  # fmt: skip
-        print(f"correlation with the truth: median {summary['cc_median']:.3f} over {summary['scored']} touched frames "
-              f"({', '.join(split)})", file=out)  # fmt: skip
-    gate = [f"{name} {100 * summary[key]:.2f} %" for name, key in (("missed touches", "missed"),
-            ("false alarms", "false_alarms")) if summary[key] is not None]  # fmt: skip
-    print(f"touches: {summary['touches']}", file=out)
-    print(f"gate: {', '.join(gate)}; clouds used: {summary['clouds']}", file=out)

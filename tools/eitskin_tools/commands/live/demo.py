@@ -52,7 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Run the demonstration."""
     from eitskin_tools.demo.played import choose
-    from eitskin_tools.demo.show import Options, draw_picture, print_summary, stream, summarise
+    from eitskin_tools.demo.show import Options, draw_picture, stream, summarise
+    from eitskin_tools.demo.summary import print_summary
 
     seconds = arguments.seconds if arguments.seconds is not None else 3600.0 if arguments.view else 20.0
     if not seconds > 0.0:
