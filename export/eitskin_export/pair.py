@@ -82,12 +82,13 @@ def pair(bundle: Path, other: Path, out: Path, name: str = SMALL) -> dict[str, A
     }
 
 
-def carried(bundle: Path, other: Path, name: str = GENTLE) -> str:
-    """Give a bundle the network besides that another one has, as it is; return the bundle's id.
+def carried(bundle: Path, other: Path, out: Path, name: str = GENTLE) -> str:
+    """Write a bundle with the network besides that another one has, as it is; return the new one's id.
 
     Args:
-        bundle: Is written anew.
+        bundle: The bundle that goes on as it is.
         other: A bundle with such a network.
+        out: Where; may be ``bundle``.
         name: Of that network.
 
     Raises:
@@ -97,7 +98,7 @@ def carried(bundle: Path, other: Path, name: str = GENTLE) -> str:
     whole = load_bundle(other)
     files, facts, skin = read(bundle)
     files |= {file: whole.files[file] for file in graphs_of(name)}
-    return write(bundle, files, {**facts, name: whole.manifest[name]}, skin)
+    return write(out, files, {**facts, name: whole.manifest[name]}, skin)
 
 
 def replaced(bundle: Path, newer: Path, out: Path) -> dict[str, Any]:

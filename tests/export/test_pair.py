@@ -158,7 +158,7 @@ def test_a_network_for_gentle_touches_goes_besides_and_may_be_larger(large: Path
     for name, own in zip(graphs_of(GENTLE), ("geometry.onnx", "head_int8.onnx"), strict=True):
         assert found.files[name] == load_bundle(other).files[own]
     pair(large, made(tmp_path / "small.eitskin", 4), again)
-    assert carried(again, out) == load_bundle(again).id
+    assert carried(again, out, again) == load_bundle(again).id
     both = load_bundle(again)
     assert both.beside == {"small": 4, "gentle": 64}
     assert both.manifest["gentle"] == found.manifest["gentle"]

@@ -91,14 +91,14 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
     both = adaptation.adapted(
         bundle.path, TWIN, {**facts, "small": {"recipe": {"name": "small"}}}, bundle.touch_kind, Adaptation()
     )
-    assert alone.smaller() is None
-    small = both.smaller()
-    assert (small.network, small.skin, small.smaller()) == ("small", TWIN, None)
+    assert alone.others() == {}
+    (small,) = both.others().values()
+    assert (small.network, small.skin, small.others()) == ("small", TWIN, {})
     assert small.data["touches"] == replace(both.data["touches"], seed=both.data["touches"].seed + 1)
     assert small.training == (replace(both.training[0], start_from=None),), "it begins with the adapted one, narrowed"
     assert small.gate == GateWork(0, FEW_STEPS)
     assert alone.digest not in {both.digest, small.digest}
-    assert json.loads(json.dumps(both.as_dict()))["small_recipe"]["network"] == "small"
+    assert json.loads(json.dumps(both.as_dict()))["networks"]["small"]["network"] == "small"
     for damaged in (3, {}, {"recipe": 1}, {"recipe": {}}, {"recipe": {"name": "small-units"}}):
         assert adaptation.adapted(bundle.path, TWIN, {**facts, "small": damaged}, "lowering", Adaptation()) == alone
 

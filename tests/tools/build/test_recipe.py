@@ -39,9 +39,9 @@ def test_a_recipe_says_skin_data_and_legs() -> None:
     found = recipes.load("free")
     assert found.skin == named("lab")
     plans = {name: plan_of(found, replace(one, deformations=1, kept=0)) for name, one in found.data.items()}
-    assert (plans["hard"].skin.name, plans["hard"].devices, plans["hard"].touches) == ("paper", "ideal", "hard")
+    assert (plans["ideal"].skin.name, plans["ideal"].devices, plans["ideal"].touches) == ("lab", "ideal", "hard")
     assert (plans["raise"].skin.name, plans["raise"].devices, plans["raise"].touches) == ("lab", "random", "raise")
-    assert [leg.data[0] for leg in found.training] == ["hard", "lab", "lab"]
+    assert [leg.start_from for leg in found.training] == [None]
     assert [leg.start_from for leg in recipes.load("press").training] == ["free"]
 
 

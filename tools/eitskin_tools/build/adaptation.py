@@ -4,6 +4,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin.model.manifest import SMALL
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, Leg
 
@@ -59,14 +60,14 @@ def adapted(
     other, again = replace(data, seed=data.seed + 1), replace(leg, start_from=None)
     gate = GateWork(0, FEW_STEPS)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
-    return replace(found, small_recipe=replace(small, data={"touches": other}))
+    return replace(found, networks={SMALL: replace(small, data={"touches": other})})
 
 
 def _small_network(facts: dict[str, Any]) -> str | None:
     """Return which network of ``eitskin train`` the smaller one of a manifest is; None where there is no narrow one."""
     from eitskin_training.recipes import RECIPES
 
-    about = facts.get("small")
+    about = facts.get(SMALL)
     recipe = about.get("recipe") if isinstance(about, dict) else None
     name = recipe.get("name") if isinstance(recipe, dict) else None
     return name if isinstance(name, str) and name in RECIPES and RECIPES[name].architecture.ranks else None

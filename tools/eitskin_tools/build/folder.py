@@ -6,7 +6,7 @@
       build.json     the recipe as it was asked for, the hours, and the recipe as it was scaled to them
       data/NAME/     data sets          runs/N/     legs of training
       exported.json  what the export said of exported.eitskin
-      small/         the same of the smaller network, where there is one
+      small/         the same of the smaller network, where there is one; gentle/ of that for faint touches
       card/PART.json the card's parts, each with the id of the bundle that it is of
 
 Each file is written whole. So whoever is stopped at any point goes on there.

@@ -2,7 +2,7 @@
 
 A few hundred samples are made and trained on. What a deformation, a sample and a sample trained on take follows from
 that; the deformations and the epochs of the recipe are then scaled alike, up or down. Gate, export and card take what
-they take, ``REST_S`` is kept for them. Where a smaller network is built besides, it gets ``SMALL_SHARE`` of the time.
+they take, ``REST_S`` is kept for them. A network that is built besides gets its share of the time, ``SHARES``.
 """
 
 import tempfile
@@ -11,14 +11,15 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from eitskin.model.manifest import GENTLE, SMALL
 from eitskin_tools.build.recipe import BuildRecipe
 from eitskin_tools.build.steps import Tell, plan_of
 
 REST_S: Final = 600.0
 """For gate, export and card: five minutes on two quiet cores."""
 
-SMALL_SHARE: Final = 0.35
-"""Of a smaller network: it begins as the larger one and needs few epochs, but its data take as long."""
+SHARES: Final = {SMALL: 0.35, GENTLE: 0.1}
+"""Of networks besides: they begin as the bundle's own and need few epochs, but data of their own take as long."""
 
 SAMPLES: Final = (50, 250)
 """Samples a deformation of the two small data sets."""

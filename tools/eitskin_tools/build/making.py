@@ -1,6 +1,6 @@
 """A recipe's bundle in a folder: begun, scaled to a time, made step by step, or gone on with."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +17,10 @@ class Made:
     """As it was scaled."""
     exported: dict[str, Any]
     """What the export said."""
-    card: dict[str, Any]
     bundle: Path
     """The bundle without its card."""
-
-    def finish(self, out: Path) -> str:
-        """Write the bundle with its card and return its id."""
-        return steps.finish(self.bundle, self.card, out)
+    identity: str
+    """Of that bundle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,7 +34,7 @@ class Making:
     say: steps.Tell
     """Told how each epoch went."""
 
-    def whole(
+    def made(
         self,
         recipe: BuildRecipe,
         work: Path,
@@ -48,7 +45,7 @@ class Making:
         larger: Path | None = None,
         beside: tuple[BuildRecipe, Path] | None = None,
     ) -> Made:
-        """Make a bundle, or go on with it.
+        """Make a bundle but for its card, or go on with it.
 
         Args:
             recipe: What is asked for.
@@ -56,7 +53,7 @@ class Making:
             given: Hours to scale it to; None leaves it as it is.
             share: Of these hours.
             presses: A recording of some, to be learned from besides; None without.
-            larger: The bundle whose network it begins with, narrowed, if it is of its shape; None as the recipe says.
+            larger: The bundle whose network it begins with, narrowed or as it is; None as the recipe says.
             beside: Another recipe and its folder, whose data sets are taken where they are the same.
 
         Raises:
@@ -75,36 +72,37 @@ class Making:
         steps.make_data(wanted, work, self.workers, self.tell)
         trained = steps.train_legs(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
-        card = steps.make_card(wanted, work, bundle, str(exported["bundle"]), self.tell)
-        return Made(wanted, exported, card, bundle)
+        return Made(wanted, exported, bundle, str(exported["bundle"]))
 
+    def finished(self, made: Made, work: Path, out: Path) -> tuple[dict[str, Any], str]:
+        """Write what was made with its card; return the card and the bundle's id."""
+        card = steps.make_card(made.recipe, work, made.bundle, made.identity, self.tell)
+        return card, steps.finish(made.bundle, card, out)
 
-def with_smaller(
-    making: Making,
-    recipe: BuildRecipe,
-    smaller: BuildRecipe,
-    work: Path,
-    given: float | None,
-    out: Path,
-    presses: Any = None,
-) -> tuple[Made, str]:
-    """Make a bundle with a smaller network besides; return the larger half, and the id of the whole.
+    def with_others(
+        self, made: Made, others: dict[str, BuildRecipe], work: Path, given: float | None, gentle_of: Path | None = None
+    ) -> Made:
+        """Make the networks that go into a bundle besides, or go on with them, and return it with them.
 
-    Args:
-        making: How.
-        recipe: Of the larger one.
-        smaller: Of the smaller one, which is made in ``work/small``.
-        work: Folder of the half-made bundle.
-        given: Hours to scale both to; None leaves them as they are.
-        out: Where the whole goes.
-        presses: A recording of some, which the larger one learns from besides; None without.
-    """
-    from eitskin_export.pair import pair
+        Args:
+            made: The bundle with its own network.
+            others: Recipes of those besides, each by its name, which is that of its folder in ``work`` too.
+            work: Folder of the half-made bundle.
+            given: Hours to scale all of it to; None leaves it as it is.
+            gentle_of: A bundle whose network for gentle touches goes in as it is; None for none.
+        """
+        from eitskin_export.pair import carried, pair
 
-    share = hours.SMALL_SHARE
-    large = making.whole(recipe, work, given, share=1.0 - share, presses=presses)
-    halves = work / "large.eitskin", work / "small.eitskin"
-    large.finish(halves[0])
-    small = making.whole(smaller, work / "small", given, share=share, larger=halves[0], beside=(large.recipe, work))
-    small.finish(halves[1])
-    return large, str(pair(*halves, out)["bundle"])
+        bundle, identity = made.bundle, made.identity
+        for name, recipe in others.items():
+            beside = made.recipe, work
+            share = hours.SHARES[name]
+            other = self.made(recipe, work / name, given, share=share, larger=made.bundle, beside=beside)
+            own = work / f"{name}.eitskin"
+            self.finished(other, work / name, own)
+            out = work / f"with-{name}.eitskin"
+            bundle, identity = out, str(pair(bundle, own, out, name)["bundle"])
+        if gentle_of is not None:
+            out = work / "with-given.eitskin"
+            bundle, identity = out, carried(bundle, gentle_of, out)
+        return replace(made, bundle=bundle, identity=identity)

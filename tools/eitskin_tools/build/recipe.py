@@ -6,6 +6,7 @@
     skin = "hydrogel"              a shipped skin, or a file beside this one
     network = "free"               what is trained: a recipe of 'eitskin train'
     small = "press-small"          a smaller network besides: a shipped recipe, or a file beside this one
+    gentle = "gentle"              a network for faint touches besides, likewise
 
     [data.presses]                 a data set, by any name: the options of 'eitskin dataset'
     set = "free"                   touches, devices, skin, seed, deformations, per_deformation, touch_sets, kept, near
@@ -19,10 +20,11 @@
     [missing_electrodes]           teaches it in the end to go on without electrodes: fitting_steps, steps, seed
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin.model.manifest import BESIDE, GENTLE, SMALL
 from eitskin_proto.files.digest import id_of_values
 from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
@@ -111,18 +113,19 @@ class BuildRecipe:
     """Id of the recorded presses that it learns from besides, where there are any."""
     small: str = ""
     """Recipe of the smaller network that goes into the bundle; empty for none."""
+    gentle: str = ""
+    """Recipe of the network for faint touches that goes into the bundle; empty for none."""
     missing_electrodes: MissingElectrodesWork | None = None
     """The last lesson, for a network that is to learn to go on without electrodes; None for none."""
-    small_recipe: "BuildRecipe | None" = None
-    """The recipe of the smaller network itself, where no file has it."""
+    networks: "dict[str, BuildRecipe]" = field(default_factory=dict)
+    """Recipes of networks besides, ``small`` or ``gentle``, where no file has them."""
 
     def as_dict(self) -> dict[str, Any]:
         """Return it as plain values, the skin as its TOML."""
         found = {**asdict(self), "skin": to_toml(self.skin)}
         del found["beside"]
-        if self.small_recipe is not None:
-            found["small_recipe"] = self.small_recipe.as_dict()
-        for name in ("presses", "small", "missing_electrodes", "small_recipe"):
+        found["networks"] = {name: one.as_dict() for name, one in self.networks.items()}
+        for name in ("presses", *BESIDE, "missing_electrodes", "networks"):
             if not found[name]:
                 del found[name]
         return found
@@ -141,27 +144,30 @@ class BuildRecipe:
         """
         return self.skin if data.skin is None else _skin(data.skin, self.beside)
 
-    def smaller(self) -> "BuildRecipe | None":
-        """Return the recipe of the smaller network; None where there is none.
+    def others(self) -> "dict[str, BuildRecipe]":
+        """Return the recipes of the networks that go into the bundle besides, by name: ``small``, ``gentle``.
 
         Raises:
             MissingFileError: There is no such file.
-            ValueError: It is no recipe, has a smaller one itself, or is of another skin or other labels.
+            ValueError: One is no recipe, has another network besides itself, or is of another skin or other labels.
         """
+        named = {name: getattr(self, name) for name in BESIDE if getattr(self, name)}
+        found = {name: self._other(name, recipe) for name, recipe in named.items()}
+        return found | self.networks
+
+    def _other(self, name: str, recipe: str) -> "BuildRecipe":
         from eitskin_training.recipes import recipe as network_named
 
-        if self.small_recipe is not None or not self.small:
-            return self.small_recipe
-        own = self.beside / self.small
-        found = load(str(own) if own.is_file() else self.small)
-        if found.small:
-            raise ValueError(f"small is {quoted(self.small)}, which has a smaller one itself; expected one without")
+        own = self.beside / recipe
+        found = load(str(own) if own.is_file() else recipe)
+        if more := [one for one in BESIDE if getattr(found, one)]:
+            raise ValueError(f"{name} is {quoted(recipe)}, which has {more[0]} itself; expected one without")
         for what, one, other in (
             ("skin", found.skin.digest, self.skin.digest),
             ("labels", network_named(found.network).labels, network_named(self.network).labels),
         ):
             if one != other:
-                raise ValueError(f"small is {quoted(self.small)}: {what} found {one}, expected {other}")
+                raise ValueError(f"{name} is {quoted(recipe)}: {what} found {one}, expected {other}")
         return found
 
 
@@ -204,8 +210,8 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
     """
     from eitskin_training.recipes import recipe as network_named
 
-    keys = ["format", "version", "name", "skin", "network", "small", "data", "training", "gate", "card"]
-    unknown(content, [*keys, MISSING], "the head of the file")
+    keys = ["format", "version", "name", "skin", "network", *BESIDE, "data", "training", "gate", "card", MISSING]
+    unknown(content, keys, "the head of the file")
     if content.get("version") != VERSION:
         raise ValueError(f"version is {quoted(content.get('version'))}, expected {VERSION}")
     texts = {key: _text(content, key) for key in ("name", "skin", "network")}
@@ -240,8 +246,9 @@ def parse(content: dict[str, Any], beside: Path = Path()) -> BuildRecipe:
         table(GateWork, content.get("gate", {}), "[gate]"),
         table(CardWork, content.get("card", {}), "[card]"),
         beside,
-        small=_text(content, "small") if "small" in content else "",
         missing_electrodes=lesson,
+        small=_text(content, SMALL) if SMALL in content else "",
+        gentle=_text(content, GENTLE) if GENTLE in content else "",
     )
 
 

@@ -109,7 +109,8 @@ def train_legs(
         tell: Told what is being done.
         finished: Told how each epoch went.
         presses: A recording of some, to be learned from in the end, and kept if it is better for it; None without.
-        larger: A bundle whose network it begins with where that is its own but for the ranks; None as the recipe says.
+        larger: A bundle whose network it begins with where that has its shape, or is to be narrowed to it; None as the
+            recipe says.
     """
     from eitskin_training import train
     from eitskin_training.gate.stored import gate_of_run
@@ -203,7 +204,7 @@ def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
     Args:
         recipe: What is made.
         leg: The first one.
-        larger: A bundle to begin with where the recipe's network is that bundle's, narrowed.
+        larger: A bundle to begin with where the recipe's network is that bundle's, or that one narrowed.
 
     Raises:
         SkinError: There is no such bundle, or it cannot be taken apart.
@@ -213,7 +214,8 @@ def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
 
     if larger is not None:
         start = start_of_bundle(larger)
-        if fits(start, fitted_to(recipe, leg, start.skin)):
+        wanted = fitted_to(recipe, leg, start.skin)
+        if fits(start, wanted) or start.architecture == wanted.architecture:
             return start
     if leg.start_from is None:
         return None

@@ -73,10 +73,9 @@ def make(
     """
     import torch
 
-    from eitskin_export.pair import carried
     from eitskin_tools.build import folder as half_made
-    from eitskin_tools.build import press_lesson, steps
-    from eitskin_tools.build.making import Making, with_smaller
+    from eitskin_tools.build import hours, press_lesson, steps
+    from eitskin_tools.build.making import Making
     from eitskin_tools.command_line import files
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
@@ -86,24 +85,20 @@ def make(
         raise UsageError("--workers is at least 1, --threads at least 0")
     files.writable(arguments.out)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
-    small = asked.smaller()
-    steps.check(asked)
-    if small is not None:
-        steps.check(small)
+    others = asked.others()
+    for one in (asked, *others.values()):
+        steps.check(one)
     half_made.begun(work, asked, hours_asked)
     if arguments.threads:
         torch.set_num_threads(arguments.threads)
     began = time.monotonic()
     with Stages() as tell:
         making = Making(steps.processes(arguments.workers), tell, note)
-        if small is None:
-            made = making.whole(asked, work, hours_asked, presses=presses)
-            identity = made.finish(arguments.out)
-        else:
-            made, identity = with_smaller(making, asked, small, work, hours_asked, arguments.out, presses)
-        if gentle_of is not None:
-            identity = carried(arguments.out, gentle_of)
-    wanted, exported, found = made.recipe, made.exported, made.card
+        own = 1.0 - sum(hours.SHARES[name] for name in others)
+        made = making.made(asked, work, hours_asked, share=own, presses=presses)
+        made = making.with_others(made, others, work, hours_asked, gentle_of)
+        found, identity = making.finished(made, work, arguments.out)
+    wanted, exported = made.recipe, made.exported
     result: dict[str, Any] = {
         "bundle": identity,
         "path": str(arguments.out),

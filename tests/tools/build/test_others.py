@@ -1,0 +1,155 @@
+"""A recipe with networks besides: all are made, they go into one bundle, and what does not fit is told at once."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from tests.export.test_pair import made as tiny_bundle
+
+from eitskin.model.bundle import load_bundle
+from eitskin_export import unfold
+from eitskin_tools.build import making, steps
+from eitskin_tools.build import recipe as recipes
+from eitskin_tools.build.hours import SHARES
+from eitskin_tools.build.recipe import BuildRecipe
+from eitskin_tools.cli import main
+from eitskin_training.start import Start
+
+TINY = (Path(recipes.__file__).parents[1] / "recipes" / "tiny.toml").read_text(encoding="utf-8")
+
+
+def written(folder: Path, name: str, text: str) -> Path:
+    path = folder / name
+    path.write_text(text)
+    return path
+
+
+def with_other(name: str, other: str) -> str:
+    return TINY.replace('network = "tiny"', f'network = "tiny"\n{name} = "{other}"')
+
+
+def test_the_shipped_recipes_name_recipes_of_their_own_skin_and_touches() -> None:
+    for name, networks in {
+        "free": {"small": "small", "gentle": "free"}, "press": {"small": "small"}, "units": {"small": "small-units"}
+    }.items():  # fmt: skip
+        found = recipes.load(name)
+        others = found.others()
+        assert {one: other.network for one, other in others.items()} == networks
+        last = [found.data[one].touches for one in found.training[-1].data or found.data]
+        for one, other in others.items():
+            assert other.skin.digest == found.skin.digest
+            touches = {data.touches for data in other.data.values()}
+            assert touches == ({"raise"} if one == "gentle" else set(last))
+
+
+def test_recipes_beside_this_one_may_be_named(tmp_path: Path) -> None:
+    written(tmp_path, "other.toml", TINY)
+    found = recipes.load(str(written(tmp_path, "large.toml", with_other("small", "other.toml"))))
+    assert list(found.others()) == ["small"]
+    assert found.as_dict()["small"] == "other.toml"
+    both = with_other("small", "other.toml").replace("small =", 'gentle = "other.toml"\nsmall =')
+    assert list(recipes.load(str(written(tmp_path, "both.toml", both))).others()) == ["small", "gentle"]
+    assert found.digest != recipes.load("tiny").digest
+    assert not {"small", "gentle", "networks"} & set(recipes.load("tiny").as_dict())
+
+
+@pytest.mark.parametrize("name", ["small", "gentle"])
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        (with_other("small", "other.toml"), "'other.toml', which has small itself"),
+        (with_other("gentle", "other.toml"), "'other.toml', which has gentle itself"),
+        (TINY.replace("hydrogel", "lab"), "'other.toml': skin found"),
+        (TINY.replace('"tiny"\n\n', '"units"\n\n').replace('set = "free"', 'set = "units"'), "labels found units"),
+        (None, "no file 'other.toml'"),
+    ],
+)
+def test_what_cannot_go_besides_is_told_before_anything_is_made(
+    tmp_path: Path, name: str, text: str | None, said: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    if text is not None:
+        written(tmp_path, "other.toml", text)
+    large = written(tmp_path, "large.toml", with_other(name, "other.toml"))
+    assert main(["build", str(large), "--out", str(tmp_path / "b.eitskin")]) != 0
+    error = capsys.readouterr().err
+    assert said in error
+    assert error.count("\n") == 1
+    assert not (tmp_path / "b.eitskin.build").exists()
+
+
+def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked: list[Any] = []
+    work = tmp_path / "work"
+    sizes = {work: 8, work / "small": 4, work / "gentle": 8}
+
+    def made(
+        self: making.Making, recipe: BuildRecipe, folder: Path, given: float, *, share: float = 1.0, **more: Any
+    ) -> making.Made:
+        asked.append((folder, given, share, more.get("presses")))
+        larger = more.get("larger")
+        assert larger == (None if folder == work else work / "exported.eitskin"), "it may begin with the larger one"
+        folder.mkdir()
+        bundle = tiny_bundle(folder / "exported.eitskin", sizes[folder])
+        return making.Made(recipe, {}, bundle, load_bundle(bundle).id)
+
+    def card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, tell: Any) -> dict[str, Any]:
+        assert load_bundle(bundle).id == identity
+        return {"cc": sizes[folder], "with": list(load_bundle(bundle).beside)}
+
+    monkeypatch.setattr(making.Making, "made", made)
+    monkeypatch.setattr(steps, "make_card", card)
+    recipe, out = recipes.load("tiny"), tmp_path / "all.eitskin"
+    maker = making.Making(1, lambda _: None, lambda _: None)
+    large = maker.made(recipe, work, 3.0, share=0.5, presses="some")
+    whole = maker.with_others(large, {"small": recipe, "gentle": recipe}, work, 3.0)
+    found_card, identity = maker.finished(whole, work, out)
+    found = load_bundle(out)
+    assert found.id == identity
+    assert found.bias_width == 8
+    assert found.beside == {"small": 4, "gentle": 8}
+    assert found.manifest["metrics"]["card"] == found_card == {"cc": 8, "with": ["small", "gentle"]}
+    assert found.manifest["small"]["metrics"]["card"] == {"cc": 4, "with": []}
+    assert asked == [
+        (work, 3.0, 0.5, "some"), (work / "small", 3.0, SHARES["small"], None),
+        (work / "gentle", 3.0, SHARES["gentle"], None),
+    ]  # fmt: skip
+    given = maker.with_others(large, {}, work, 3.0, gentle_of=out)
+    assert load_bundle(given.bundle).beside == {"gentle": 8}
+    assert load_bundle(given.bundle).id == given.identity
+
+
+def test_one_of_the_same_shape_begins_with_the_network_just_made(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recipe = recipes.load("gentle")
+    (leg,) = recipe.training
+    own = steps.fitted_to(recipe, leg, recipe.skin).architecture
+    for shape, taken in ((own, True), (replace(own, widths=(8, 8)), False)):
+        at_hand = {tmp_path / "large": Start({}, shape, recipe.skin, {"from": "large"})}
+        other = Start({}, own, recipe.skin, {"from": "shipped"})
+        monkeypatch.setattr(unfold, "start_of_bundle", lambda path, known=at_hand, other=other: known.get(path, other))
+        found = steps.start_of(recipe, leg, tmp_path / "large")
+        assert found.facts["from"] == ("large" if taken else "shipped")
+
+
+def test_a_data_set_that_both_have_alike_is_made_once(tmp_path: Path) -> None:
+    large, work = recipes.load("tiny"), tmp_path / "work"
+    other = replace(large.data["presses"], seed=2)
+    small = replace(large, data={"same": large.data["presses"], "other": other})
+    (work / "data" / "presses").mkdir(parents=True)
+    for _ in range(2):  # a build that goes on finds it shared already
+        steps.share_data(small, work / "small", large, work)
+    assert [path.name for path in (work / "small" / "data").iterdir()] == ["same"]
+    shared = work / "small" / "data" / "same"
+    assert shared.resolve() == work / "data" / "presses"
+    moved = work.rename(tmp_path / "elsewhere")
+    assert (moved / "small" / "data" / "same").resolve() == moved / "data" / "presses", "a folder that is moved"
+
+
+@pytest.mark.parametrize("name", ["units", "free"])
+def test_the_smaller_network_learns_from_what_the_larger_one_learned_from(name: str) -> None:
+    large = recipes.load(name)
+    assert large.others()["small"].data == large.data
