@@ -132,6 +132,26 @@ def test_without_drift_in_its_devices_a_gate_looks_at_the_common_factor_too(data
     assert np.abs(moved - usual) > 1e-2 * np.abs(usual)
 
 
+@pytest.mark.parametrize("useless", [0, 1])
+def test_of_several_banks_the_one_that_finds_most_is_taken(
+    data: TrainingData, bends: Bends, useless: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bank, made = filters.bank, []
+
+    def drawn(whitened: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+        found = bank(whitened if len(made) % 2 != useless else rng.standard_normal(whitened.shape), rng)
+        made.append(found)
+        return found
+
+    monkeypatch.setattr(filters, "bank", drawn)
+    monkeypatch.setattr(fit, "COVARIANCES", 1)
+    monkeypatch.setattr(fit, "BANKS", 2)
+    found = fit.fit(data, bends, steps=50, batch=128).arrays
+    whitening, filters_of = np.split(found["w1"][104:].astype(np.float64), [206], axis=1)
+    taken = np.linalg.lstsq(whitening[:, :103], filters_of, rcond=None)[0].T
+    np.testing.assert_allclose(taken, made[1 - useless], atol=2e-2)
+
+
 def test_filters_find_what_stands_out_of_a_moment_of_any_scale() -> None:
     """The network's output is above 0 where the largest filter is above the limit, and twice the moment is no touch."""
     rng = np.random.default_rng(0)

@@ -36,22 +36,26 @@ FAINTEST: Final = 1e-3
 """A touch of smaller mean |log(V touched / V untouched)| has no pattern to speak of."""
 
 
+def seen(touches: Array) -> Array:
+    """Return those of (t, r) touches that have a pattern to speak of."""
+    return np.asarray(touches[np.abs(touches).mean(axis=1) > FAINTEST])
+
+
 def patterns(touches: Array, small: int, rng: np.random.Generator) -> Array:
     """Return up to ``PATTERNS`` of (t, r) touches, as many of the last ``small`` of them as of those before."""
-    parts = [touches[: len(touches) - small], touches[len(touches) - small :]]
-    parts = [part[np.abs(part).mean(axis=1) > FAINTEST] for part in parts]
+    parts = [seen(touches[: len(touches) - small]), seen(touches[len(touches) - small :])]
     each = PATTERNS // max(sum(len(part) > 0 for part in parts), 1)
     return np.concatenate([part[rng.permutation(len(part))[:each]] for part in parts])
 
 
 def bank(whitened: Array, rng: np.random.Generator) -> Array:
     """Return up to ``FILTERS`` unit vectors, the middles of (t, k) whitened patterns that point alike."""
-    seen = _unit(whitened)
-    found = seen[rng.permutation(len(seen))[:FILTERS]]
+    shown = _unit(whitened)
+    found = shown[rng.permutation(len(shown))[:FILTERS]]
     for _ in range(ROUNDS):
-        nearest = (seen @ found.T).argmax(axis=1)
+        nearest = (shown @ found.T).argmax(axis=1)
         sums = np.zeros_like(found)
-        np.add.at(sums, nearest, seen)
+        np.add.at(sums, nearest, shown)
         found = _unit(sums[np.linalg.norm(sums, axis=1) > 1e-6])
     return found
 

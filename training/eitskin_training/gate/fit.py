@@ -34,7 +34,7 @@ from eitskin_training.gate import filters
 from eitskin_training.gate.idle import idle_choice
 from eitskin_training.gate.material import Array, Material
 from eitskin_training.gate.observer import ideal_observer, without_common
-from eitskin_training.gate.rates import found_presses, measured, threshold_at
+from eitskin_training.gate.rates import found_presses, measured, threshold_at, untouched_frames
 from eitskin_training.gate.untouched import Bends
 from eitskin_training.samples.batches import TrainingData
 
@@ -54,7 +54,11 @@ IDLE_FALSE_ALARM_RATE: Final = 0.01
 """The same of idle frames: one costs half a second of whole scans."""
 
 FRAMES: Final = 16_384
-"""Untouched frames whose covariance is taken."""
+"""Untouched frames whose covariance is taken, and touched ones that filters are held against."""
+
+COVARIANCES: Final = 4
+BANKS: Final = 6
+"""Draws of untouched frames, and of filters with the covariance of each, of which the best are taken."""
 
 STEPS: Final = 5500
 """Steps of AdamW; the idle gate takes half as many."""
@@ -197,17 +201,30 @@ def _matched(
     data: TrainingData,
     rng: np.random.Generator,
 ) -> Arrays:
-    """Return the arrays of a gate of matched filters but for its threshold, which is next to 0."""
-    untouched = _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows)
-    mean, whitening = _whitening(untouched, without_common(len(rows)))
-    bank = filters.bank(filters.patterns(material.touches[:, rows], len(bends.touches), rng) @ whitening, rng)
+    """Return the arrays of a gate of matched filters but for its threshold, which is next to 0.
 
-    def ratios(dv: Array) -> Array:
-        return filters.ratios((_logarithms(dv, rows) - mean) @ whitening, bank)
-
-    limit = threshold_at(rate, ratios, bends.choose, data.reference, rng, data.skin, bends.devices)
-    first, second, bias = filters.layers(whitening, bank, limit)
-    return _in_form(mean, first, np.zeros(first.shape[1]), second, bias, np.ones(len(bank)), 0.0)
+    Which moments the covariance is of, and which touches the filters, is drawn; what far-off moments do to a filter is
+    luck. So several are drawn, and the one that finds most small touches at its own limit is taken.
+    """
+    kinds = untouched_frames(bends.choose, data.reference, rng, data.skin, bends.devices)
+    untouched = _logarithms(np.concatenate(list(kinds.values())), rows)
+    small = filters.seen(bends.touches if len(bends.touches) else material.touches)
+    touched = _logarithms(material.touched(small, FRAMES, rng), rows)
+    best, found = -1.0, Arrays()
+    for _ in range(COVARIANCES):
+        mean, whitening = _whitening(
+            _logarithms(material.draw(FRAMES, rng, touched=0.0)[0], rows), without_common(len(rows))
+        )
+        still, pressed = ((logarithms - mean) @ whitening for logarithms in (untouched, touched))
+        for _ in range(BANKS):
+            bank = filters.bank(filters.patterns(material.touches[:, rows], len(bends.touches), rng) @ whitening, rng)
+            limit = float(np.quantile(filters.ratios(still, bank), 1.0 - rate))
+            share = float((filters.ratios(pressed, bank) > limit).mean())
+            if share > best:
+                best = share
+                first, second, bias = filters.layers(whitening, bank, limit)
+                found = _in_form(mean, first, np.zeros(first.shape[1]), second, bias, np.ones(len(bank)), 0.0)
+    return found
 
 
 def _logarithms(dv: Array, rows: npt.NDArray[np.intp]) -> Array:

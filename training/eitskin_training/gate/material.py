@@ -98,6 +98,11 @@ class Material:
         labels = np.repeat(np.array([1, 0], dtype=np.float32), [first, count - first])
         return noisy_change(logs, self.reference, rng), labels
 
+    def touched(self, touches: Array, count: int, rng: np.random.Generator) -> Array:
+        """Return (count, 104) noisy dV of some of (t, 104) log(V touched / V untouched), each as likely."""
+        chosen = touches[rng.integers(len(touches), size=count)]
+        return noisy_change(self.untouched(count, rng) + self._image(chosen, rng), self.reference, rng)
+
     def untouched(self, count: int, rng: np.random.Generator) -> Array:
         """Return (count, 104) log(V / V0) of untouched sheets, free of noise."""
         return drifted(self._bends(count, rng), self.devices, rng)

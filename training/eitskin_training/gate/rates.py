@@ -35,18 +35,12 @@ Judge = Callable[[Array], Array]
 """(n, 104) dV -> (n,) logits."""
 
 
-def untouched_logits(
-    judge: Judge,
-    logs: Array,
-    reference: Array,
-    rng: np.random.Generator,
-    skin: Skin,
-    devices: Skin | None = None,
+def untouched_frames(
+    logs: Array, reference: Array, rng: np.random.Generator, skin: Skin, devices: Skin | None = None
 ) -> dict[str, Array]:
-    """Return by noise the (bends, draws) logits of untouched sheets, shown in each of their mirror images.
+    """Return by noise the (bends * draws, 104) dV of untouched sheets, shown in each of their mirror images.
 
     Args:
-        judge: A gate.
         logs: (bends, 104) log(V / V0).
         reference: (104,) V0.
         rng: Source of the noise.
@@ -56,7 +50,20 @@ def untouched_logits(
     images = images_of(skin)
     shown = np.concatenate([logs[:, rows][:, None] for rows in images], axis=1).repeat(DRAWS // len(images), axis=1)
     flat = drifted(shown.reshape(-1, logs.shape[1]), devices, rng)
-    return {kind: judge(noisy_change(flat, reference, rng, kind)).reshape(len(logs), -1) for kind in NOISES}
+    return {kind: noisy_change(flat, reference, rng, kind) for kind in NOISES}
+
+
+def untouched_logits(
+    judge: Judge,
+    logs: Array,
+    reference: Array,
+    rng: np.random.Generator,
+    skin: Skin,
+    devices: Skin | None = None,
+) -> dict[str, Array]:
+    """Return by noise the (bends, draws) logits of a gate on :func:`untouched_frames`."""
+    frames = untouched_frames(logs, reference, rng, skin, devices)
+    return {kind: judge(changes).reshape(len(logs), -1) for kind, changes in frames.items()}
 
 
 def threshold_at(

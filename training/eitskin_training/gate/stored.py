@@ -29,7 +29,7 @@ NAME: Final = "gate.npz"
 LARGEST_FILE: Final = 256 << 20
 """Bytes of a stored gate with its sheets."""
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Raised whenever a gate that is fitted anew would be another one."""
 
 _GATE, _SHEETS = "gate_", "untouched_"
