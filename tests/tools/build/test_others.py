@@ -89,6 +89,7 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
         self: making.Making, recipe: BuildRecipe, folder: Path, given: float, *, share: float = 1.0, **more: Any
     ) -> making.Made:
         asked.append((folder, given, share, more.get("presses")))
+        self.tell("data")
         larger = more.get("larger")
         assert larger == (None if folder == work else work / "exported.eitskin"), "it may begin with the larger one"
         folder.mkdir()
@@ -102,7 +103,8 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
     monkeypatch.setattr(making.Making, "made", made)
     monkeypatch.setattr(steps, "make_card", card)
     recipe, out = recipes.load("tiny"), tmp_path / "all.eitskin"
-    maker = making.Making(1, lambda _: None, lambda _: None)
+    told: list[str] = []
+    maker = making.Making(1, told.append, lambda _: None)
     large = maker.made(recipe, work, 3.0, share=0.5, presses="some")
     whole = maker.with_others(large, {"small": recipe, "gentle": recipe}, work, 3.0)
     found_card, identity = maker.finished(whole, work, out)
@@ -116,6 +118,7 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
         (work, 3.0, 0.5, "some"), (work / "small", 3.0, SHARES["small"], None),
         (work / "gentle", 3.0, SHARES["gentle"], None),
     ]  # fmt: skip
+    assert told == ["data", "small: data", "gentle: data"]
     given = maker.with_others(large, {}, work, 3.0, gentle_of=out)
     assert load_bundle(given.bundle).beside == {"gentle": 8}
     assert load_bundle(given.bundle).id == given.identity

@@ -97,12 +97,18 @@ class Making:
         for name, recipe in others.items():
             beside = made.recipe, work
             share = hours.SHARES[name]
-            other = self.made(recipe, work / name, given, share=share, larger=made.bundle, beside=beside)
+            making = replace(self, tell=self._of(name, self.tell), say=self._of(name, self.say))
+            other = making.made(recipe, work / name, given, share=share, larger=made.bundle, beside=beside)
             own = work / f"{name}.eitskin"
-            self.finished(other, work / name, own)
+            making.finished(other, work / name, own)
             out = work / f"with-{name}.eitskin"
             bundle, identity = out, str(pair(bundle, own, out, name)["bundle"])
         if gentle_of is not None:
             out = work / "with-given.eitskin"
             bundle, identity = out, carried(bundle, gentle_of, out)
         return replace(made, bundle=bundle, identity=identity)
+
+    @staticmethod
+    def _of(name: str, tell: steps.Tell) -> steps.Tell:
+        """Return what tells of a network besides: by its name."""
+        return lambda text: tell(f"{name}: {text}")
