@@ -11,7 +11,7 @@ import pytest
 from eitskin import SkinState
 from eitskin_tools import cli
 from eitskin_tools.recording import sink as sinks
-from eitskin_tools.recording.layout import WIRE, RecordingError
+from eitskin_tools.recording.layout import MAP, WIRE, RecordingError
 from eitskin_tools.recording.reader import Recording
 from eitskin_tools.recording.script import Script
 from eitskin_tools.recording.series import MOST_ENDING, Series, others, path_of
@@ -35,7 +35,7 @@ def test_what_is_there_is_passed_over_and_stays(tmp_path: Path) -> None:
         series.add(WIRE, bytes([number]), number, number)
         series.sync()
     series.close()
-    assert series.files == [first, *(path_of(first, number) for number in (4, 6, 7))]
+    assert series.files == [first, *(path_of(first, number) for number in (4, 6))]
     found = [entry.data for path in series.files for entry in Recording(path).entries({WIRE.topic})]
     assert found == [b"\0", b"\1", b"\2"]
     assert path_of(first, 2).read_bytes() == b"precious"
@@ -85,9 +85,43 @@ def test_room_is_kept_once_for_all_files(tmp_path: Path, monkeypatch: pytest.Mon
         series.add(WIRE, bytes([number]), number, number)
         series.sync()
     series.close()
-    assert len(series.files) > 7 > MOST_ENDING
+    assert len(series.files) == 7 > MOST_ENDING
     found = [entry.data for path in series.files for entry in Recording(path).entries({WIRE.topic})]
     assert found == [bytes([number]) for number in range(7)]
+
+
+def test_every_file_begins_with_a_frame_of_the_wire(tmp_path: Path) -> None:
+    series = Series(tmp_path / "r.mcap", {}, most_bytes=1)
+    for number in range(3):
+        series.add(WIRE, bytes([number]), number, number)
+        series.add(MAP, b"map", number, number)
+        series.sync()
+    series.close()
+    found = [[entry.topic for entry in Recording(path).entries()] for path in series.files]
+    assert found == [[WIRE.topic, MAP.topic]] * 3
+
+
+def test_a_file_that_fills_the_disk_when_it_is_begun_has_its_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The room of the reserve serves it; a file without a frame says nothing to anybody."""
+    from eitskin_tools.recording import series as module
+
+    series, made = Series(tmp_path / "r.mcap", {}, most_bytes=1), module.RecordingWriter
+
+    def filling(*arguments: Any, **options: Any) -> Any:
+        found = made(*arguments, **options)
+        found._sink.full = True
+        return found
+
+    monkeypatch.setattr(module, "RecordingWriter", filling)
+    for number in range(3):
+        series.add(WIRE, bytes([number]), number, number)
+        series.sync()
+    series.close()
+    assert series.full
+    found = [[entry.data for entry in Recording(path).entries({WIRE.topic})] for path in series.files]
+    assert found == [[b"\0"], [b"\1"]]
 
 
 @pytest.mark.parametrize("step", ["write", "link"])

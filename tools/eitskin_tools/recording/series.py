@@ -1,6 +1,8 @@
 """Goes on in a new file when one is large or old enough; each of them can be read by itself.
 
-A file that is there already is never written over: the next one takes the next number that is free.
+A new file begins with a frame of the wire, and no file is ended before it has one: none is left without, also where the
+disk is full just then. A file that is there already is never written over: the next one takes the next number that is
+free.
 """
 
 import os
@@ -11,7 +13,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
 
-from eitskin_tools.recording.layout import Channel, RecordingError
+from eitskin_tools.recording.layout import WIRE, Channel, RecordingError
 from eitskin_tools.recording.sink import Reserve
 from eitskin_tools.recording.writer import RecordingWriter
 
@@ -63,6 +65,8 @@ class Series:
         self.files: list[Path] = []
         """Made so far."""
         self._before = 0
+        self._holds_frames = False
+        """Whether there is one of the wire in the file in hand."""
         self._number = 1
         self._ended: deque[RecordingWriter] = deque()
         self._reserve = Reserve(first.parent)
@@ -108,6 +112,7 @@ class Series:
         head = {**self._head, "file": str(len(self.files) + 1)}
         writer = RecordingWriter(path, head, reserve=self._reserve, **self._options)
         self.files.append(path)
+        self._holds_frames = False
         return writer
 
     def attach(self, name: str, media_type: str, content: bytes, log_ns: int) -> None:
@@ -116,7 +121,7 @@ class Series:
         self._writer.attach(name, media_type, content, log_ns)
 
     def add(self, channel: Channel, data: bytes, log_ns: int, sequence: int = 0) -> None:
-        """Write a message, into a new file if it is time for one; nothing more once the disk is full.
+        """Write a message, a frame of the wire into a new file if it is time for one; nothing more on a full disk.
 
         Raises:
             OSError: It cannot be written, for another reason than a full disk.
@@ -125,10 +130,11 @@ class Series:
             return
         if channel.lasts:
             self._lasting[channel.topic] = channel, data, sequence
-        elif self._is_time():
-            self._next(log_ns)
-        if not self.full:
-            self._writer.add(channel, data, log_ns, sequence)
+        elif channel.topic == WIRE.topic:
+            if self._holds_frames and self._is_time() and not self._next(log_ns):
+                return
+            self._holds_frames = True
+        self._writer.add(channel, data, log_ns, sequence)
 
     def begin_anew(self, head: Mapping[str, str]) -> None:
         """Go on in a new file with another head, of a runtime that was started anew; nothing holds any more."""
@@ -142,21 +148,26 @@ class Series:
             return True
         return self._most_s is not None and writer.age_s >= self._most_s
 
-    def _next(self, log_ns: int) -> None:
-        """End the file in hand and begin the next with whatever still holds; the disk need not have all of it yet."""
+    def _next(self, log_ns: int) -> bool:
+        """End the file in hand and begin the next with whatever still holds; the disk need not have all of it yet.
+
+        Returns:
+            Whether there is a next one: not where the disk was full before.
+        """
         before = self._writer
         if len(self._ended) >= MOST_ENDING:
             self._ended.popleft().close()
         before.close(wait=False)
         self._ended.append(before)
         if before.full:
-            return
+            return False
         self._before += before.size
         self._writer = self._begin_next()
         if self._attached is not None:
             self._writer.attach(*self._attached, log_ns)
         for channel, data, sequence in self._lasting.values():
             self._writer.add(channel, data, log_ns, sequence)
+        return True
 
     def sync(self) -> None:
         """Have everything forced onto the disk."""
