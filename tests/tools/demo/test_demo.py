@@ -180,9 +180,10 @@ def test_ctrl_c_while_it_starts_is_the_first_frame_s_to_decide(
     """What starts last is still to come when the first frame may be there already."""
 
     def interrupted(options: show.Options, control: str, folder: Path, scene: list[str]) -> Child:
-        if after_first:
-            while show.FIRST not in (folder / "subscriber.out").read_text():
-                time.sleep(0.05)
+        deadline = time.monotonic() + PATIENCE_S
+        while after_first and show.FIRST not in (folder / "subscriber.out").read_text():
+            assert time.monotonic() < deadline, "no frame has come"
+            time.sleep(0.05)
         raise KeyboardInterrupt
 
     for name, value in environment(place, cache).items():
