@@ -23,7 +23,7 @@ from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin.model.session import onnxruntime
+from eitskin.model.session import onnxruntime, session_options
 from eitskin_proto.errors import SkinError
 from eitskin_proto.sensor.log_prediction import log_prediction
 from eitskin_proto.sensor.normalise import relative_change
@@ -79,10 +79,7 @@ def _voltages(scene: Scene) -> Exact:
 
 def session(graph: bytes) -> onnxruntime.InferenceSession:
     """Return a one-thread session of a graph, as the runtime makes it."""
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = options.inter_op_num_threads = 1
-    options.log_severity_level = 3
-    return onnxruntime.InferenceSession(graph, options, providers=["CPUExecutionProvider"])
+    return onnxruntime.InferenceSession(graph, session_options(), providers=["CPUExecutionProvider"])
 
 
 def run_graphs(geometry: bytes, head: bytes, dv: Array, clouds: Array, predicted: Array) -> dict[str, Array]:

@@ -24,7 +24,20 @@ from eitskin.model.onnx.small_weights import without_small_weights  # noqa: E402
 from eitskin_proto.files.plain import plain  # noqa: E402
 from eitskin_proto.sensor.ids import PROTOCOL_ID  # noqa: E402
 
-__all__ = ["NO_TELEMETRY", "check_signature", "first_line", "onnxruntime", "open_session"]
+__all__ = ["NO_TELEMETRY", "check_signature", "first_line", "onnxruntime", "open_session", "session_options"]
+
+
+def session_options(threads: int = 1) -> Any:
+    """Return options of a session that multiplies 8-bit numbers exactly, and warns of nothing.
+
+    Without the entry a processor that has AVX2 or AVX-512 and no VNNI adds products of 8 bits in pairs of 16 bits.
+    These overflow: the narrow network of ``free`` lost 0.03 of CC. With the entry such a processor widens first.
+    """
+    options = onnxruntime.SessionOptions()
+    options.intra_op_num_threads = threads
+    options.log_severity_level = 3
+    options.add_session_config_entry("session.x64quantprecision", "1")
+    return options
 
 
 def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
@@ -39,14 +52,12 @@ def open_session(bundle: Bundle, file: str, graph: bytes) -> Any:
         BundleError: It holds what no exported network has, or ONNX Runtime cannot load it.
         MismatchError: It was made for another protocol_id or grid_id.
     """
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
+    options = session_options()
     options.inter_op_num_threads = 1
     options.execution_mode = onnxruntime.ExecutionMode.ORT_SEQUENTIAL
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
     options.add_session_config_entry("session.intra_op.allow_spinning", "0")
     options.add_session_config_entry("session.load_model_format", "ONNX")  # the kind that was checked, whatever it says
-    options.log_severity_level = 3
     try:
         check_graph(graph)
     except BundleError as error:

@@ -19,7 +19,7 @@ from eitskin.model.buffers import Buffers
 from eitskin.model.bundle import Bundle, load_bundle
 from eitskin.model.engine import engines
 from eitskin.model.geometry import GeometryGraph
-from eitskin.model.session import onnxruntime
+from eitskin.model.session import onnxruntime, session_options
 from eitskin_proto.sensor.normalise import relative_change
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.solvers.tikhonov import tikhonov_matrix
@@ -128,11 +128,14 @@ def _digest_elsewhere(bundle: Bundle, changes: Floats) -> str:
     return done.stdout.decode().strip()
 
 
+def _session(graph: bytes, threads: int = 1) -> Any:
+    return onnxruntime.InferenceSession(graph, session_options(threads), providers=["CPUExecutionProvider"])
+
+
 def _session_maps(bundle: Bundle, name: str, changes: Floats, *, threads: int) -> Floats:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = threads
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(bundle.files[name], options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        bundle.files[name], session_options(threads), providers=["CPUExecutionProvider"]
+    )
     return np.concatenate([session.run(["map"], _feed(bundle, change[None]))[0] for change in changes])
 
 
@@ -153,10 +156,9 @@ def _batch_maps(bundle: Bundle, name: str, changes: Floats) -> Floats:
     model = onnx.load_model_from_string(bundle.files[name])
     for value in (*model.graph.input, *model.graph.output):
         value.type.tensor_type.shape.dim[0].dim_param = "batch"
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    options.log_severity_level = 3
-    session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(
+        model.SerializeToString(), session_options(), providers=["CPUExecutionProvider"]
+    )
     maps = np.asarray(session.run(["map"], _feed(bundle, changes))[0])
     if len(maps) != len(changes):
         raise UnbatchedError(f"the head gives {len(maps)} map of {len(changes)} frames: its last gather is of one")
