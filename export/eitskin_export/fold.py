@@ -16,7 +16,7 @@ from torch.nn.utils.fusion import fuse_conv_bn_eval, fuse_linear_bn_eval
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.grid import Grid
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import ImageLinear, fixed, images_of_clouds, places, signs
+from eitskin_training.network.images import ImageLinear, fixed, places, signs
 from eitskin_training.network.linear import Narrow
 from eitskin_training.network.mirror import of_outputs
 from eitskin_training.network.model import VD2T, Residual, Standardise, activation, features
@@ -33,15 +33,15 @@ class GeometryHalf(nn.Module):
         self.convolutions = convolutions
         self.linear = linear
         self.use_cloud = model.architecture.use_cloud
-        self.mirrors = model.mirrors if model.architecture.symmetric else None
+        self.images = model.cloud_images if model.architecture.symmetric else None
         self.skin = model.skin
 
     def forward(self, cloud: Tensor) -> Tensor:
         """Return (D, H) for (D, 3, rows, columns)."""
         if not self.use_cloud:
             cloud = cloud * 0.0
-        if self.mirrors is not None:
-            images = images_of_clouds(cloud, self.mirrors).transpose(0, 1).flatten(0, 1)
+        if self.images is not None:
+            images = self.images(cloud).transpose(0, 1).flatten(0, 1)
             return self.linear(self.convolutions(images)).view(len(cloud), -1)  # type: ignore[no-any-return]
         return self.linear(self.convolutions(cloud))  # type: ignore[no-any-return]
 

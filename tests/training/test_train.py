@@ -10,9 +10,10 @@ from tests.second_skin import SECOND
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.skin.skin import PAPER
-from eitskin_training import curves, run_files, train
+from eitskin_training import curves, run_files, schedule, train
 from eitskin_training.card import card
 from eitskin_training.recipes import Recipe, recipe
+from eitskin_training.run import Epoch
 from eitskin_training.samples.batches import inputs
 from eitskin_training.score import correlation, loss_of, score, training_loss
 from eitskin_training.start import Start
@@ -183,7 +184,7 @@ def test_the_loss_over_units_equals_the_loss_over_their_pixels(toy_data: Any) ->
 
 
 def test_the_cycle_rises_then_falls_to_nearly_nothing() -> None:
-    factors = [train.one_cycle(step, steps=200) for step in range(200)]
+    factors = [schedule.one_cycle(step, steps=200) for step in range(200)]
     assert max(factors) == pytest.approx(1.0, abs=0.01)
     assert factors.index(max(factors)) == 10
     assert factors[0] < 0.1
@@ -208,7 +209,7 @@ def test_the_card_scores_each_family_under_each_noise(toy_data: Any) -> None:
 
 def test_the_curves_are_drawn_where_matplotlib_is_installed(toy_data: Any, tmp_path: Path) -> None:
     pytest.importorskip("matplotlib", reason="the picture is optional")
-    history = [train.Epoch(number, 0.1 / number, 0.12 / number, 0.5, 1.0) for number in (1, 2, 3)]
+    history = [Epoch(number, 0.1 / number, 0.12 / number, 0.5, 1.0) for number in (1, 2, 3)]
     assert curves.draw(history, tmp_path / "curves.png")
     assert (tmp_path / "curves.png").read_bytes()[:4] == b"\x89PNG"
     assert not curves.draw([], tmp_path / "none.png")

@@ -10,7 +10,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import is_whole, read_json
 from eitskin_proto.files.writing import replacing
-from eitskin_training.train import Epoch
+from eitskin_training.run import Epoch
 
 LARGEST_NUMBER: Final = 1e12
 """Of losses, seconds and epochs."""

@@ -1,6 +1,7 @@
 """How good a network's maps are: the loss and the correlation coefficient, over many samples at once."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -40,8 +41,7 @@ def loss_of(logits: Tensor, labels: Tensor, grid: Grid) -> Tensor:
     """Return the binary cross-entropy a pixel, also where the outputs are units of several pixels."""
     truth, weight = _as_outputs(labels, logits, grid), None
     if logits.shape[1] != grid.n_pixels:
-        pixels = pixels_per_unit(grid)
-        weight = torch.from_numpy(pixels / pixels.mean()).to(logits)
+        weight = _weight_of_units(grid, logits.device)
     return functional.binary_cross_entropy_with_logits(logits, truth, weight=weight)
 
 
@@ -65,8 +65,18 @@ def training_loss(logits: Tensor, labels: Tensor, correlation_weight: float, gri
 def _as_outputs(labels: Tensor, logits: Tensor, grid: Grid) -> Tensor:
     if labels.shape[1] == logits.shape[1]:
         return labels
-    spread = torch.from_numpy(grid.unit_of_pixel.reshape(-1).copy()).to(labels.device)
-    return labels[:, spread]
+    return labels.index_select(1, _units_of_pixels(grid, labels.device))
+
+
+@lru_cache(maxsize=8)
+def _weight_of_units(grid: Grid, device: torch.device) -> Tensor:
+    pixels = pixels_per_unit(grid)
+    return torch.from_numpy((pixels / pixels.mean()).astype(np.float32)).to(device)
+
+
+@lru_cache(maxsize=8)
+def _units_of_pixels(grid: Grid, device: torch.device) -> Tensor:
+    return torch.from_numpy(grid.unit_of_pixel.reshape(-1).copy()).to(device)
 
 
 def truth_of(labels: npt.NDArray[np.floating], data: TrainingData) -> npt.NDArray[np.floating]:

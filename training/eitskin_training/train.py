@@ -12,52 +12,30 @@ plain values only, and are read with ``weights_only``.
 """
 
 import json
-import math
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import torch
-from torch import Tensor
 
 from eitskin_proto.errors import MismatchError, SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
-from eitskin_proto.skin.skin import Skin
 from eitskin_training.narrowed import fits, narrowed
-from eitskin_training.network.decay import decayed
 from eitskin_training.network.model import VD2T
 from eitskin_training.recipes import Recipe
+from eitskin_training.resident.steps import ResidentSteps
+from eitskin_training.resident.stored import fits as held_by
+from eitskin_training.run import Epoch, Run, check_loss, optimiser_of, restore
 from eitskin_training.run_files import FORMAT, network, read, skin_entries, skin_of, write_file
 from eitskin_training.samples.batches import TrainingData, batches, inputs
+from eitskin_training.schedule import set_rate
 from eitskin_training.score import score, training_loss
 from eitskin_training.start import Start, keep_statistics
-
-RISING_SHARE: Final = 0.05
-"""Share of the steps in which a cycle rises to its peak."""
-
-
-@dataclass(frozen=True, slots=True)
-class Epoch:
-    """What one epoch gave.
-
-    Args:
-        number: Counted from 1.
-        training_loss: Mean over its batches, with noise, flips and dropout.
-        validation_loss: Of the weights that would be exported now.
-        validation_cc: Likewise, mean correlation.
-        seconds: Time it took.
-    """
-
-    number: int
-    training_loss: float
-    validation_loss: float
-    validation_cc: float
-    seconds: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,32 +57,8 @@ class Progress:
     finished: Epoch | None = None
 
 
-@dataclass(slots=True)
-class Run:
-    """A training run in memory."""
-
-    recipe: Recipe
-    seed: int
-    model: VD2T
-    averaged: dict[str, Tensor]
-    optimiser: torch.optim.Optimizer
-    schedule: torch.optim.lr_scheduler.LRScheduler | None
-    data_digest: str
-    skin: Skin
-    sources: tuple[str, ...] = ()
-    started_from: dict[str, Any] | None = None
-    history: list[Epoch] = field(default_factory=list)
-    step: int = 0
-
-    @property
-    def still(self) -> bool:
-        """Whether normalisations keep their statistics: those of a network out of a bundle are in its weights."""
-        return bool((self.started_from or {}).get("still"))
-
-    @property
-    def best(self) -> Epoch | None:
-        """The epoch of the lowest validation loss."""
-        return min(self.history, key=lambda epoch: epoch.validation_loss, default=None)
+Pass = Callable[[int, Callable[[], None]], float]
+"""Goes through the data once, of a number from 1, telling after every step, and returns the mean loss."""
 
 
 def device() -> torch.device:
@@ -151,45 +105,55 @@ def train(
     if checkpoint.exists() and not resume:
         raise SkinError(f"{out} already holds a run; continue it with --resume or name another folder")
     steps_per_epoch = max(1, len(data.train) // recipe.batch)
-    run = _start(recipe, seed, steps_per_epoch, data)
+    run = _start(recipe, seed, data)
     run.sources = sources
     if start is not None:
         _start_from(run, narrowed(start, recipe, data) if fits(start, recipe) else start)
     if resume and checkpoint.exists():
         _restore(run, checkpoint)
-    where = device()
-    mirrored: dict[int, Any] = {}
     steps = steps_per_epoch * recipe.epochs
+    epoch_of = _passes(run, data, steps)
     for number in range(len(run.history) + 1, min(recipe.epochs, stop_after or recipe.epochs) + 1):
         began = time.monotonic()
-        torch.manual_seed(seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
         run.model.train()
         if run.still:
             keep_statistics(run.model)
-        total = 0.0
-        for batch in batches(data, recipe, seed=seed, epoch=number, mirrored=mirrored):
-            total += _step(run, batch.to(where))
-            progress(Progress(number, recipe.epochs, run.step, steps))
-        epoch = _validate(run, data, number, total / steps_per_epoch, time.monotonic() - began)
+        loss = epoch_of(number, partial(_told, progress, run, steps, number))
+        epoch = _validate(run, data, number, loss, time.monotonic() - began)
         run.history.append(epoch)
         _save(run, out)
         progress(Progress(number, recipe.epochs, run.step, steps, epoch))
     return run
 
 
-def _start(recipe: Recipe, seed: int, steps_per_epoch: int, data: TrainingData) -> Run:
+def _told(progress: Callable[[Progress], None], run: Run, steps: int, number: int) -> None:
+    progress(Progress(number, run.recipe.epochs, run.step, steps))
+
+
+def _passes(run: Run, data: TrainingData, steps: int) -> Pass:
+    """Return what goes through the data once: on a GPU that holds them, or by batches that are made beside it."""
+    where = device()
+    mirrored: dict[int, Any] = {}
+    if held_by(data, run.recipe, where):
+        return ResidentSteps(run, data, where, steps).epoch
+
+    def epoch(number: int, told: Callable[[], None]) -> float:
+        torch.manual_seed(run.seed * 1_000_003 + number)  # dropout depends on (seed, epoch) alone, like the batches
+        losses = []
+        for batch in batches(data, run.recipe, seed=run.seed, epoch=number, mirrored=mirrored):
+            losses.append(_step(run, batch.to(where), steps))
+            told()
+        return sum(losses) / len(losses)
+
+    return epoch
+
+
+def _start(recipe: Recipe, seed: int, data: TrainingData) -> Run:
     torch.manual_seed(seed)
     model = VD2T(recipe.architecture, data.skin).to(device())
     model.standardise.fit(inputs(data, recipe).to(device()))
-    groups = decayed(model.parameters(), recipe.weight_decay)
-    optimiser = torch.optim.AdamW(groups, lr=recipe.learning_rate, fused=True)
-    schedule = None
-    if recipe.schedule == "onecycle":
-        schedule = torch.optim.lr_scheduler.LambdaLR(
-            optimiser, partial(one_cycle, steps=steps_per_epoch * recipe.epochs)
-        )
     averaged = {name: value.clone() for name, value in model.state_dict().items()}
-    return Run(recipe, seed, model, averaged, optimiser, schedule, data.digest, data.skin)
+    return Run(recipe, seed, model, averaged, optimiser_of(model, recipe, device()), data.digest, data.skin)
 
 
 def _start_from(run: Run, start: Start) -> None:
@@ -199,38 +163,18 @@ def _start_from(run: Run, start: Start) -> None:
     run.started_from = start.facts
 
 
-def one_cycle(step: int, *, steps: int) -> float:
-    """Return the share of the peak learning rate at a step: a linear rise, then half a cosine to nearly nothing."""
-    rise = max(1.0, RISING_SHARE * steps)
-    if step < rise:
-        return (step + 1) / (rise + 1)
-    return 1e-3 + 0.5 * (1.0 + math.cos(math.pi * min(1.0, (step - rise) / max(1.0, steps - rise))))
-
-
-def _step(run: Run, batch: Any) -> float:
+def _step(run: Run, batch: Any, steps: int) -> float:
+    set_rate(run.optimiser, run.recipe, run.step, steps)
     logits = run.model(batch.dv, batch.clouds, batch.which, batch.log_predicted)
     loss = training_loss(logits, batch.labels, run.recipe.correlation_weight, run.skin.grid)
     value = float(loss.detach())
-    if value != value:  # noqa: PLR0124 - NaN is the one number that differs from itself
-        raise SkinError("the loss is not a number; lower the learning rate, or look for NaN in the data set")
+    check_loss(value)
     run.optimiser.zero_grad(set_to_none=True)
     loss.backward()  # type: ignore[no-untyped-call]
     run.optimiser.step()
-    if run.schedule is not None:
-        run.schedule.step()
     run.step += 1
-    _average(run)
+    run.average()
     return value
-
-
-def _average(run: Run) -> None:
-    """Move the running mean towards the weights; early on it forgets faster, so that it never drags the first ones."""
-    decay = min(run.recipe.average, (1 + run.step) / (10 + run.step)) if run.recipe.average else 0.0
-    current = run.model.state_dict()
-    floats = [name for name, value in current.items() if value.is_floating_point()]
-    torch._foreach_lerp_([run.averaged[name] for name in floats], [current[name] for name in floats], 1.0 - decay)
-    for name in current.keys() - set(floats):
-        run.averaged[name].copy_(current[name])
 
 
 def _validate(run: Run, data: TrainingData, number: int, training_loss: float, seconds: float) -> Epoch:
@@ -257,7 +201,6 @@ def _save(run: Run, out: Path) -> None:
         "model": run.model.state_dict(),
         "averaged": run.averaged,
         "optimiser": run.optimiser.state_dict(),
-        "schedule": run.schedule.state_dict() if run.schedule else None,
         "step": run.step,
     }
     if run.best is run.history[-1]:
@@ -287,8 +230,6 @@ def _take(run: Run, content: dict[str, Any], path: Path) -> None:
             )
     run.model.load_state_dict(content["model"])
     run.averaged = {name: value.to(device()) for name, value in content["averaged"].items()}
-    run.optimiser.load_state_dict(content["optimiser"])
-    if run.schedule is not None:
-        run.schedule.load_state_dict(content["schedule"])
+    restore(run.optimiser, content["optimiser"])
     run.history = [Epoch(**epoch) for epoch in content["history"]]
     run.step = int(content["step"])

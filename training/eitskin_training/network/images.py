@@ -32,20 +32,47 @@ def signs(count: int) -> npt.NDArray[np.int64]:
     return np.array([[(-1) ** (k & g).bit_count() for g in range(count)] for k in range(count)], dtype=np.int64)
 
 
-def images_of_rows(values: Tensor, blocks: int, mirrors: Sequence[Mirror]) -> Tensor:
-    """Return (n, B, blocks * 104) images of (B, blocks * 104) features of the table's rows."""
-    rows = torch.from_numpy(np.stack([mirror.rows for mirror in mirrors]))
-    return values.view(len(values), blocks, -1)[:, :, rows].permute(2, 0, 1, 3).flatten(2)
+class RowImages(nn.Module):
+    """(B, blocks * 104) features of the table's rows -> (n, B, blocks * 104) images of them.
+
+    Args:
+        blocks: How many times 104 features there are.
+        mirrors: The skin's.
+    """
+
+    columns: Tensor
+
+    def __init__(self, blocks: int, mirrors: Sequence[Mirror]) -> None:
+        super().__init__()
+        rows = np.stack([mirror.rows for mirror in mirrors])
+        starts = rows.shape[1] * np.arange(blocks)
+        columns = (rows[:, None] + starts[:, None]).reshape(len(rows), -1)
+        self.register_buffer("columns", torch.from_numpy(columns), persistent=False)
+
+    def forward(self, features: Tensor) -> Tensor:
+        """Return (n, B, blocks * 104)."""
+        return torch.stack([features.index_select(1, columns) for columns in self.columns])
 
 
-def images_of_clouds(clouds: Tensor, mirrors: Sequence[Mirror]) -> Tensor:
-    """Return (n, D, 3, rows, columns) images of (D, 3, rows, columns) clouds that are centred on the sheet's middle."""
-    found = []
-    for mirror in mirrors:
-        axes = [axis for axis, mirrored in ((3, mirror.x), (2, mirror.y)) if mirrored]
-        turned = clouds.new_tensor([-1.0 if mirror.x else 1.0, -1.0 if mirror.y else 1.0, 1.0])
-        found.append(torch.flip(clouds, axes) * turned[:, None, None])
-    return torch.stack(found)
+class CloudImages(nn.Module):
+    """(D, 3, rows, columns) clouds that are centred on the sheet's middle -> (n, D, 3, rows, columns) images of them.
+
+    Args:
+        mirrors: The skin's.
+    """
+
+    turned: Tensor
+
+    def __init__(self, mirrors: Sequence[Mirror]) -> None:
+        super().__init__()
+        self.axes = [[axis for axis, mirrored in ((3, one.x), (2, one.y)) if mirrored] for one in mirrors]
+        turned = [[-1.0 if one.x else 1.0, -1.0 if one.y else 1.0, 1.0] for one in mirrors]
+        self.register_buffer("turned", torch.tensor(turned)[:, :, None, None], persistent=False)
+
+    def forward(self, clouds: Tensor) -> Tensor:
+        """Return (n, D, 3, rows, columns)."""
+        images = zip(self.axes, self.turned, strict=True)
+        return torch.stack([torch.flip(clouds, axes) * turned for axes, turned in images])
 
 
 class ImageLinear(nn.Module):
@@ -140,7 +167,7 @@ class Parts(nn.Module):
     def forward(self, parts: Tensor) -> Tensor:
         """Return (B, outputs)."""
         flat = parts.transpose(0, 1).flatten(1)
-        found = flat[:, self.places[0]]
+        found = flat.index_select(1, self.places[0])
         for place in self.places[1:]:
-            found = found + flat[:, place]
+            found = found + flat.index_select(1, place)
         return found / len(self.places)

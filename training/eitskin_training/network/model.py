@@ -22,7 +22,7 @@ from torch import Tensor, nn
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_training.network.architecture import Architecture
-from eitskin_training.network.images import ImageNorm, Parts, images_of_clouds, images_of_rows, part
+from eitskin_training.network.images import CloudImages, ImageNorm, Parts, RowImages, part
 from eitskin_training.network.linear import last_part, linear
 from eitskin_training.network.mirror import mirrors, of_outputs
 from eitskin_training.network.sharpen import Sharpen
@@ -95,6 +95,8 @@ class VD2T(nn.Module):
         self.architecture = architecture
         self.skin = skin
         self.mirrors = mirrors(skin, near=True)[: None if architecture.symmetric else 1]
+        self.row_images = RowImages(architecture.feature_blocks, self.mirrors)
+        self.cloud_images = CloudImages(self.mirrors)
         self.standardise = Standardise(architecture.feature_blocks * N_ROWS)
         self.voltage, voltage_width = _voltage_channel(architecture, len(self.mirrors))
         self.cloud, cloud_width = _cloud_channel(architecture, skin.grid.shape)
@@ -133,7 +135,7 @@ class VD2T(nn.Module):
             clouds = torch.zeros_like(clouds)
         if not self.architecture.symmetric:
             return self.fusion_cloud(self.cloud(clouds))  # type: ignore[no-any-return]
-        found: Tensor = self.fusion_cloud(self.cloud(images_of_clouds(clouds, self.mirrors).flatten(0, 1)))
+        found: Tensor = self.fusion_cloud(self.cloud(self.cloud_images(clouds).flatten(0, 1)))
         return found.view(len(self.mirrors), len(clouds), -1).transpose(0, 1).flatten(1)
 
     def logits(self, dv: Tensor, bias: Tensor, log_predicted: Tensor | None = None) -> Tensor:
@@ -146,7 +148,7 @@ class VD2T(nn.Module):
         """
         x = features(dv, self.architecture, log_predicted)
         if self.architecture.symmetric:
-            x = images_of_rows(x, self.architecture.feature_blocks, self.mirrors)
+            x = self.row_images(x)
             bias = bias.view(len(bias), len(self.mirrors), -1).transpose(0, 1)
         hidden = self.fusion(self.fusion_voltage(self.voltage(self.standardise(x))) + bias)
         return self.sharpen(self.outputs(self.out(hidden)))  # type: ignore[no-any-return]

@@ -167,16 +167,13 @@ def batches(
         mirrored: Clouds of each mirror image, filled here and reused between epochs.
     """
     rng = np.random.default_rng([seed, epoch])
-    size = min(recipe.batch, len(data.train))
-    order = _order(data, recipe.together, size, rng)
     images = {} if mirrored is None else mirrored
     shown = mirrors(data.skin)
     filler = Filler(consistency_of(data, recipe)) if recipe.lost_electrode else None
-    for start in range(0, len(order) - size + 1, size):
+    for rows in in_order(data, recipe, rng):
         flip = int(rng.integers(len(shown))) if recipe.flips else 0
         if flip not in images:
             images[flip] = shown[flip].clouds(data.clouds)
-        rows = order[start : start + size]
         dv = noisy_change(data, rows, recipe.noises, recipe.snr_db, rng)
         lose_rows(dv, recipe, rng)
         if filler is not None:
@@ -187,25 +184,21 @@ def batches(
         yield assemble(data, rows, dv, predicted, shown[flip], images[flip])
 
 
-def _order(data: TrainingData, together: int, size: int, rng: np.random.Generator) -> npt.NDArray[np.intp]:
-    """Return the training samples in the order of an epoch; each batch has few deformations where that is asked for.
+def in_order(data: TrainingData, recipe: Recipe, rng: np.random.Generator) -> npt.NDArray[np.intp]:
+    """Return (steps, B) training samples, batch by batch; the last few, which fill no batch, are left out.
 
-    What is left of a group when its batches are full makes batches of its own, so every sample but the last few comes.
+    Each batch has few deformations where that is asked for: samples come group of deformations by group of
+    deformations, cut into batches, so one has those of two groups at most where a group fills a batch.
     """
-    if not together:
-        return rng.permutation(data.train)
-    bends = rng.permutation(np.unique(data.deformation[data.train]))
-    group = np.empty(len(data.clouds), dtype=np.intp)
-    group[bends] = np.arange(len(bends)) % -(-len(bends) // together)
+    size = min(recipe.batch, len(data.train))
     rows = rng.permutation(data.train)
-    own = group[data.deformation[rows]]
-    rows = rows[np.argsort(own, kind="stable")]
-    starts = np.cumsum([0, *np.bincount(own)])
-    full = starts[1:] - np.diff(starts) % size
-    whole = np.concatenate([rows[start:stop] for start, stop in zip(starts[:-1], full, strict=True)])
-    rest = rng.permutation(np.concatenate([rows[a:b] for a, b in zip(full, starts[1:], strict=True)]))
-    every = np.concatenate([whole, rest[: len(rest) // size * size]]).reshape(-1, size)
-    return np.asarray(rng.permutation(every).reshape(-1))
+    if recipe.together:
+        bends = rng.permutation(np.unique(data.deformation[data.train]))
+        group = np.empty(len(data.clouds), dtype=np.intp)
+        group[bends] = np.arange(len(bends)) % -(-len(bends) // recipe.together)
+        rows = rows[np.argsort(group[data.deformation[rows]], kind="stable")]
+    whole = rows[: len(rows) // size * size].reshape(-1, size)
+    return np.asarray(rng.permutation(whole) if recipe.together else whole)
 
 
 def assemble(

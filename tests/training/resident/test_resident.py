@@ -1,0 +1,236 @@
+"""Training where the data lie, on the CPU, where the same steps run without a graph; with a graph where a GPU is."""
+
+import itertools
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+
+from eitskin_proto.sensor.normalise import inverse_reference, relative_change
+from eitskin_sim.measurement.consistency import Filler
+from eitskin_training import train
+from eitskin_training.network.mirror import mirrors
+from eitskin_training.recipes import recipe
+from eitskin_training.resident import steps as resident_steps
+from eitskin_training.resident.drawn import LostElectrodes, lose_rows, noisy_change, predicted_or_none
+from eitskin_training.resident.steps import ResidentSteps
+from eitskin_training.resident.stored import Stored, fits, needed_bytes
+from eitskin_training.samples.batches import consistency_of
+
+pytestmark = pytest.mark.heavy
+
+CPU = torch.device("cpu")
+QUIET = replace(recipe("tiny"), lost_rows=0.0, lost_electrode=0.0, predicted_dropout=0.0, noises=("N2",), snr_db=300.0)
+"""Batches without noise to speak of, so that what they hold can be compared."""
+
+
+def seeded(seed: int = 0) -> torch.Generator:
+    return torch.Generator().manual_seed(seed)
+
+
+@pytest.mark.parametrize("kind", ["N1", "N2", "N3"])
+@pytest.mark.parametrize("snr_db", [40.0, (40.0, 40.0)])
+def test_noise_has_the_level_that_its_definition_states(kind: Any, snr_db: Any, toy_data: Any) -> None:
+    data = toy_data("units", samples=3000)
+    clean = relative_change(data.voltages, data.reference)
+    moved = np.sqrt(np.mean(clean**2, axis=1)) > 1e-3  # single precision is coarser than 40 dB of nothing
+    volts, clean = data.voltages[moved], clean[moved]
+    inverse = torch.from_numpy(inverse_reference(data.reference).astype(np.float32))
+    noisy = noisy_change(torch.from_numpy(volts), inverse, (kind,), snr_db, seeded()).numpy()
+    level = {
+        "N1": np.sqrt(np.mean(clean**2, axis=1, keepdims=True)) * np.ones_like(clean),
+        "N2": np.abs(volts / data.reference),
+        "N3": np.sqrt(np.mean(volts**2, axis=1, keepdims=True)) / np.abs(data.reference),
+    }[kind]
+    assert np.sqrt(np.mean(((noisy - clean) / level) ** 2)) == pytest.approx(0.01, rel=0.01)
+
+
+def test_each_sample_has_one_of_the_noises_and_weak_rows_have_none(toy_data: Any) -> None:
+    data = toy_data("units", samples=3000)
+    inverse = torch.from_numpy(inverse_reference(data.reference).astype(np.float32))
+    inverse[7] = 0.0
+    volts = torch.from_numpy(data.voltages)
+    noisy = noisy_change(volts, inverse, ("N1", "N2", "N3"), 40.0, seeded())
+    clean = volts * inverse - (inverse != 0.0).float()
+    assert torch.equal(noisy[:, 7], torch.zeros(len(noisy)))
+    ratio = ((noisy - clean) / (volts * inverse))[:, inverse != 0.0].square().mean(dim=1).sqrt()
+    alike = (ratio - 0.01).abs() < 0.003  # of N2 104 rows say it to 7 %; N1 is far less here, N3 far more
+    assert float(alike.float().mean()) == pytest.approx(1 / 3, abs=0.04)
+
+
+def test_lost_rows_are_zero_and_as_frequent_as_asked_for() -> None:
+    lost = (lose_rows(torch.ones(4000, 104), 0.2, seeded()) == 0).sum(dim=1)
+    assert int(lost.max()) == 4
+    assert float((lost > 0).float().mean()) == pytest.approx(0.2, abs=0.02)
+    assert sorted(set(lost.tolist())) == [0, 1, 2, 3, 4]
+
+
+def test_electrodes_are_filled_in_as_the_runtime_and_the_batches_do(toy_data: Any) -> None:
+    data = toy_data("area", samples=400)
+    gaussian = consistency_of(data, QUIET)
+    lost = LostElectrodes(gaussian, CPU)
+    change = relative_change(data.voltages, data.reference).astype(np.float32)
+    for electrodes in ((3,), (2, 9), (0, 7, 15)):
+        known = change.copy()
+        Filler(gaussian).fill(known, electrodes)
+        own, every = torch.zeros(len(change), dtype=torch.int64), torch.ones(len(change), 1, dtype=torch.bool)
+        chosen = torch.tensor([lost.sets.index(electrodes)])
+        found = lost.fill(torch.from_numpy(change), chosen, own, every)
+        np.testing.assert_allclose(found.numpy(), known, atol=2e-5)
+        same = lost.fill(torch.from_numpy(change), chosen, own, ~every)
+        assert torch.equal(same, torch.from_numpy(change))
+
+
+def test_sets_of_electrodes_come_as_often_as_the_batches_lose_them(toy_data: Any) -> None:
+    lost = LostElectrodes(consistency_of(toy_data("area", samples=200), QUIET), CPU)
+    assert len(lost.sets) == 16 + 120 + 560
+    assert lost.sets[:16] == [(one,) for one in range(16)]
+    assert float(lost.chances[-1]) == pytest.approx(1.0)
+    drawn = torch.searchsorted(lost.chances, torch.rand(20000, generator=seeded()))
+    sizes = np.bincount([len(lost.sets[one]) for one in drawn.clamp(max=695)], minlength=4)[1:] / 20000
+    np.testing.assert_allclose(sizes, (0.7, 0.2, 0.1), atol=0.015)
+
+
+def test_predictions_are_left_out_of_a_share() -> None:
+    found = predicted_or_none(torch.ones(4000, 104), replace(QUIET, predicted_dropout=0.1), seeded())
+    assert float((found.sum(dim=1) == 0).float().mean()) == pytest.approx(0.1, abs=0.02)
+    assert torch.equal(predicted_or_none(torch.ones(9, 104), QUIET, seeded()), torch.ones(9, 104))
+
+
+@pytest.mark.parametrize(("together", "flips"), [(0, False), (3, False), (3, True)])
+def test_a_table_names_each_sample_once_and_the_cloud_that_it_has(together: int, flips: bool, toy_data: Any) -> None:
+    data = toy_data("area", samples=2000, bends=12)
+    chosen = replace(QUIET, batch=32, together=together, flips=flips)
+    stored = Stored(data, chosen, CPU)
+    table = stored.table(np.random.default_rng(0))
+    samples = table.samples.flatten()
+    assert len(set(samples.tolist())) == len(samples) == len(data.train) // 32 * 32
+    clouds = table.clouds.gather(1, table.which)
+    assert torch.equal(clouds.flatten(), stored.deformation[samples])
+    assert stored.slots == (10 if together == 0 else 6)
+    assert int(table.images.max()) == (3 if flips else 0)
+    for occurring, batch in zip(table.clouds, table.samples, strict=True):
+        assert set(occurring.tolist()) == set(stored.deformation[batch].tolist())
+
+
+@pytest.mark.parametrize("flips", [False, True])
+def test_what_the_network_sees_is_a_sample_in_one_of_its_mirror_images(
+    flips: bool, toy_data: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = toy_data("area", samples=600, bends=5)
+    run = train._start(replace(QUIET, flips=flips), 0, data)
+    seen: list[Any] = []
+    plain, loss_of = run.model.logits, resident_steps.training_loss
+
+    def logits(change: Any, bias: Any, predicted: Any) -> Any:
+        seen.append((change.numpy(), predicted.numpy()))
+        return plain(change, bias, predicted)
+
+    def loss(found: Any, labels: Any, *rest: Any) -> Any:
+        seen[-1] += (labels.numpy(),)
+        return loss_of(found, labels, *rest)
+
+    monkeypatch.setattr(run.model, "logits", logits)
+    monkeypatch.setattr(resident_steps, "training_loss", loss)
+    ResidentSteps(run, data, CPU, 10).epoch(1, lambda: None)
+    known = relative_change(data.voltages, data.reference)
+    images = set()
+    for changes, predicted, labels in seen:
+        for change, log, label in zip(changes[:5], predicted, labels, strict=False):
+            off = [np.abs(known[:, one.rows] - change).max(axis=1) for one in mirrors(data.skin)]
+            image, row = np.unravel_index(np.argmin(off), (len(off), len(known)))
+            mirror = mirrors(data.skin)[image]
+            assert off[image][row] < 1e-5
+            np.testing.assert_array_equal(log, data.log_predicted[data.deformation[row]][mirror.rows])
+            np.testing.assert_allclose(label, data.labels[data.touch_set[row]][mirror.pixels] / 255.0, atol=1e-6)
+            images.add(int(image))
+    assert images == {0} if not flips else len(images) > 1
+
+
+def test_an_epoch_depends_on_seed_and_number_alone(toy_data: Any) -> None:
+    data, chosen = toy_data("area"), replace(recipe("tiny"), epochs=2)
+
+    def learned(numbers: tuple[int, ...], seed: int = 3) -> Any:
+        run = train._start(chosen, seed, data)
+        run.model.train()
+        steps = ResidentSteps(run, data, CPU, 20)
+        losses = [steps.epoch(number, lambda: None) for number in numbers]
+        return losses, run.model.out.weight.detach().clone()
+
+    (first, weights), (again, same) = learned((1, 2)), learned((1, 2))
+    assert first == again
+    assert torch.equal(weights, same)
+    assert learned((1, 1))[0][1] != first[1]
+    assert learned((1,), seed=4)[0] != first[:1]
+
+
+@pytest.mark.parametrize("labels", ["area", "units"])
+def test_it_learns_what_batches_made_beside_the_device_teach(
+    labels: str, toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data = toy_data(labels, samples=1000)
+    chosen = replace(recipe("tiny"), labels=labels, epochs=6, learning_rate=8e-3)
+    beside = train.train(data, chosen, tmp_path / "beside")
+    monkeypatch.setattr(train, "held_by", lambda *_: True)
+    told = itertools.count()
+    there = train.train(data, chosen, tmp_path / "there", progress=lambda _: next(told))
+    assert next(told) == there.step + chosen.epochs
+    assert there.step == beside.step
+    losses = [run.best.validation_loss for run in (beside, there) if run.best is not None]
+    assert losses[1] == pytest.approx(losses[0], rel=0.2)
+    assert losses[1] < 0.8 * there.history[0].validation_loss
+
+
+def test_a_resumed_run_equals_one_that_never_stopped(
+    toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, chosen = toy_data("area"), replace(recipe("tiny"), epochs=3)
+    monkeypatch.setattr(train, "held_by", lambda *_: True)
+    whole = train.train(data, chosen, tmp_path / "whole", seed=5)
+    train.train(data, chosen, tmp_path / "parts", seed=5, stop_after=1)
+    parts = train.train(data, chosen, tmp_path / "parts", seed=5, resume=True)
+    assert [one.training_loss for one in parts.history] == [one.training_loss for one in whole.history]
+    for name, value in whole.model.state_dict().items():
+        assert torch.equal(value, parts.model.state_dict()[name]), name
+
+
+def test_a_loss_that_is_no_number_ends_the_run(toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    data = toy_data("area")
+    data.voltages[data.train[0]] = np.nan
+    monkeypatch.setattr(train, "held_by", lambda *_: True)
+    with pytest.raises(train.SkinError, match="not a number"):
+        train.train(data, replace(recipe("tiny"), epochs=1), tmp_path)
+
+
+def test_a_device_holds_the_data_if_it_is_a_gpu_with_memory_for_them(
+    toy_data: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    data, gpu = toy_data("area"), torch.device("cuda")
+    assert not fits(data, QUIET, CPU)
+    needed = needed_bytes(data, QUIET)
+    assert needed == len(data.train) * 416 + data.labels.nbytes + data.clouds.nbytes
+    assert needed_bytes(data, replace(QUIET, flips=True)) == needed + 3 * data.clouds.nbytes
+    for free, there in ((2 * needed, True), (needed, False)):
+        monkeypatch.setattr(torch.cuda, "mem_get_info", lambda _, free=free: (free, free))
+        assert fits(data, QUIET, gpu) is there
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no GPU here")
+@pytest.mark.parametrize("name", ["tiny", "units", "small"])
+def test_a_captured_step_learns_what_a_plain_one_does(name: str, toy_data: Any, tmp_path: Path) -> None:
+    base = recipe(name)
+    data = toy_data(base.labels, samples=1500)
+    chosen = replace(base, epochs=3, batch=64, lost_rows=0.0, lost_electrode=0.0, predicted_dropout=0.0, snr_db=300.0)
+    captured = train.train(data, chosen, tmp_path / "captured")
+    run = train._start(chosen, 0, data)
+    plain = ResidentSteps(run, data, torch.device("cuda"), captured.step)
+    plain._stream = None
+    run.model.train()
+    losses = [plain.epoch(number, lambda: None) for number in (1, 2, 3)]
+    assert [one.training_loss for one in captured.history] == pytest.approx(losses, rel=0.02)
+    train.train(data, chosen, tmp_path / "parts", stop_after=1)
+    resumed = train.train(data, chosen, tmp_path / "parts", resume=True)
+    assert resumed.history[-1].training_loss == pytest.approx(losses[-1], rel=0.02)
