@@ -91,10 +91,10 @@ def test_all_are_made_go_into_one_bundle_and_its_card_is_of_all(
         asked.append((folder, given, share, more.get("presses")))
         self.tell("data")
         larger = more.get("larger")
-        assert larger == (None if folder == work else work / "exported.eitskin"), "it may begin with the larger one"
+        assert larger == (None if folder == work else work / "run"), "it may begin with the larger one"
         folder.mkdir()
         bundle = tiny_bundle(folder / "exported.eitskin", sizes[folder])
-        return making.Made(recipe, {}, bundle, load_bundle(bundle).id)
+        return making.Made(recipe, folder / "run", {}, bundle, load_bundle(bundle).id)
 
     def card(recipe: BuildRecipe, folder: Path, bundle: Path, identity: str, tell: Any) -> dict[str, Any]:
         assert load_bundle(bundle).id == identity
@@ -131,9 +131,10 @@ def test_one_of_the_same_shape_begins_with_the_network_just_made(
     (leg,) = recipe.training
     own = steps.fitted_to(recipe, leg, recipe.skin).architecture
     for shape, taken in ((own, True), (replace(own, widths=(8, 8)), False)):
-        at_hand = {tmp_path / "large": Start({}, shape, recipe.skin, {"from": "large"})}
-        other = Start({}, own, recipe.skin, {"from": "shipped"})
-        monkeypatch.setattr(unfold, "start_of_bundle", lambda path, known=at_hand, other=other: known.get(path, other))
+        made = {tmp_path / "large": Start({}, shape, recipe.skin, {"from": "large"})}
+        shipped = Start({}, own, recipe.skin, {"from": "shipped"})
+        monkeypatch.setattr(Start, "of_run", made.get)
+        monkeypatch.setattr(unfold, "start_of_bundle", lambda _, shipped=shipped: shipped)
         found = steps.start_of(recipe, leg, tmp_path / "large")
         assert found.facts["from"] == ("large" if taken else "shipped")
 

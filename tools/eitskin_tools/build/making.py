@@ -15,6 +15,8 @@ class Made:
 
     recipe: BuildRecipe
     """As it was scaled."""
+    run: Path
+    """The folder of its last training run."""
     exported: dict[str, Any]
     """What the export said."""
     bundle: Path
@@ -53,7 +55,7 @@ class Making:
             given: Hours to scale it to; None leaves it as it is.
             share: Of these hours.
             presses: A recording of some, to be learned from besides; None without.
-            larger: The bundle whose network it begins with, narrowed or as it is; None as the recipe says.
+            larger: The run whose network it begins with, narrowed or as it is; None as the recipe says.
             beside: Another recipe and its folder, whose data sets are taken where they are the same.
 
         Raises:
@@ -72,7 +74,7 @@ class Making:
         steps.make_data(wanted, work, self.workers, self.tell)
         trained = steps.train_legs(wanted, work, self.tell, self.say, presses, larger)
         bundle, exported = steps.export_run(wanted, work, trained, self.tell)
-        return Made(wanted, exported, bundle, str(exported["bundle"]))
+        return Made(wanted, trained, exported, bundle, str(exported["bundle"]))
 
     def finished(self, made: Made, work: Path, out: Path) -> tuple[dict[str, Any], str]:
         """Write what was made with its card; return the card and the bundle's id."""
@@ -98,7 +100,7 @@ class Making:
             beside = made.recipe, work
             share = hours.SHARES[name]
             making = replace(self, tell=self._of(name, self.tell), say=self._of(name, self.say))
-            other = making.made(recipe, work / name, given, share=share, larger=made.bundle, beside=beside)
+            other = making.made(recipe, work / name, given, share=share, larger=made.run, beside=beside)
             own = work / f"{name}.eitskin"
             making.finished(other, work / name, own)
             out = work / f"with-{name}.eitskin"

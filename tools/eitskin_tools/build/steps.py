@@ -109,7 +109,7 @@ def train_legs(
         tell: Told what is being done.
         finished: Told how each epoch went.
         presses: A recording of some, to be learned from in the end, and kept if it is better for it; None without.
-        larger: A bundle whose network it begins with where that has its shape, or is to be narrowed to it; None as the
+        larger: A run whose network it begins with where that has its shape, or is to be narrowed to it; None as the
             recipe says.
     """
     from eitskin_training import train
@@ -204,16 +204,17 @@ def start_of(recipe: BuildRecipe, leg: Leg, larger: Path | None = None) -> Any:
     Args:
         recipe: What is made.
         leg: The first one.
-        larger: A bundle to begin with where the recipe's network is that bundle's, or that one narrowed.
+        larger: A run to begin with where the recipe's network is that run's, or that one narrowed.
 
     Raises:
         SkinError: There is no such bundle, or it cannot be taken apart.
     """
     from eitskin_export.unfold import start_of_bundle
     from eitskin_training.narrowed import fits
+    from eitskin_training.start import Start
 
     if larger is not None:
-        start = start_of_bundle(larger)
+        start = Start.of_run(larger)
         wanted = fitted_to(recipe, leg, start.skin)
         if fits(start, wanted) or start.architecture == wanted.architecture:
             return start
