@@ -7,12 +7,15 @@ import argparse
 import json
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from eitskin_tools.console.say import note
 
 if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
+
+MANY: Final = 1500
+"""Deformations that a core draws in a minute; before any is computed with, each is checked to be one that can be."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -86,6 +89,8 @@ def make(
     files.writable(arguments.out)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     others = asked.others()
+    if (many := sum(one.deformations for one in asked.data.values())) > MANY:
+        note(f"drawing {many:,} deformations, some {many // MANY} min; then the first data set")
     for one in (asked, *others.values()):
         steps.check(one)
     half_made.begun(work, asked, hours_asked)
