@@ -87,7 +87,8 @@ def test_a_filter_s_noise_stays_and_sizes_shrink_by_the_share_that_is_stated(arr
     patterns = np.linalg.pinv(first[:-1, :size]).T @ patterns_of(first[:-1, :size], first[:-1, size:])
     found = patterns.T @ weights[:-1, size:]
     assert (found.argmax(1) == np.arange(len(found)))[kept].mean() > 0.95
-    assert (found.diagonal()[kept] > 0.9 * LEFT_OF_IT).all()
+    # which ones are kept is known to a few percent; a pattern of which little is left, to a tenth
+    assert (found.diagonal()[kept] > 0.8 * LEFT_OF_IT).all()
 
 
 def test_rows_that_come_back_bring_the_gate_back_to_the_last_bit(arrays):
