@@ -2,24 +2,25 @@
 
 import numpy as np
 import pytest
-from onnx import TensorProto, helper, numpy_helper
 
 from eitskin.model.session import onnxruntime, session_options
+
+onnx = pytest.importorskip("onnx", reason="no onnx to make a graph with")
 
 WIDTH = 64
 
 
 def multiplied(options, values, weights):
     """Return values (1, 64) times weights (64, n), each of 8 bits, as a quantised layer multiplies them."""
-    node = helper.make_node("MatMulInteger", ["values", "weights"], ["product"])
-    graph = helper.make_graph(
+    node = onnx.helper.make_node("MatMulInteger", ["values", "weights"], ["product"])
+    graph = onnx.helper.make_graph(
         [node],
         "product",
-        [helper.make_tensor_value_info("values", TensorProto.UINT8, values.shape)],
-        [helper.make_tensor_value_info("product", TensorProto.INT32, (1, weights.shape[1]))],
-        [numpy_helper.from_array(weights, "weights")],
+        [onnx.helper.make_tensor_value_info("values", onnx.TensorProto.UINT8, values.shape)],
+        [onnx.helper.make_tensor_value_info("product", onnx.TensorProto.INT32, (1, weights.shape[1]))],
+        [onnx.numpy_helper.from_array(weights, "weights")],
     )
-    model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 17)], ir_version=8)
+    model = onnx.helper.make_model(graph, opset_imports=[onnx.helper.make_opsetid("", 17)], ir_version=8)
     session = onnxruntime.InferenceSession(model.SerializeToString(), options, providers=["CPUExecutionProvider"])
     return session.run(None, {"values": values})[0]
 
