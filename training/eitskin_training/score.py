@@ -69,12 +69,14 @@ def _as_outputs(labels: Tensor, logits: Tensor, grid: Grid) -> Tensor:
 
 
 @lru_cache(maxsize=8)
+@torch.inference_mode(False)  # who asks first may be in inference, and what is made there cannot be learned with
 def _weight_of_units(grid: Grid, device: torch.device) -> Tensor:
     pixels = pixels_per_unit(grid)
     return torch.from_numpy((pixels / pixels.mean()).astype(np.float32)).to(device)
 
 
 @lru_cache(maxsize=8)
+@torch.inference_mode(False)
 def _units_of_pixels(grid: Grid, device: torch.device) -> Tensor:
     return torch.from_numpy(grid.unit_of_pixel.reshape(-1).copy()).to(device)
 

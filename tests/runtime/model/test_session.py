@@ -1,4 +1,4 @@
-"""A session of ONNX Runtime writes nothing into the user's folders, calls nobody, and multiplies exactly."""
+"""A session of ONNX Runtime is made without telemetry: nothing is written into the user's folders, nobody is called."""
 
 import os
 import shutil

@@ -184,19 +184,6 @@ def test_it_learns_what_batches_made_beside_the_device_teach(
     assert losses[1] < 0.8 * there.history[0].validation_loss
 
 
-def test_a_resumed_run_equals_one_that_never_stopped(
-    toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    data, chosen = toy_data("area"), replace(recipe("tiny"), epochs=3)
-    monkeypatch.setattr(train, "held_by", lambda *_: True)
-    whole = train.train(data, chosen, tmp_path / "whole", seed=5)
-    train.train(data, chosen, tmp_path / "parts", seed=5, stop_after=1)
-    parts = train.train(data, chosen, tmp_path / "parts", seed=5, resume=True)
-    assert [one.training_loss for one in parts.history] == [one.training_loss for one in whole.history]
-    for name, value in whole.model.state_dict().items():
-        assert torch.equal(value, parts.model.state_dict()[name]), name
-
-
 def test_a_loss_that_is_no_number_ends_the_run(toy_data: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     data = toy_data("area")
     data.voltages[data.train[0]] = np.nan

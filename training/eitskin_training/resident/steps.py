@@ -1,7 +1,7 @@
 """An epoch's steps on a device that holds the data: on a GPU each is one launch of a captured graph.
 
-A step of these networks is some three hundred small kernels. Launched one by one they wait for Python; captured once as
-a CUDA graph they take a third of the time. What changes from step to step lies in tensors that the graph reads: the
+A step of these networks is a great many small kernels. Launched one by one they wait for Python; captured once as a
+CUDA graph they take a third of the time. What changes from step to step lies in tensors that the graph reads: the
 table of batches, the place in it, the learning rate. The same steps run uncaptured on any device, for tests.
 """
 

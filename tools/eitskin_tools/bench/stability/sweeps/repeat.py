@@ -133,9 +133,7 @@ def _session(graph: bytes, threads: int = 1) -> Any:
 
 
 def _session_maps(bundle: Bundle, name: str, changes: Floats, *, threads: int) -> Floats:
-    session = onnxruntime.InferenceSession(
-        bundle.files[name], session_options(threads), providers=["CPUExecutionProvider"]
-    )
+    session = _session(bundle.files[name], threads)
     return np.concatenate([session.run(["map"], _feed(bundle, change[None]))[0] for change in changes])
 
 
@@ -156,9 +154,7 @@ def _batch_maps(bundle: Bundle, name: str, changes: Floats) -> Floats:
     model = onnx.load_model_from_string(bundle.files[name])
     for value in (*model.graph.input, *model.graph.output):
         value.type.tensor_type.shape.dim[0].dim_param = "batch"
-    session = onnxruntime.InferenceSession(
-        model.SerializeToString(), session_options(), providers=["CPUExecutionProvider"]
-    )
+    session = _session(model.SerializeToString())
     maps = np.asarray(session.run(["map"], _feed(bundle, changes))[0])
     if len(maps) != len(changes):
         raise UnbatchedError(f"the head gives {len(maps)} map of {len(changes)} frames: its last gather is of one")
