@@ -2,17 +2,33 @@
 
 A sheet of thickness t meets itself where two points far apart along it come nearer in space than t; a turn as tight as
 the sheet allows brings points at pi t / 2 so near, so "far" is 2 pi t.
+
+Most sheets need not be looked at point by point. Let x(p) be the sheet rolled and twisted, p in its stretched plane. If
+for every direction d of the plane there is a unit vector u with u . dx/dd >= m on the whole sheet, the line from p to q
+gives ::
+
+    |x(q) - x(p)| >= u . (x(q) - x(p)) = integral of u . dx/dd >= m |q - p|
+
+so points farther than 2 pi t come no nearer than t wherever m > 1 / (2 pi). u is the mean of dx/dd over the sheet.
 """
+
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from eitskin_sim.scene.bend import bump_heights, first_form, frame_at, second_form, surface
+from eitskin_sim.scene.bend import RollFrame, bump_heights, first_form, frame_at, second_form, surface
 from eitskin_sim.scene.parts import Bend, Sheet
 from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
+
+AHEAD: Final = 0.3
+"""Least m: 1 / (2 pi) is 0.16, and as much again for what lies between the directions and points that are looked at."""
+
+DIRECTIONS: Final = 64
+"""How many directions of the plane are looked at."""
 
 
 def check_bend(bend: Bend, sheet: Sheet) -> None:
@@ -25,8 +41,9 @@ def check_bend(bend: Bend, sheet: Sheet) -> None:
         )
     if not bend.angle_deg and not bend.twist_deg and not bend.bumps_mm:
         return
-    _check_curvature(bend, sheet)
-    _check_apart(bend, sheet)
+    frame = _check_curvature(bend, sheet)
+    if bend.bumps_mm or not _runs_ahead(frame):
+        _check_apart(bend, sheet)
 
 
 def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
@@ -37,7 +54,8 @@ def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
     return np.stack([x.ravel(), y.ravel()], axis=-1), pitch
 
 
-def _check_curvature(bend: Bend, sheet: Sheet) -> None:
+def _check_curvature(bend: Bend, sheet: Sheet) -> RollFrame:
+    """Return the sheet's frame, without its bumps, at the points that were looked at."""
     xy, _ = _samples(sheet, min(sheet.size_mm) / 50)
     frame = frame_at(bend, sheet, xy)
     first = first_form(frame, frame.d_s, frame.d_w)
@@ -63,6 +81,19 @@ def _check_curvature(bend: Bend, sheet: Sheet) -> None:
             f"scene.bend folds the sheet: its radius of curvature is {1.0 / curvature:.3g} mm; it must be above "
             f"half the thickness, {half:g} mm"
         )
+    return frame
+
+
+def _runs_ahead(frame: RollFrame) -> bool:
+    """Return whether every line of the plane runs ahead along one direction of space for as long as it is."""
+    angle = np.arange(DIRECTIONS) * np.pi / DIRECTIONS
+    cos, sin = np.cos(angle), np.sin(angle)
+    ahead = cos[:, None] * frame.d_s.mean(axis=0) + sin[:, None] * frame.d_w.mean(axis=0)
+    length = np.linalg.norm(ahead, axis=1, keepdims=True)
+    if length.min() < AHEAD:
+        return False
+    ahead /= length
+    return bool((frame.d_s @ ahead.T * cos + frame.d_w @ ahead.T * sin).min() >= AHEAD)
 
 
 def _check_apart(bend: Bend, sheet: Sheet) -> None:

@@ -14,7 +14,7 @@ from eitskin_tools.console.say import note
 if TYPE_CHECKING:
     from eitskin_tools.build.recipe import BuildRecipe
 
-MANY: Final = 1500
+MANY: Final = 3000
 """Deformations that a core draws in a minute; before any is computed with, each is checked to be one that can be."""
 
 
