@@ -45,11 +45,11 @@ class GentleEngine:
         skin: Whose map it is.
     """
 
-    __slots__ = ("_across", "_down", "_first", "_gentle", "_map", "_own", "_pixel_mm2", "name")
+    __slots__ = ("_across", "_down", "_first", "_gentle", "_map", "_pixel_mm2", "name", "own")
 
     def __init__(self, own: Engine, gentle: Engine, whole: Map, skin: Skin) -> None:
         self.name = own.name
-        self._own, self._gentle = own, gentle
+        self.own, self._gentle = own, gentle
         rows, columns = skin.grid.shape
         width_mm, height_mm = skin.grid.size_mm
         self._map = whole.reshape(rows, columns)
@@ -66,13 +66,13 @@ class GentleEngine:
 
     def infer_both(self) -> None:
         """Do all that a frame may take, whatever the map shows."""
-        self._own.infer()
+        self.own.infer()
         self._gentle.infer()
         self.shown_mm2()
 
     def infer(self) -> None:
         """Fill the map."""
-        self._own.infer()
+        self.own.infer()
         shown = self.shown_mm2()
         if not NOTHING <= shown < SURE[1]:
             return

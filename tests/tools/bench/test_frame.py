@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from eitskin.model.buffers import Buffers
-from eitskin.model.bundle import load_bundle
-from eitskin.model.engine import engines
+from eitskin.model.bundle import default_path, load_bundle
+from eitskin.model.engine import HEADS, engines
+from eitskin.model.gentle import GentleEngine
 from eitskin.model.geometry import GeometryGraph
 from eitskin_tools.bench.footprint import bench as footprint
 from eitskin_tools.bench.frame import bench as frame
@@ -33,6 +34,14 @@ def test_the_unsplit_graph_gives_the_map_of_the_split_ones() -> None:
         (found,) = ways[name]()  # type: ignore[misc]
         assert found == pytest.approx(buffers.map, abs=1e-5)  # float32 through another order of sums
     assert np.ptp(buffers.map) > 1e-3, "a constant map would agree with anything"
+
+
+def test_a_network_for_faint_touches_is_timed_by_itself() -> None:
+    ways, _ = variants(load_bundle(default_path()))
+    assert list(ways)[:3] == ["vd2t", "vd2t-int8", "vd2t-small"]
+    assert "with-gentle" in ways
+    assert all(not isinstance(ways[name].__self__, GentleEngine) for name in HEADS)  # type: ignore[attr-defined]
+    assert "with-gentle" not in variants(load_bundle(BUNDLE))[0]
 
 
 def test_a_variant_that_cannot_be_had_is_named_with_its_reason() -> None:

@@ -3,6 +3,7 @@
 ::
 
     vd2t, vd2t-int8, tikhonov       the deployed engines: geometry folded to a bias, one thread
+    with-gentle                     the stream's own engine with its network for faint touches: the most a frame takes
     unsplit                         both graphs joined: geometry evaluated a frame, one thread
     onnxruntime-default             the same with ONNX Runtime's default session and its threads
     torch-eager                     the whole network as PyTorch runs it, one thread
@@ -18,10 +19,12 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.model.buffers import Buffers
+from eitskin.model.buffers import Buffers, Engine
 from eitskin.model.bundle import Bundle
-from eitskin.model.engine import HEADS, engines
+from eitskin.model.engine import HEADS, default_solver, engines, longest
+from eitskin.model.gentle import GentleEngine
 from eitskin.model.geometry import GeometryGraph
+from eitskin.model.manifest import GENTLE
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.cloud import network_input
 
@@ -41,7 +44,10 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
     buffers = Buffers(bundle)
     buffers.take(GeometryGraph(bundle).geometry(None, None, 0))
     buffers.change[:] = 0.1 * np.random.default_rng(seed).standard_normal((1, N_ROWS))
-    found: dict[str, Infer] = {engine.name: engine.infer for engine in engines(bundle, buffers)}
+    deployed = {engine.name: engine for engine in engines(bundle, buffers)}
+    found: dict[str, Infer] = {name: _own(engine).infer for name, engine in deployed.items()}
+    if GENTLE in bundle.beside:
+        found["with-gentle"] = longest(deployed[default_solver(bundle)])
     missing: dict[str, str] = {}
     builders: dict[str, Callable[[], Infer]] = {
         "unsplit": lambda: _unsplit(bundle, buffers, threads=1),
@@ -57,6 +63,11 @@ def variants(bundle: Bundle, seed: int = 0) -> tuple[dict[str, Infer], dict[str,
         if solver in found:
             found[name] = _bandwidth(streamed_bytes(bundle, solver))
     return found, missing
+
+
+def _own(engine: Engine) -> Engine:
+    """Return the one network that a frame with a firm touch takes."""
+    return engine.own if isinstance(engine, GentleEngine) else engine
 
 
 def streamed_bytes(bundle: Bundle, solver: str = "vd2t") -> int:
