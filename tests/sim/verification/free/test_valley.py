@@ -18,6 +18,7 @@ from eitskin_sim.verification.free.found import map_of
 from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.model import Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.search import ANEW, FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.seen import left_out, too_small
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import drawn, likely, scaled
 from eitskin_sim.verification.residual import Noise
@@ -33,12 +34,13 @@ def model() -> Model:
     return model_of_cloud(flat_cloud())
 
 
-def verified(model: Model, pieces: Array, kind: TouchKind = "raising") -> FreeVerdict:
+def verified(model: Model, pieces: Array, kind: TouchKind = "raising", shown: Array | None = None) -> FreeVerdict:
     flat_V = flat_model_V(PAPER)
     volts = flat_V * (1.0 + model.solve(pieces)[1]) * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
     own = FreeVerifier(flat_V, Noise("N2", 50.0), kind)
     own._model, own._anew = model, ANEW
-    return own.verify(volts, map_of(pieces)[None], budget_s=100.0)
+    shares = np.array([map_of(one[None]) for one in (pieces if shown is None else shown)])
+    return own.verify(volts, shares, budget_s=100.0)
 
 
 def cc(one: Array, other: Array) -> float:
@@ -55,6 +57,24 @@ def test_a_gentle_touch_is_drawn_in_part_and_its_ranges_reach_as_far_as_the_data
     assert cc(found.map(), truth) > cc(map_of(found.pieces), truth) + 0.02
     assert touch.area_range_mm2[0] < 85.0 < touch.area_range_mm2[1]
     assert touch.contrast_range[0] <= 2.2
+
+
+def test_a_faint_touch_is_none_of_hard_ones_smaller_than_any(model: Model) -> None:
+    """As a hard touch it would be smaller than the skin's, and a fifth of what the network shows."""
+    faint = GENTLE.copy()
+    faint[0, 6] = 1.45
+    found = verified(model, faint)
+    grid, shown = PAPER.grid, map_of(faint)[None]
+    assert left_out(found.pieces, shown, grid) or too_small(found.pieces, PAPER.touches.size_mm[0])
+    assert found.p_value > LEVEL
+    assert not found.flagged
+    elsewhere = GENTLE.copy()
+    elsewhere[0, 1] = 110.0
+    assert verified(model, faint, shown=np.vstack([faint, elsewhere])).contested
+    speck = HARD.copy()
+    speck[0, 3:5] = 2.0
+    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    assert own._contested(((0.4, speck), (0.6, HARD)), map_of(HARD)[None]) == 0.4
 
 
 def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) -> None:

@@ -58,6 +58,10 @@ LIKELY: Final = 2.0
 """Standard deviations, by root mean square, up to which a frame is believed on how the sheet is stretched."""
 
 
+DOUBT: Final = 0.5
+"""Share of belief beyond which what contradicts the touches counts."""
+
+
 @dataclass(frozen=True, slots=True)
 class FreeVerdict(Verdict[FreeTouch]):
     """One frame, explained by shapes off the unit grid."""
@@ -194,14 +198,19 @@ class FreeVerifier:
             (),
             fit.pieces,
             tuple(trail),
-            unfinished
-            or not confirmed_all
-            or left_out(fit.pieces, shares, self._skin.grid)
-            or too_small(fit.pieces, self._skin.touches.size_mm[0]),
+            unfinished or not confirmed_all or self._contested(every, shares) > DOUBT,
             drawn_whole,
             scatter_of(fit),
             fit.frame.joints,
         )
+
+    def _contested(self, every: Likely, shares: Array) -> float:
+        """Return the share of belief in touches that lack one the network plainly shows, or of which one is too small.
+
+        A gentle touch answers as a hard one that is smaller than any; at its own contrast it has its size.
+        """
+        grid, least_mm = self._skin.grid, self._skin.touches.size_mm[0]
+        return sum(share for share, pieces in every if left_out(pieces, shares, grid) or too_small(pieces, least_mm))
 
     def _frame(self, change: Array) -> Frame:
         model = self._model
