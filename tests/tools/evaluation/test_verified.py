@@ -11,8 +11,7 @@ from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, 
 from eitskin_sim.evaluation.metrics import score
 from eitskin_sim.evaluation.trials import random
 from eitskin_sim.scene.parts import Phantom, Scene
-from eitskin_sim.verification.free.found import FreeTouch, map_of
-from eitskin_sim.verification.free.search import FreeVerdict
+from eitskin_sim.verification.free.found import FreeTouch, FreeVerdict, map_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.units import UnitTouch
 from eitskin_sim.verification.verdict import Verdict

@@ -14,9 +14,9 @@ from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import bounded, refine
-from eitskin_sim.verification.free.found import map_of, scatter_of
+from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of
 from eitskin_sim.verification.free.model import Model
-from eitskin_sim.verification.free.search import FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import followed, presses_of, shares_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.waves import waves_of

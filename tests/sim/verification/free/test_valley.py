@@ -14,13 +14,13 @@ from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.free import search
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
-from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of
 from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.model import Model, flat_model_V, model_of_cloud
-from eitskin_sim.verification.free.search import ANEW, FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.search import ANEW, FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
 from eitskin_sim.verification.free.usual import usual_of
-from eitskin_sim.verification.free.valley import drawn, likely, scaled
+from eitskin_sim.verification.free.valley import likely, scaled
 from eitskin_sim.verification.residual import Noise
 
 Array = npt.NDArray[np.float64]

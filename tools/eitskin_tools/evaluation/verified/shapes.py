@@ -20,7 +20,8 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Run
 from eitskin_sim.evaluation.metrics import TOUCHED
-from eitskin_sim.verification.free.search import BUDGET_S, FreeVerdict, FreeVerifier
+from eitskin_sim.verification.free.found import FreeVerdict
+from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.verified.share import network_share

@@ -14,7 +14,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_sim.scene.touch_table import RECTANGLE, cover, pixel_lines
 from eitskin_sim.shapes.parameters import HALF_LENGTH, HALF_WIDTH, parameters_of, pieces_of
 from eitskin_sim.verification.free.fit import LEAST_HALF_MM
-from eitskin_sim.verification.free.search import FreeVerdict
+from eitskin_sim.verification.free.found import FreeVerdict
 
 Array = npt.NDArray[np.float64]
 

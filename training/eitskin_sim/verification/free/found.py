@@ -6,7 +6,7 @@ how far area and contrast may go along each other while the fit stays within two
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 import numpy as np
@@ -17,12 +17,18 @@ from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
 from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
 from eitskin_sim.verification.free.fit import Fit
+from eitskin_sim.verification.free.prior.joints import Joints, bodies
+from eitskin_sim.verification.verdict import Verdict
 
 LEAST_SEEN: Final = 1e-12
 """Of the curvature along what is known best: what is known less counts as that."""
 
 WITHIN: Final = 2.0
 """Standard deviations of the ranges."""
+
+
+Likely = tuple[tuple[float, Array], ...]
+"""Shares of belief, 1 in all, and (n, 8) touches; the fit's own first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,6 +57,39 @@ class FreeTouch:
     """Of log area and log contrast: near -1, the data tell only their product."""
     area_range_mm2: tuple[float, float]
     """Two standard errors of its logarithm either way, contrast changing along."""
+
+
+@dataclass(frozen=True, slots=True)
+class FreeVerdict(Verdict[FreeTouch]):
+    """One frame, explained by shapes off the unit grid."""
+
+    pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
+    """(n, 8) the touches as a table: the next frame's first start."""
+    trail: tuple[str, ...] = ()
+    """Which moves were taken."""
+    contested: bool = False
+    """Whether the network plainly shows a touch that is not among these, one is smaller than touches of this skin are,
+    or time did not suffice to find or to confirm them."""
+    likely: Likely = ()
+    """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
+    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
+    """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
+    joints: Joints = ()
+    """Which of ``pieces`` hang together, as the network shows them and the frame allows."""
+
+    @property
+    def bodies(self) -> int:
+        """Return how many touches there are, shapes that hang together counted once."""
+        return bodies(len(self.pieces), self.joints)
+
+    def map(self, grid: Grid = PAPER.grid) -> Array:
+        """Return the (rows, columns) map: what depends on a contrast that nobody knows is drawn in part."""
+        return drawn(self.likely, grid)
+
+    @property
+    def flagged(self) -> bool:
+        """Whether physics cannot explain the frame by these touches, or the network contradicts them."""
+        return self.contested or self.p_value < self.level
 
 
 def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
@@ -141,6 +180,11 @@ def map_of(pieces: Array, grid: Grid = PAPER.grid) -> Array:
         shared = 1.0 if _overlaps(pieces, number) else 0.0
         total[rows, columns] += share * (1.0 - shared * total[rows, columns])
     return np.asarray(np.clip(total, 0.0, 1.0))
+
+
+def drawn(likely: Likely, grid: Grid) -> Array:
+    """Return the (rows, columns) map of touches by their shares of belief."""
+    return np.asarray(sum(share * map_of(pieces, grid) for share, pieces in likely))
 
 
 def _overlaps(pieces: Array, number: int) -> bool:

@@ -32,6 +32,16 @@ ELEMENT_MM: Final = 4.5
 FLOOR: Final = 1e-3
 """Of V over V0: what is left of the mesh's error."""
 
+TRUSTED: Final = 0.02
+"""Stretch up to which a derivative is good enough."""
+
+TRUSTED_GAUGE: Final = 0.2
+"""Gauge factor up to which it is."""
+
+LIKELY: Final = 2.0
+"""Standard deviations, by root mean square, up to which a frame is believed on how the sheet is stretched."""
+
+
 RATIO: Final = (0.3, 3.0)
 """Bounds of a frame's V over the untouched model's, by which what is unseen is scaled row by row."""
 
@@ -100,6 +110,18 @@ class Model:
         own = amplitudes[: len(self.held)] - self.held
         return np.asarray(self.unseen.mixed @ own[: self.unseen.n_waves]), self._gauge(own)
 
+    def differs(self, amplitudes: Array) -> bool:
+        """Return whether the sheet is stretched, or conducts, otherwise by more than a derivative is good for.
+
+        Args:
+            amplitudes: Of all columns. What a sheet is not likely to have is nonsense: a model of it would spoil the
+                frames after it.
+        """
+        waves, gauge = self.beyond(amplitudes)
+        near = np.abs(waves).max(initial=0.0) < TRUSTED and abs(gauge) < TRUSTED_GAUGE
+        own = amplitudes[: len(self.held)]
+        return not near and bool(own @ own < LIKELY**2 * len(own))
+
     def about(self, amplitudes: Array) -> "Model":
         """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns."""
         held, waves = np.zeros(len(self.held)), self.unseen.n_waves
@@ -107,6 +129,11 @@ class Model:
             held[kept] = amplitudes[kept]
         moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held[:waves])
         return _model(moved, self.surface, self.spreads, self.skin, held, self._gauge(held))
+
+    def looser(self, factor: float) -> "Model":
+        """Return the model of the scan alone, with material that may lie so many times as far from where it seems."""
+        spreads = replace(self.spreads, material=factor * self.spreads.material)
+        return _model(self.surface.metric, self.surface, spreads, self.skin)
 
     def _gauge(self, held: Array) -> float:
         """Return the gauge factor of amplitudes of the first columns."""

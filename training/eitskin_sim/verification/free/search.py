@@ -5,6 +5,10 @@
     starts -> fit -> explained? -> moves, one after the other, the first that pays is taken -> fit -> ... until
     nothing pays, or the time is over
 
+Where nothing explains a frame, all of it is done once more on a sheet whose material may lie farther from where its
+scan shows it, once a deformation: bumps carry material as nothing else does. If that nearly explains it, the frame and
+those after it are verified on that sheet.
+
 What is minimised never rises, so more time gives no worse answer; time is looked at before each step of each fit. Where
 the fit wants a stretch of the sheet that is too large for a derivative, the model is made again about it, once or twice
 a deformation; the next frames of the same deformation have it already.
@@ -12,38 +16,27 @@ a deformation; the next frames of the same deformation have it already.
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import partial
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
-from eitskin_sim.shapes.parameters import COUNT
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, refine
-from eitskin_sim.verification.free.found import FreeTouch, degrees_of_freedom, scatter_of, touches_of
+from eitskin_sim.verification.free.found import FreeVerdict, Likely, degrees_of_freedom, scatter_of, touches_of
 from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, joined, moved, parted, usually
 from eitskin_sim.verification.free.model import Model, model_of_cloud
-from eitskin_sim.verification.free.prior.joints import Joints, bodies
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
-from eitskin_sim.verification.free.starts import followed, presses_of, starts_of
+from eitskin_sim.verification.free.starts import contrasts_of, followed, presses_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
-from eitskin_sim.verification.free.valley import Likely, drawn, likely
+from eitskin_sim.verification.free.valley import likely
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.spreads import Spreads
-from eitskin_sim.verification.verdict import Verdict
-
-TRUSTED: Final = 0.02
-"""Stretch up to which a derivative is good enough."""
-
-TRUSTED_GAUGE: Final = 0.2
-"""Gauge factor up to which it is."""
 
 ANEW: Final = 4
 """Times that a deformation's model is made again, at most."""
@@ -54,45 +47,14 @@ BUDGET_S: Final = 2.0
 FEW: Final = 5
 """Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
 
-LIKELY: Final = 2.0
-"""Standard deviations, by root mean square, up to which a frame is believed on how the sheet is stretched."""
+LOOSER: Final = 4.0
+"""Times that material may lie farther, on a sheet that nothing explained."""
 
+NEARLY: Final = 1e-3
+"""p from which a looser sheet is gone on with."""
 
 DOUBT: Final = 0.5
 """Share of belief beyond which what contradicts the touches counts."""
-
-
-@dataclass(frozen=True, slots=True)
-class FreeVerdict(Verdict[FreeTouch]):
-    """One frame, explained by shapes off the unit grid."""
-
-    pieces: Array = field(default_factory=lambda: np.zeros((0, 8)))
-    """(n, 8) the touches as a table: the next frame's first start."""
-    trail: tuple[str, ...] = ()
-    """Which moves were taken."""
-    contested: bool = False
-    """Whether the network plainly shows a touch that is not among these, one is smaller than touches of this skin are,
-    or time did not suffice to find or to confirm them."""
-    likely: Likely = ()
-    """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
-    scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
-    """(k, n, 7) independent ways in which the parameters of ``pieces`` may be off, of one standard deviation each."""
-    joints: Joints = ()
-    """Which of ``pieces`` hang together, as the network shows them and the frame allows."""
-
-    @property
-    def bodies(self) -> int:
-        """Return how many touches there are, shapes that hang together counted once."""
-        return bodies(len(self.pieces), self.joints)
-
-    def map(self, grid: Grid = PAPER.grid) -> Array:
-        """Return the (rows, columns) map: what depends on a contrast that nobody knows is drawn in part."""
-        return drawn(self.likely, grid)
-
-    @property
-    def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches, or the network contradicts them."""
-        return self.contested or self.p_value < self.level
 
 
 class FreeVerifier:
@@ -121,6 +83,7 @@ class FreeVerifier:
         self._skin, self._spreads = skin, spreads
         self._model: Model | None = None
         self._anew = self._shown = 0
+        self._loose = False
         self._seen = (np.zeros((0, 8)), np.zeros((0, 8)))
         self.setup_s = 0.0
         """What the present deformation's models took so far, by the verifier's clock."""
@@ -135,7 +98,7 @@ class FreeVerifier:
         """
         self.setup_s = self.setup_cpu_s = 0.0
         self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
-        self._anew = 0
+        self._anew, self._loose = 0, False
 
     def _make(self, make: Callable[[], Model]) -> None:
         """Make a model, and count what it takes."""
@@ -166,43 +129,98 @@ class FreeVerifier:
         change = voltages_V / self._reference - 1.0
         rectangles = starts_of(shares, self._skin.grid)
         self._shown = max(len(rectangles), 0 if last is None else len(last))
-        frame, fit = self._start(self._frame(change), rectangles, last, effort)
-        if not _explained(fit):
-            frame, fit = self._settled(frame, usually(frame, parted(frame, fit, effort), effort), effort)
+
+        def start() -> tuple[Frame, Fit]:
+            return self._start(self._frame(change), rectangles, last, effort)
+
         trail: list[str] = []
-        while not effort.searched() and not _explained(fit):
-            name, better = moved(frame, fit, effort)
-            if better is None:
-                break
-            frame, fit = self._settled(frame, better, effort)
-            trail.append(name)
-        unfinished = effort.searched() and not _explained(fit)
-        fit = usually(frame, parted(frame, fit, effort), effort)
-        if trail:
-            fit = fewer(frame, fit, effort)
-        fit, confirmed_all = confirmed(frame, fit, shares, effort)
-        fit = joined(frame, fit, shares, effort)
+        fit, unfinished = self._search(start, start(), shares, effort, trail)
+        fit = joined(fit.frame, fit, shares, effort)
         every = likely(fit.frame, fit, effort)
         self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
         freedom = max(degrees_of_freedom(fit), 1)
-        p = p_value(fit.chi_squared, freedom)
         return FreeVerdict(
             touches_of(fit, [pieces for _, pieces in every[1:]]),
             fit.chi_squared,
             freedom,
-            p,
+            p_value(fit.chi_squared, freedom),
             LEVEL,
             effort.fits,
             effort.seconds,
             (),
             fit.pieces,
             tuple(trail),
-            unfinished or not confirmed_all or self._contested(every, shares) > DOUBT,
+            unfinished or self._contested(every, shares) > DOUBT,
             drawn_whole,
             scatter_of(fit),
             fit.frame.joints,
         )
+
+    def _search(
+        self,
+        start: Callable[[], tuple[Frame, Fit]],
+        begun: tuple[Frame, Fit],
+        shares: Array,
+        effort: Effort,
+        trail: list[str],
+    ) -> tuple[Fit, bool]:
+        """Return what explains a frame best, and whether time did not suffice to find or to confirm it.
+
+        Args:
+            start: Starts anew, on the model that there is then.
+            begun: What it returned.
+            shares: The network's.
+            effort: Of the frame.
+            trail: Moves that are taken are added.
+        """
+        frame, fit = begun
+        if not _explained(fit):
+            frame, fit = self._settled(frame, usually(frame, parted(frame, fit, effort), effort), effort)
+        while not effort.searched() and not _explained(fit):
+            name, better = moved(frame, fit, effort)
+            if better is not None:
+                frame, fit = self._settled(frame, better, effort)
+                trail.append(name)
+            if (anew := self._loosened(fit, start, effort)) is not None:
+                trail.append("loosen")
+                return self._search(start, anew, shares, effort, trail)
+            if better is None:
+                break
+        unfinished = effort.searched() and not _explained(fit)
+        fit = usually(frame, parted(frame, fit, effort), effort)
+        if trail:
+            fit = fewer(frame, fit, effort)
+        fit, confirmed_all = confirmed(frame, fit, shares, effort)
+        if (anew := self._loosened(fit, start, effort)) is not None:
+            trail.append("loosen")
+            return self._search(start, anew, shares, effort, trail)
+        return fit, unfinished or not confirmed_all
+
+    def _loosened(self, fit: Fit, start: Callable[[], tuple[Frame, Fit]], effort: Effort) -> tuple[Frame, Fit] | None:
+        """Return a start on a looser sheet that nearly explains a frame, once a deformation; None leaves the model."""
+        if self._loose or _p(fit) > LEVEL or not self._may_be_made(effort):
+            return None
+        self._loose = True
+        model, anew = self._model, self._anew
+        assert model is not None
+        self._remake(partial(model.looser, LOOSER), effort)
+        self._anew = 0
+        found = start()
+        if _p(found[1]) > NEARLY:
+            return found
+        self._model, self._anew = model, anew
+        return None
+
+    def _may_be_made(self, effort: Effort) -> bool:
+        """Return whether a frame has time for another model of its sheet."""
+        return not (effort.searched() or (effort.setup_s and effort.over_with_models()))
+
+    def _remake(self, make: Callable[[], Model], effort: Effort) -> None:
+        """Make another model of the sheet for a frame."""
+        before = self.setup_s
+        self._make(make)
+        effort.setup_s += self.setup_s - before
 
     def _contested(self, every: Likely, shares: Array) -> float:
         """Return the share of belief in touches that lack one the network plainly shows, or of which one is too small.
@@ -223,7 +241,7 @@ class FreeVerifier:
         if self._usual.sign < 0:
             rectangles = presses_of(rectangles, self._usual.border_mm)
         tries: list[Array] = [] if last is None else [followed(last, rectangles, self._before(last))]
-        for log in _contrasts(self._usual.log_contrast) if len(rectangles) else ():
+        for log in contrasts_of(self._usual.log_contrast) if len(rectangles) else ():
             tries.append(rectangles.copy())
             tries[-1][:, 6] = np.exp(log)
         tries.append(np.zeros((0, 8)))
@@ -248,17 +266,13 @@ class FreeVerifier:
     def _settled(self, frame: Frame, fit: Fit, effort: Effort) -> tuple[Frame, Fit]:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
         whole = self._anew > 0
-        while self._anew < ANEW and not (effort.searched() or (effort.setup_s and effort.over_with_models())):
+        while self._anew < ANEW and self._may_be_made(effort):
             model = frame.model
             residual = frame.change - frame.expected - model.seen(fit.solved)
             amplitudes, _ = frame.white.amplitudes(residual)
-            waves, gauge = model.beyond(amplitudes)
-            near = np.abs(waves).max(initial=0.0) < TRUSTED and abs(gauge) < TRUSTED_GAUGE
-            if near or not _likely(amplitudes, model):
+            if not model.differs(amplitudes):
                 break
-            before = self.setup_s
-            self._make(partial(model.about, amplitudes))
-            effort.setup_s += self.setup_s - before
+            self._remake(partial(model.about, amplitudes), effort)
             self._anew += 1
             frame = self._frame(frame.change)
             fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW)
@@ -278,17 +292,9 @@ def _check(voltages_V: Array, shares: Array, reference_V: Array) -> None:
         raise ValueError(f"the reference: {int((reference_V == 0.0).sum())} rows of 0 V; take one with all rows")
 
 
-def _likely(amplitudes: Array, model: Model) -> bool:
-    """Return whether a sheet may be stretched so: what nonsense asks for spoils the model of the frames after it."""
-    own = amplitudes[: len(model.held)]
-    return bool(own @ own < LIKELY**2 * len(own))
-
-
 def _explained(fit: Fit) -> bool:
-    return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1)) > 5.0 * LEVEL
+    return _p(fit) > 5.0 * LEVEL
 
 
-def _contrasts(usual: float) -> tuple[float, ...]:
-    if usual > 0.0:
-        return (usual, np.log(8.0), np.log(2.0))
-    return (usual, 2.0 * usual) if usual < 0.0 else (np.log(40.0), np.log(4.0), np.log(0.5))
+def _p(fit: Fit) -> float:
+    return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1))

@@ -134,3 +134,10 @@ def _one_or_two(share: Array, grid: Grid) -> Array:
                 if error < best:
                     best, two = error, pieces
     return np.array(two if best < BETTER * left else [one])
+
+
+def contrasts_of(usual: float) -> tuple[float, ...]:
+    """Return the log contrasts that a start is tried with, one after the other, from the usual one."""
+    if usual > 0.0:
+        return (usual, np.log(8.0), np.log(2.0))
+    return (usual, 2.0 * usual) if usual < 0.0 else (np.log(40.0), np.log(4.0), np.log(0.5))

@@ -12,12 +12,11 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_proto.skin.grid import Grid
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, held_prior
-from eitskin_sim.verification.free.found import map_of
+from eitskin_sim.verification.free.found import Likely
 from eitskin_sim.verification.free.improve import IMPOSSIBLE, fitted
 
 GENTLE: Final = ((2.0, 0.2), (5.0, 0.2))
@@ -40,9 +39,6 @@ STEPS: Final = 1
 
 LEAST: Final = 0.02
 """A smaller share of belief is none."""
-
-Likely = tuple[tuple[float, Array], ...]
-"""Shares of belief, 1 in all, and (n, 8) touches; the fit's own first."""
 
 
 def likely(frame: Frame, fit: Fit, effort: Effort) -> Likely:
@@ -78,11 +74,6 @@ def scaled(pieces: Array, contrast: float) -> Array:
     found[:, 3:5] *= np.sqrt(np.clip(np.tanh(log / 2.0) / np.tanh(np.log(found[:, 6]) / 2.0), 0.2, 5.0))[:, None]
     found[:, 7] = np.minimum(found[:, 7], found[:, 3:5].min(axis=1) - 0.01)
     return found
-
-
-def drawn(likely: Likely, grid: Grid) -> Array:
-    """Return the (rows, columns) map of touches by their shares of belief."""
-    return np.asarray(sum(share * map_of(pieces, grid) for share, pieces in likely))
 
 
 def _unlikely(fit: Fit) -> float:
