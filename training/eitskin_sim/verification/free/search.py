@@ -207,7 +207,7 @@ class FreeVerifier:
         self._remake(partial(model.looser, LOOSER), effort)
         self._anew = 0
         found = start()
-        if _p(found[1]) > NEARLY:
+        if _p(found[1]) > max(NEARLY, _p(fit)):
             return found
         self._model, self._anew = model, anew
         return None
