@@ -1,7 +1,8 @@
 """The real verifier's process around a checker without physics, told by files of the folder in VERIFIER_SCRIPT.
 
 ``die``: it ends at once. ``bad_model``: no model can be made. ``hold``: it waits in a frame until that file is gone.
-``cannot``: nothing can be said of frames. Each frame that is taken is written down in ``taken``.
+``cannot``: nothing can be said of frames. ``slipped``: untouched, the sheet is not that of its scan. Each frame that is
+taken is written down in ``taken``, and what the untouched sheet reads in ``rested``.
 """
 
 import os
@@ -20,6 +21,11 @@ class Checker:
         if (FOLDER / "bad_model").exists():
             raise ValueError("the cloud folds in its own plane")
         setup.described()
+
+    def rest(self, letter):
+        with (FOLDER / "rested").open("a") as file:
+            print(letter.frames, float(abs(letter.change).max()), file=file)
+        return "it has slipped" if (FOLDER / "slipped").exists() else ""
 
     def check(self, frame):
         with (FOLDER / "taken").open("a") as file:

@@ -15,10 +15,10 @@ from eitskin_sim.reduced.exact import exact_sheet
 from eitskin_sim.reduced.model import rows_of
 from eitskin_sim.scene.nominal import flat_metric_of
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.model import model_of_cloud
+from eitskin_sim.verification.free.sheet.model import model_of_cloud
 from eitskin_tools.verifier.checkers import CannotVerifyError, FreeChecker, UnitChecker, checker_of
 from eitskin_tools.verifier.keeper import Keeper, Place
-from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, Setup, answered, frame_letter
+from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, FrameLetter, RestLetter, Setup, answered, frame_letter
 from eitskin_tools.verifier.mailbox import FRAME, SETUP
 
 pytestmark = [pytest.mark.slow, pytest.mark.heavy]
@@ -94,6 +94,18 @@ def test_shapes_are_found_with_their_errors_and_not_without_rows():
     assert 0.0 < max(touch.centre_error_mm) < 2.0
     with pytest.raises(CannotVerifyError, match="26 of 104 rows are missing"):
         checker.check(FrameLetter.of(letter(change.astype("f4"), values, rows_of_electrodes((3,)))))
+
+
+def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(units):
+    model = model_of_cloud(PAPER.grid.flat_cloud_mm())
+    setup = setup_of(PAPER, "area", 1e-3 * model.flat_V)
+    checker = checker_of(setup)
+    off = 0.05 * np.sin(np.arange(104.0))
+    assert checker.rest(RestLetter(1, 50, np.full(104, 0.02))) == ""
+    assert "give both anew" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
+    of_units = checker_of(units[0])
+    assert of_units.rest(RestLetter(1, 50, np.zeros(104))) == ""
+    assert not of_units.improves
 
 
 @pytest.mark.process

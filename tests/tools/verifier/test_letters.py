@@ -9,8 +9,8 @@ import pytest
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
-from eitskin_tools.verifier.letters import FrameLetter, Setup, frame_letter
-from eitskin_tools.verifier.mailbox import FRAME, SETUP, SIZES, Mailbox
+from eitskin_tools.verifier.letters import FrameLetter, RestLetter, Setup, frame_letter, rest_letter
+from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP, SIZES, Mailbox
 
 SETUP_OF_PAPER = Setup(
     bundle="b", labels="units", touches="raising", skin=to_toml(PAPER), skin_digest=PAPER.digest, cloud=3,
@@ -87,6 +87,23 @@ def test_a_frame_comes_back_as_it_was():
     )  # fmt: skip
     for one, other in zip((found.missing, found.change, found.map), (missing, change, values), strict=True):
         assert np.array_equal(one, other)
+
+
+def test_what_the_sheet_reads_at_rest_comes_back_and_is_a_frame_that_shows_nothing(mailboxes):
+    here, there = mailboxes
+    change = np.random.default_rng(1).standard_normal(104)
+    here.put(FRAME, b"a frame")
+    here.put(REST, rest_letter(3, 50, change))
+    _, content = there.take(REST)
+    found = RestLetter.of(content)
+    assert (found.setup, found.frames) == (3, 50)
+    assert np.array_equal(found.change, change)
+    assert there.take(FRAME) == (1, b"a frame")
+    frame = found.as_frame(1350)
+    assert np.array_equal(frame.change, change.astype("f4"))
+    assert not frame.missing.any()
+    assert not frame.map.any()
+    assert frame.map.shape == (1350,)
 
 
 def test_a_setup_comes_back_and_another_skin_is_refused():

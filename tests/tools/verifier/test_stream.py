@@ -10,6 +10,7 @@ import pytest
 
 import eitskin
 from eitskin_tools import cli
+from eitskin_tools.verifier.resting import FRAMES
 
 from .conftest import PATIENCE_S, TOUCHED, until
 
@@ -124,6 +125,28 @@ def test_a_frame_that_nothing_can_be_said_of_is_told_without_a_verdict(streaming
             found = first(verdicts, lambda one: one.why)
     assert (found.state, found.why, found.verified) == ("ready", "nothing can be said of it", False)
     assert found.counts == {"checked": 0, "flagged": 0, "skipped": 1}
+
+
+def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
+    with streaming(touches=[], every_map=True) as stream:
+        rested = stream.script / "rested"
+        with stream.subscribed():
+            until(rested.exists)
+            begin = stream.skin.statistics.frames
+            until(lambda: stream.skin.statistics.frames > begin + 4 * FRAMES)
+            ((frames, most),) = [line.split() for line in rested.read_text().splitlines()]
+            assert int(frames) == FRAMES
+            assert float(most) < 0.02
+            stream.skin.set_cloud(stream.skin.description.grid.flat_cloud_mm() + 5.0)
+            until(lambda: len(rested.read_text().splitlines()) == 2)
+
+
+def test_a_sheet_that_is_not_its_scans_at_rest_is_said(streaming):
+    with streaming(touches=[]) as stream:
+        stream.tell("slipped")
+        with stream.subscribed() as verdicts:
+            found = first(verdicts, lambda one: one.why)
+        assert (found.state, found.why, found.verified) == ("ready", "it has slipped", False)
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGSTOP])

@@ -25,6 +25,7 @@ OWN: Final = {
     "seeds": Own(1, SIMULATED),
     "shift_px": Own(0.0, SIMULATED),
     "cloud": Own("scan", SIMULATED),
+    "at_rest": Own(0, SIMULATED),
     "picture": Own(None, ("phantoms",)),
     "family": Own("A", TRIALS),
     "deformations": Own(20, (*TRIALS, "devices")),
@@ -124,6 +125,14 @@ def _add_ablations(parser: argparse.ArgumentParser) -> None:
         "--cloud",
         choices=("scan", "flat", "other"),
         help="the shape that solvers are told: as measured, flat, or that of another deformation (default: scan)",
+    )
+
+    group.add_argument(
+        "--at-rest",
+        type=int,
+        metavar="N",
+        help="with --solver verified, touches anywhere: physics first sees N frames of each deformation untouched "
+        "(default: 0)",
     )
 
 

@@ -68,6 +68,8 @@ class Request:
     """A network's file; None takes the shipped one."""
     prediction: Prediction = "scan"
     """Of a network."""
+    at_rest: int = 0
+    """Untouched frames of each deformation that are verified first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +107,8 @@ def named(
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
+    if request.at_rest and (request.name != VERIFIED or labels == "units"):
+        raise ValueError("--at-rest is for --solver verified, and for touches anywhere; leave it out")
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
     if request.name == VERIFIED:
@@ -189,10 +193,10 @@ def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, con
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
     noise = Noise(conditions.noise, conditions.snr_db)
     if labels != "units":
-        free = VerifiedFree(network.run, noise, touches, skin)
+        free = VerifiedFree(network.run, noise, touches, skin, at_rest=request.at_rest)
         return replace(network, run=free.run, verified=free)
-    verified = Verified(network.run, noise, skin)
-    return replace(network, run=verified.run, verified=verified)
+    units = Verified(network.run, noise, skin)
+    return replace(network, run=units.run, verified=units)
 
 
 def verdicts_of(

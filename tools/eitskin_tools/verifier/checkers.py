@@ -27,7 +27,7 @@ from eitskin_tools.evaluation.verified.units import (
     unit_heights,
     unit_starts,
 )
-from eitskin_tools.verifier.letters import Array, FrameLetter, Setup
+from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
 
 FREE_BUDGET_S: Final = 0.2
 """What a frame of touches anywhere may take, unless told otherwise."""
@@ -55,6 +55,9 @@ class Checker(Protocol):
         Raises:
             CannotVerifyError: Nothing can be said of this one.
         """
+
+    def rest(self, letter: RestLetter) -> str:
+        """Take what the untouched sheet reads; return what is wrong with it, nothing where nothing is."""
 
     @property
     def improves(self) -> bool:
@@ -134,6 +137,12 @@ class UnitChecker:
             heights=heights,
         )
 
+    def rest(self, letter: RestLetter) -> str:
+        """Look where the untouched sheet's material lies."""
+        self.check(letter.as_frame(self._shape.grid.n_pixels))
+        self._before = ()
+        return ""
+
     @property
     def improves(self) -> bool:
         """Whether the last frame has shown where material lies, which no scan can."""
@@ -205,6 +214,14 @@ class FreeChecker:
         placed = shape.placed([one.centre_mm for one in verdict.touches])
         touches = tuple(_free(one, *where) for one, where in zip(verdict.touches, placed, strict=True))
         return (verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged), touches
+
+    def rest(self, letter: RestLetter) -> str:
+        """Learn how the untouched sheet differs from its scan."""
+        shape = self._shape
+        if not shape.usable.all():
+            return ""  # no frame is verified without all rows
+        known = self._verifier.rest(shape.reference_V * (1.0 + letter.change), letter.frames)
+        return "" if known else "untouched, the sheet does not read as its scan and reference say; give both anew"
 
     @property
     def improves(self) -> bool:

@@ -22,8 +22,9 @@ from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools.verifier.keeper import Keeper
-from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Setup, answered, frame_letter
-from eitskin_tools.verifier.mailbox import FRAME, SETUP
+from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Rows, Setup, answered, frame_letter, rest_letter
+from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP
+from eitskin_tools.verifier.resting import FRAMES, Resting
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""
@@ -52,6 +53,7 @@ class Handover:
         self._pipeline = skin.pipeline
         self._nothing_missing = np.zeros(len(skin.pipeline.buffers.change[0]), dtype=np.bool_)
         self._stillness = Stillness()
+        self._resting = Resting()
         self._candidate: bytes | None = None
         self._key: tuple[object, Reference | None] = (None, None)
         self._setup = 0
@@ -104,6 +106,9 @@ class Handover:
     def _take(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
             self._forget()
+            if not record.touched:
+                self._rest()
+                return
         elif record.inferred and not self._is_known():
             self._stillness.keep(self._pipeline.buffers.change[0])
             self._drop()
@@ -112,6 +117,15 @@ class Handover:
                 self._post()
         elif self._candidate is not None:
             self._post()
+        self._resting.forget()
+
+    def _rest(self) -> None:
+        """Tell what the untouched sheet reads, once it has been still for a while and that is news."""
+        if not self._setup or self._missing.any():
+            return
+        if (mean := self._resting.take(self._pipeline.buffers.change[0])) is not None:
+            self._keeper.mailbox.put(REST, rest_letter(self._setup, FRAMES, mean))
+            self._keeper.ring()
 
     def _is_known(self) -> bool:
         """Return whether the frame in hand is the one that was handed over last, but for noise, however long ago."""
@@ -126,12 +140,16 @@ class Handover:
             self._posted = self._withdrawn = self._keeper.mailbox.put(FRAME)
             self._blank.append(self._posted)
 
+    @property
+    def _missing(self) -> Rows:
+        health = self._pipeline.health
+        return self._nothing_missing if health is None else health.electrodes.missing
+
     def _letter(self, record: FrameRecord) -> bytes:
-        buffers, health = self._pipeline.buffers, self._pipeline.health
-        missing = self._nothing_missing if health is None else health.electrodes.missing
+        buffers = self._pipeline.buffers
         return frame_letter(
             self._setup, record.sequence, record.device_us, record.stamps[READ], record.stamps[PUBLISH], record.cloud,
-            missing, buffers.change[0], buffers.map[0],
+            self._missing, buffers.change[0], buffers.map[0],
         )  # fmt: skip
 
     def _post(self) -> None:
@@ -163,7 +181,8 @@ class Handover:
         )  # fmt: skip
         self._setup = self._keeper.mailbox.put(SETUP, setup.packed())
         self._keeper.ring()
-        self._stillness.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        for one in (self._stillness, self._resting):
+            one.use(flat.voltages_V, flat.spread_V, flat.frames, step_V)
         self._forget()
         if self._child[0] != STARTING:
             self._child = PREPARING, ""

@@ -24,6 +24,7 @@ LARGEST_ANSWER: Final = 1 << 16
 """Bytes."""
 
 _FRAME: Final = struct.Struct("<6Q")
+_REST: Final = struct.Struct("<2Q")
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,6 +102,34 @@ class FrameLetter:
         setup, seq, device_us, read_ns, publish_ns, cloud = _FRAME.unpack_from(letter)
         values = np.frombuffer(rest, dtype="<f4", offset=5 * N_ROWS)
         return cls(setup, seq, device_us, read_ns, publish_ns, cloud, missing, change, values)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RestLetter:
+    """What the sheet reads while nothing touches it."""
+
+    setup: int
+    """Number of the setup letter that it belongs to."""
+    frames: int
+    """That it is the mean of."""
+    change: Array
+    """(104,) dV."""
+
+    @classmethod
+    def of(cls, letter: bytes) -> Self:
+        """Return what is in a letter."""
+        setup, frames = _REST.unpack_from(letter)
+        return cls(setup, frames, np.frombuffer(letter, dtype="<f8", offset=_REST.size))
+
+    def as_frame(self, pixels: int) -> FrameLetter:
+        """Return it as a frame, with a map of so many pixels that shows nothing."""
+        missing, empty = np.zeros(N_ROWS, dtype=np.bool_), np.zeros(pixels, dtype=np.float32)
+        return FrameLetter(self.setup, 0, 0, 0, 0, 0, missing, self.change.astype(np.float32), empty)
+
+
+def rest_letter(setup: int, frames: int, change: Array) -> bytes:
+    """Return the letter of a sheet at rest; arguments as in :class:`RestLetter`."""
+    return _REST.pack(setup, frames) + change.astype("<f8").tobytes()
 
 
 def frame_letter(

@@ -1,9 +1,9 @@
-"""Shared memory with two letters, each overwritten by the next: how a shape is set up, and a frame to verify.
+"""Shared memory with three letters: how a shape is set up, a frame to verify, and what the sheet reads untouched.
 
-Who writes never waits, and who reads finds the newest, so nothing queues up. A letter that is overwritten while it is
-read does not have its checksum, and is read again when the bell rings. ::
+Each is overwritten by the next of its kind: who writes never waits, and who reads finds the newest, so nothing queues
+up. A letter that is overwritten while it is read does not have its checksum, and is read again when the bell rings. ::
 
-    beat | head of SETUP | SETUP ... | head of FRAME | FRAME ...
+    beat | head of SETUP | SETUP ... | head of FRAME | FRAME ... | head of REST | REST ...
 """
 
 import mmap
@@ -12,19 +12,19 @@ import struct
 import zlib
 from typing import Final, Self
 
-SETUP, FRAME = 0, 1
+SETUP, FRAME, REST = 0, 1, 2
 """The letters."""
 
-SIZES: Final = (1 << 18, 1 << 16)
-"""Bytes of each: a cloud of the largest map has 173 kB, its map 58 kB."""
+SIZES: Final = (1 << 18, 1 << 16, 1 << 10)
+"""Bytes of each: a cloud of the largest map has 173 kB, its map 58 kB, and the rows of a frame 832 bytes."""
 
 _HEAD: Final = struct.Struct("<QII")
 """Number, length, checksum."""
 
 _WORD: Final = struct.Struct("<Q")
 _BEAT: Final = 0
-_STARTS: Final = (64, 64 + _HEAD.size + SIZES[SETUP])
-_BYTES: Final = _STARTS[FRAME] + _HEAD.size + SIZES[FRAME]
+_STARTS: Final = tuple(64 + which * _HEAD.size + sum(SIZES[:which]) for which in (SETUP, FRAME, REST))
+_BYTES: Final = _STARTS[REST] + _HEAD.size + SIZES[REST]
 
 
 class Mailbox:
@@ -37,8 +37,8 @@ class Mailbox:
     def __init__(self, descriptor: int) -> None:
         self.descriptor = descriptor
         self._memory = mmap.mmap(descriptor, _BYTES)
-        self._read = [0, 0]
-        self.written = [0, 0]
+        self._read = [0] * len(SIZES)
+        self.written = [0] * len(SIZES)
         """Numbers of the letters written from this side."""
 
     @classmethod
@@ -52,7 +52,7 @@ class Mailbox:
         """Write a letter over the one before, and return its number, from 1 on.
 
         Args:
-            which: ``SETUP`` or ``FRAME``.
+            which: ``SETUP``, ``FRAME`` or ``REST``.
             parts: Of its content.
 
         Raises:
@@ -72,7 +72,7 @@ class Mailbox:
         """Return number and content of a letter that was not taken before; None where there is none, or not yet.
 
         Args:
-            which: ``SETUP`` or ``FRAME``.
+            which: ``SETUP``, ``FRAME`` or ``REST``.
         """
         at = _STARTS[which]
         number, length, check = _HEAD.unpack_from(self._memory, at)

@@ -16,7 +16,7 @@ import time
 from contextlib import suppress
 from typing import Any, Final
 
-from eitskin_tools.verifier.mailbox import FRAME, SETUP, Mailbox
+from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP, Mailbox
 
 BEAT_S: Final = 0.1
 
@@ -84,10 +84,13 @@ class Worker:
             setup = self._mailbox.take(SETUP)
             if setup is not None:
                 self._prepare(*setup)
+            rest = self._mailbox.take(REST)
+            if rest is not None:
+                self._rest(*rest)
             frame = self._mailbox.take(FRAME)
             if frame is not None:
                 self._verify(*frame)
-            elif setup is None:
+            elif setup is None and rest is None:
                 return
 
     def _prepare(self, number: int, letter: bytes) -> None:
@@ -105,16 +108,34 @@ class Worker:
             return
         self._answers.send(state_answer(READY, number, setup_ms=1e3 * (time.perf_counter() - begin)))
 
+    def _is_for(self, setup: int) -> bool:
+        """Return whether a letter is of the shape that can be verified, which may have come between two looks."""
+        if setup != self._setup and (letter := self._mailbox.take(SETUP)) is not None:
+            self._prepare(*letter)
+        return self._checker is not None and setup == self._setup
+
+    def _rest(self, _: int, letter: bytes) -> None:
+        from eitskin.messaging.verified.message import READY
+        from eitskin_tools.verifier.letters import RestLetter, state_answer
+
+        rest = RestLetter.of(letter)
+        if not self._is_for(rest.setup):
+            return
+        try:
+            why = self._checker.rest(rest)
+        except Exception as error:  # what the untouched sheet reads helps, and is not needed
+            why = reason(error)
+        self._answers.send(state_answer(READY, self._setup, why))
+        self._improve()
+
     def _verify(self, number: int, letter: bytes) -> None:
-        from eitskin.messaging.verified.message import PREPARING, READY, rest
-        from eitskin_tools.verifier.letters import FrameLetter, state_answer, verdict_answer
+        from eitskin.messaging.verified.message import READY, rest
+        from eitskin_tools.verifier.letters import FrameLetter, verdict_answer
 
         if not letter:
             return  # the one before was taken back
         frame = FrameLetter.of(letter)
-        if frame.setup != self._setup and (setup := self._mailbox.take(SETUP)) is not None:
-            self._prepare(*setup)  # it came between the two looks
-        if self._checker is None or frame.setup != self._setup:
+        if not self._is_for(frame.setup):
             return  # of another shape: counted as skipped by the number of the next
         begin = time.perf_counter_ns()
         verdict, touches, why = None, (), ""
@@ -127,16 +148,18 @@ class Worker:
         told = rest(frame.seq, frame.device_us, frame.cloud, READY, why, stamps, verdict, touches)
         flagged = None if verdict is None else verdict[3]
         self._answers.send(verdict_answer(number, told, flagged, 1e-6 * (end - begin)))
-        self._improve(state_answer(PREPARING, self._setup, "the sheet is stretched otherwise than its scan"), READY)
+        self._improve()
 
-    def _improve(self, preparing: bytes, ready: str) -> None:
+    def _improve(self) -> None:
+        from eitskin.messaging.verified.message import PREPARING, READY
         from eitskin_tools.verifier.letters import state_answer
 
         begin = time.perf_counter()
         if self._checker.improves:
-            self._answers.send(preparing)
+            why = "the sheet is stretched otherwise than its scan"
+            self._answers.send(state_answer(PREPARING, self._setup, why))
             self._checker.improve()
-            self._answers.send(state_answer(ready, self._setup, setup_ms=1e3 * (time.perf_counter() - begin)))
+            self._answers.send(state_answer(READY, self._setup, setup_ms=1e3 * (time.perf_counter() - begin)))
 
 
 def reason(error: Exception) -> str:

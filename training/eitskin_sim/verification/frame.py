@@ -77,3 +77,22 @@ class Frame:
             Fitted(name, float(value * sd), float(error * sd))
             for name, sd, value, error in zip(self._modes.names, self._modes.sd, values, errors, strict=False)
         )
+
+
+def check_frame(voltages_V: Array, reference_V: Array, shares: Array | None = None) -> None:
+    """Raise ValueError if a frame is no frame.
+
+    Args:
+        voltages_V: (rows,) as read.
+        reference_V: (rows,) flat and untouched.
+        shares: Of a map, of any shape; None without one.
+    """
+    if voltages_V.shape != reference_V.shape:
+        raise ValueError(f"voltages {voltages_V.shape}: expected {reference_V.shape}, as the reference has")
+    parts = {"voltages": voltages_V, "shares of the map": shares, "the reference": reference_V}
+    for name, values in parts.items():
+        wrong = 0 if values is None else int((~np.isfinite(values)).sum())
+        if values is not None and wrong:
+            raise ValueError(f"{name}: {wrong} of {values.size} are not finite; leave out such a frame")
+    if not np.all(reference_V):
+        raise ValueError(f"the reference: {int((reference_V == 0.0).sum())} rows of 0 V; take one with all rows")

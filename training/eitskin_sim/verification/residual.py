@@ -55,6 +55,18 @@ class Noise:
         if (self.law == "measured") != (self.measured is not None):
             raise ValueError(f"noise {self.law!r}: 'measured' needs the rows' standard deviations, others take none")
 
+    def of_mean(self, frames: int) -> "Noise":
+        """Return the noise of the mean of some frames.
+
+        Raises:
+            ValueError: There are none.
+        """
+        if frames < 1:
+            raise ValueError(f"{frames} frames: a mean is of 1 at least")
+        if self.measured is not None:
+            return Noise("measured", measured=self.measured / np.sqrt(frames))
+        return Noise(self.law, self.snr_db + 10.0 * float(np.log10(frames)))
+
     def sd(self, change: Array, reference: Array) -> Array:
         """Return (rows,) the standard deviation of dV.
 

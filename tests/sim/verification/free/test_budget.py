@@ -10,8 +10,9 @@ from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.model import Model, flat_model_V
-from eitskin_sim.verification.free.search import ANEW, FreeVerifier
+from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.sheet.deformation import ANEW
+from eitskin_sim.verification.free.sheet.model import Model, flat_model_V
 from eitskin_sim.verification.residual import Noise
 
 Array = npt.NDArray[np.float64]
@@ -39,8 +40,7 @@ def flat_V() -> Array:
 def prepared(flat_V: Array) -> Model:
     own = FreeVerifier(flat_V, Noise("N2", 50.0))
     own.deform(flat_cloud())
-    assert own._model is not None
-    return own._model
+    return own.deformation.model
 
 
 @pytest.fixture
@@ -56,7 +56,8 @@ def counted(flat_V: Array, prepared: Model, monkeypatch: pytest.MonkeyPatch) -> 
 
         monkeypatch.setattr(Model, name, count)
     own = FreeVerifier(flat_V, Noise("N2", 50.0), clock=work)
-    own._model, own._anew = prepared, ANEW
+    own.deformation.scan(lambda: prepared)
+    own.deformation._anew = ANEW
     return own, work
 
 
@@ -139,7 +140,7 @@ def test_what_is_no_frame_is_said_in_a_line(counted: tuple[FreeVerifier, Work], 
             own.verify(volts, shares, budget_s=1.0)
         assert "\n" not in str(error.value)
     lost = FreeVerifier(np.where(np.arange(104) == 5, 0.0, flat_V), Noise())
-    lost._model = own._model
+    lost.deformation = own.deformation
     with pytest.raises(ValueError, match="1 rows of 0 V"):
         lost.verify(flat_V, none, budget_s=1.0)
 
@@ -148,9 +149,9 @@ def test_a_frame_of_nonsense_does_not_spoil_the_model_of_the_next(
     counted: tuple[FreeVerifier, Work], flat_V: Array
 ) -> None:
     own, _ = counted
-    own._anew, before = 0, own._model
+    own.deformation._anew, before = 0, own.deformation.model
     own.verify(flat_V * np.random.default_rng(5).uniform(0.2, 3.0, 104), shares_of(pieces_of(1)), budget_s=8)
-    assert own._model is before
+    assert own.deformation.model is before
 
 
 def test_models_count_apart_and_there_must_be_time() -> None:

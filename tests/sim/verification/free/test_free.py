@@ -15,11 +15,11 @@ from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import bounded, refine
 from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of
-from eitskin_sim.verification.free.model import Model
 from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.sheet.model import Model
+from eitskin_sim.verification.free.sheet.waves import waves_of
 from eitskin_sim.verification.free.starts import followed, presses_of, shares_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
-from eitskin_sim.verification.free.waves import waves_of
 from eitskin_sim.verification.residual import Noise
 
 Array = npt.NDArray[np.float64]
@@ -45,7 +45,7 @@ def verifier() -> FreeVerifier:
 
 @lru_cache(maxsize=1)
 def flat_V() -> Array:
-    from eitskin_sim.verification.free.model import flat_model_V
+    from eitskin_sim.verification.free.sheet.model import flat_model_V
 
     return flat_model_V(PAPER)
 
@@ -59,8 +59,7 @@ def true_model() -> Model:
     """Of the flat sheet as it is: a verifier makes its own anew where a frame shows that the sheet is stretched."""
     untouched = FreeVerifier(flat_V(), Noise("N2", 50.0))
     untouched.deform(flat_cloud())
-    assert untouched._model is not None
-    return untouched._model
+    return untouched.deformation.model
 
 
 @pytest.fixture(autouse=True, scope="module")

@@ -13,9 +13,9 @@ from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.parts import Bend
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.measured_cloud import measured_cloud
-from eitskin_sim.verification.free import model
 from eitskin_sim.verification.free.found import map_of
-from eitskin_sim.verification.free.search import LOOSER, FreeVerifier
+from eitskin_sim.verification.free.search import FreeVerifier
+from eitskin_sim.verification.free.sheet import model
 from eitskin_sim.verification.residual import Noise
 
 Array = npt.NDArray[np.float64]
@@ -51,8 +51,7 @@ def verifier(cloud_mm: npt.ArrayLike) -> FreeVerifier:
 
 
 def material_of(own: FreeVerifier) -> float:
-    assert own._model is not None
-    return own._model.spreads.material
+    return own.deformation.model.spreads.material
 
 
 def test_what_nothing_explains_is_tried_on_a_looser_sheet_which_serves_the_frames_after_it(bumpy: TouchedSheet) -> None:
@@ -60,8 +59,8 @@ def test_what_nothing_explains_is_tried_on_a_looser_sheet_which_serves_the_frame
     found = own.verify(read(bumpy, PAIR, 1), shares_of(PAIR), budget_s=600.0)
     assert "loosen" in found.trail
     assert not found.flagged
-    assert found.pieces[:, 1:3] == pytest.approx(PAIR[:, 1:3], abs=4.0)  # moved along with material that nobody sees
-    assert material_of(own) == LOOSER
+    assert found.pieces[:, 1:3] == pytest.approx(PAIR[:, 1:3], abs=6.0)  # moved along with material that nobody sees
+    assert material_of(own) == model.LOOSER
     after = own.verify(read(bumpy, PAIR[:1], 2), shares_of(PAIR[:1]), budget_s=600.0)
     assert not after.flagged
     assert "loosen" not in after.trail
@@ -74,8 +73,8 @@ def test_nonsense_is_no_loose_sheet_and_a_usual_frame_asks_for_none() -> None:
     own = verifier(flat_cloud())
     nonsense = read(flat, PAIR[:1], 1) * (1.0 + 0.05 * np.random.default_rng(3).standard_normal(104))
     assert own.verify(nonsense, shares_of(PAIR[:1]), budget_s=400.0).flagged
-    assert own._loose, "it was tried"
+    assert not own.deformation.may_be_looser, "it was tried"
     assert material_of(own) == 1.0
     other = verifier(flat_cloud())
     assert not other.verify(read(flat, PAIR, 2), shares_of(PAIR), budget_s=600.0).flagged
-    assert not other._loose
+    assert other.deformation.may_be_looser

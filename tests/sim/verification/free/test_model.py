@@ -13,7 +13,7 @@ from eitskin_sim.scene.parts import Bend
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud, noise_tangents
-from eitskin_sim.verification.free.model import ELEMENT_MM, Model, model_of_cloud
+from eitskin_sim.verification.free.sheet.model import ELEMENT_MM, Model, model_of_cloud
 from eitskin_sim.verification.spreads import Spreads, usual
 
 GAUGE = Spreads(scan_mm=0.0).gauge

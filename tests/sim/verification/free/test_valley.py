@@ -16,9 +16,10 @@ from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of
 from eitskin_sim.verification.free.improve import parted
-from eitskin_sim.verification.free.model import Model, flat_model_V, model_of_cloud
-from eitskin_sim.verification.free.search import ANEW, FreeVerifier
+from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
+from eitskin_sim.verification.free.sheet.deformation import ANEW
+from eitskin_sim.verification.free.sheet.model import Model, flat_model_V, model_of_cloud
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely, scaled
 from eitskin_sim.verification.residual import Noise
@@ -38,7 +39,8 @@ def verified(model: Model, pieces: Array, kind: TouchKind = "raising", shown: Ar
     flat_V = flat_model_V(PAPER)
     volts = flat_V * (1.0 + model.solve(pieces)[1]) * (1.0 + 3e-3 * np.random.default_rng(3).standard_normal(104))
     own = FreeVerifier(flat_V, Noise("N2", 50.0), kind)
-    own._model, own._anew = model, ANEW
+    own.deformation.scan(lambda: model)
+    own.deformation._anew = ANEW
     shares = np.array([map_of(one[None]) for one in (pieces if shown is None else shown)])
     return own.verify(volts, shares, budget_s=100.0)
 
@@ -90,7 +92,7 @@ def test_a_hard_touch_has_one_contrast_and_a_press_may_be_gentler(model: Model) 
 def test_what_goes_both_ways_and_what_is_not_there_has_no_other_contrast(model: Model) -> None:
     flat_V = flat_model_V(PAPER)
     own = FreeVerifier(flat_V, Noise("N2", 50.0))
-    own._model = model
+    own.deformation.scan(lambda: model)
     frame = own._frame(np.zeros(104))
     assert len(likely(frame, frame.at(np.zeros((0, 8))), Effort(1.0))) == 1
     both = replace(frame, usual=usual_of("both"))
@@ -133,7 +135,7 @@ def test_a_frame_that_time_did_not_suffice_to_explain_is_flagged(
     model: Model, late: bool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """At p between the level of flags and what counts as explained, the search goes on; its end by time is said."""
-    monkeypatch.setattr(search, "p_value", lambda *_: 3.0 * LEVEL)
+    monkeypatch.setattr("eitskin_sim.verification.free.found.p_value", lambda *_: 3.0 * LEVEL)
     monkeypatch.setattr(search, "moved", lambda *_: ("", None))
     monkeypatch.setattr(Effort, "searched", lambda _: late)
     found = verified(model, HARD)

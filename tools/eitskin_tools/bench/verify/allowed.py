@@ -16,7 +16,7 @@ from eitskin_sim.scene.shapes import Disc, Rect
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import X, Y
 from eitskin_sim.verification.free.fit import Frame
-from eitskin_sim.verification.free.model import Model, model_of_cloud
+from eitskin_sim.verification.free.sheet.model import Model, model_of_cloud
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.spreads import Spreads

@@ -28,14 +28,20 @@ def row(condition: Anywhere, deformations: int, each: int) -> Row:
     phantoms = condition.phantoms(deformations, each)
     kind = phantoms[0].scene.touch_kind
     network = named(Request("vd2t"), "area", touches=kind).run
-    verified = VerifiedFree(network, Noise(condition.noise), kind, PAPER, follow=condition.follow)
+    told_of = Noise(condition.noise)
+    verified = VerifiedFree(network, told_of, kind, PAPER, follow=condition.follow, at_rest=condition.at_rest)
     found, scores = [], []
-    allowed = Allowed(Noise(condition.noise), usual_of(kind, PAPER))
+    allowed = Allowed(told_of, usual_of(kind, PAPER))
     for number in range(deformations):
         own = phantoms[number * each : (number + 1) * each]
         device = device_of(condition.mismatch, number)
         flat = volts(device.reference())
-        sheet = Sheet(cloud_of(device, own[0].scene.bend, number), np.full(len(flat), np.nan))
+        untouched = (
+            volts(device.scene(own[0].scene.untouched(), as_it_is=True))
+            if condition.at_rest
+            else np.full(len(flat), np.nan)
+        )
+        sheet = Sheet(cloud_of(device, own[0].scene.bend, number), untouched)
         allowed.deform(sheet.cloud_mm)
         rng = np.random.default_rng([SEED, number, 2])
         for phantom in own:

@@ -21,6 +21,12 @@ ANY: Final = (0.1, 200.0)
 SINGLE_MM: Final = 10.0
 """Side of a single touch."""
 
+FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
+"""Of deformations."""
+
+AT_REST: Final = 50
+"""Frames of a sheet that is seen untouched first: a quarter of a second at 200 frames/s, as the stream takes."""
+
 PRESS_MM: Final = 16.0
 """Diameter of a press."""
 
@@ -64,6 +70,8 @@ class Anywhere:
     noise: Kind = "N2"
     follow: bool = False
     """Whether frames of a deformation are one motion, each verified from the last one's touches."""
+    at_rest: int = 0
+    """Frames of each deformation that are seen untouched first."""
 
 
 def unit_conditions() -> list[Condition]:
@@ -96,7 +104,7 @@ def anywhere_conditions() -> list[Anywhere]:
     return [
         *(Anywhere(f"paper-like touches, {noise}", paper_like, noise=noise) for noise in ("N2", "N3")),
         Anywhere("singles of 10 mm", _singles()),
-        *(Anywhere(f"pairs 10 mm apart, {family}", _pairs(family)) for family in ("A", "B")),
+        *(Anywhere(f"pairs 10 mm apart, {family}", _pairs(family)) for family in FAMILIES),
         *(Anywhere(f"presses of contrast {contrast:g}", _presses(contrast)) for contrast in (0.4, 0.6)),
         Anywhere("lab-like, singles", _singles(), LAB),
         *(Anywhere(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
@@ -106,6 +114,25 @@ def anywhere_conditions() -> list[Anywhere]:
             for touches in (1, 3)
             for follow in (True, False)
         ),
+        *_seen_at_rest(),
+    ]
+
+
+def _seen_at_rest() -> list[Anywhere]:
+    """Return rows of deformations that were seen untouched before."""
+    rows = {
+        "paper-like touches": (paper_like, IDEAL),
+        "singles of 10 mm": (_singles(), IDEAL),
+        **{f"pairs 10 mm apart, {family}": (_pairs(family), IDEAL) for family in FAMILIES},
+        "presses of contrast 0.6": (_presses(0.6), IDEAL),
+        "contrast 2, singles": (_singles(2.0), IDEAL),
+        "lab-like, singles": (_singles(), LAB),
+        "lab-like, presses of contrast 0.4": (_presses(0.4), LAB),
+        "lab-like, presses of contrast 0.6": (_presses(0.6), LAB),
+    }
+    return [
+        Anywhere(f"seen at rest: {name}", phantoms, mismatch, at_rest=AT_REST)
+        for name, (phantoms, mismatch) in rows.items()
     ]
 
 

@@ -33,11 +33,13 @@ def run(arguments: argparse.Namespace) -> int:
     check_snr(arguments.snr_db)
     if arguments.all and way != "phantoms":
         raise UsageError("--all needs --phantoms: the table stands beside the paper's")
+    if arguments.at_rest < 0:
+        raise UsageError(f"--at-rest {arguments.at_rest}: expected a number of frames")
     skin = skins.chosen(arguments)
     conditions = Conditions(
         arguments.noise, arguments.snr_db, arguments.seeds, arguments.shift_px, arguments.cloud, skin
     )
-    request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction)
+    request = Request(arguments.solver, arguments.reference, arguments.bundle, arguments.prediction, arguments.at_rest)
     if arguments.picture is not None and (arguments.all or arguments.shift_px):
         raise UsageError("--picture goes with neither --all nor --shift-px")
     if way == "measured":

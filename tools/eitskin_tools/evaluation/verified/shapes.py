@@ -6,11 +6,13 @@ own (:mod:`eitskin_tools.evaluation.verified.share`): the two err in part indepe
 the truth than either. Where physics cannot explain the frame by its shapes, the
 network's own map stays, and the frame is flagged. Making the model of a shape,
 once or twice more where the frame shows that the sheet is stretched otherwise than its scan, counts as set-up: it
-serves all frames of the shape.
+serves all frames of the shape. So does seeing it untouched first, where that is asked for.
 """
 
 import time
+import zlib
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 import numpy.typing as npt
@@ -20,12 +22,16 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.harness import Case, Run
 from eitskin_sim.evaluation.metrics import TOUCHED
+from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.verification.free.found import FreeVerdict
 from eitskin_sim.verification.free.search import BUDGET_S, FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.evaluation.verified.share import network_share
 from eitskin_tools.evaluation.verified.units import Checked
+
+SEED: Final = 7041
+"""Of the noise of untouched frames."""
 
 
 class VerifiedFree:
@@ -38,6 +44,7 @@ class VerifiedFree:
         skin: Whose models.
         budget_s: What a frame may take.
         follow: Whether the touches of the last frame of a shape are the first start of the next.
+        at_rest: Untouched frames of a shape that physics sees before its first touch.
     """
 
     def __init__(
@@ -48,9 +55,10 @@ class VerifiedFree:
         skin: Skin,
         budget_s: float = BUDGET_S,
         follow: bool = False,
+        at_rest: int = 0,
     ) -> None:
         self._network, self._noise, self._touches, self._skin = network, noise, touches, skin
-        self._budget_s, self._follow = budget_s, follow
+        self._budget_s, self._follow, self._at_rest = budget_s, follow, at_rest
         self._last: npt.NDArray[np.float64] | None = None
         self._finder = Finder(skin.grid)
         self.checked: list[Checked[FreeVerdict]] = []
@@ -75,16 +83,27 @@ class VerifiedFree:
             )
             before = 0.0
             verifier.deform(case.sheet.cloud_mm)
+            if self._at_rest:
+                verifier.rest(self._untouched(case), self._at_rest)
             self._shape, self._last = (key, verifier), None
         else:
             verifier = self._shape[1]
-            before = verifier.setup_cpu_s
-        made, start = verifier.setup_cpu_s, time.process_time()
+            before = verifier.deformation.spent_cpu_s
+        made, start = verifier.deformation.spent_cpu_s, time.process_time()
         verdict = verifier.verify(case.voltages, shares, self._last, self._budget_s)
         self._last = verdict.pieces if self._follow and len(verdict.pieces) else None
-        cpu_s = time.process_time() - start - (verifier.setup_cpu_s - made)
-        setup_ms = 1e3 * (verifier.setup_cpu_s - before)
+        cpu_s = time.process_time() - start - (verifier.deformation.spent_cpu_s - made)
+        setup_ms = 1e3 * (verifier.deformation.spent_cpu_s - before)
         touched = (image >= TOUCHED).ravel()
         self.checked.append(Checked(verdict, 1e3 * verdict.seconds, 1e3 * cpu_s, setup_ms, touched))
         share = network_share(verdict, image, found.count, grid)
         return image if verdict.flagged else (1.0 - share) * verdict.map(grid) + share * np.clip(image, 0.0, 1.0)
+
+    def _untouched(self, case: Case) -> npt.NDArray[np.float64]:
+        """Return what a shape reads untouched, the mean of some frames."""
+        noise, untouched = self._noise, case.sheet.untouched
+        rng = np.random.default_rng([SEED, zlib.crc32(untouched.tobytes())])
+        if noise.measured is not None or noise.law == "measured":
+            raise ValueError("measured frames have no untouched ones beside them; leave --at-rest out")
+        frames = np.tile(untouched, (self._at_rest, 1))
+        return np.asarray(add_noise(frames, case.flat_reference, noise.law, noise.snr_db, rng).mean(axis=0))

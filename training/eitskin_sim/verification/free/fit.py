@@ -26,9 +26,9 @@ from eitskin_sim.shapes.parameters import (
 )
 from eitskin_sim.shapes.sheet import Solved
 from eitskin_sim.verification.free.effort import never
-from eitskin_sim.verification.free.model import Model
 from eitskin_sim.verification.free.prior.costs import costs, own_parameters, prior
 from eitskin_sim.verification.free.prior.joints import Joints
+from eitskin_sim.verification.free.sheet.model import Model
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
 

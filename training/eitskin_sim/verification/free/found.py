@@ -16,6 +16,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
 from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
+from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.fit import Fit
 from eitskin_sim.verification.free.prior.joints import Joints, bodies
 from eitskin_sim.verification.verdict import Verdict
@@ -169,6 +170,16 @@ def degrees_of_freedom(fit: Fit) -> int:
     _, by, _ = fit.errors
     whole, data = by.T @ by, by[:rows].T @ by[:rows]
     return rows - round(float(np.trace(np.linalg.solve(whole + 1e-9 * np.diag(np.diag(whole) + 1e-9), data))))
+
+
+def p_of(fit: Fit) -> float:
+    """Return the chance that right touches leave as much of a frame as a fit does, or more."""
+    return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1))
+
+
+def explained(fit: Fit) -> bool:
+    """Return whether a fit leaves nothing to look for."""
+    return p_of(fit) > 5.0 * LEVEL
 
 
 def map_of(pieces: Array, grid: Grid = PAPER.grid) -> Array:

@@ -7,7 +7,8 @@
 
 Where nothing explains a frame, all of it is done once more on a sheet whose material may lie farther from where its
 scan shows it, once a deformation: bumps carry material as nothing else does. If that nearly explains it, the frame and
-those after it are verified on that sheet.
+those after it are verified on that sheet. A sheet that was seen at rest is known better than by its scan; where nothing
+explains a frame on it, it has changed since, and its scan is all there is, as before.
 
 What is minimised never rises, so more time gives no worse answer; time is looked at before each step of each fit. Where
 the fit wants a stretch of the sheet that is too large for a derivative, the model is made again about it, once or twice
@@ -17,7 +18,7 @@ a deformation; the next frames of the same deformation have it already.
 import time
 from collections.abc import Callable
 from functools import partial
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 import numpy.typing as npt
@@ -25,21 +26,28 @@ import numpy.typing as npt
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
-from eitskin_sim.verification.chi_squared import LEVEL, p_value
+from eitskin_sim.verification.chi_squared import LEVEL
+from eitskin_sim.verification.frame import check_frame
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Fit, Frame, refine
-from eitskin_sim.verification.free.found import FreeVerdict, Likely, degrees_of_freedom, scatter_of, touches_of
+from eitskin_sim.verification.free.found import (
+    FreeVerdict,
+    Likely,
+    degrees_of_freedom,
+    explained,
+    p_of,
+    scatter_of,
+    touches_of,
+)
 from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, joined, moved, parted, usually
-from eitskin_sim.verification.free.model import Model, model_of_cloud
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
+from eitskin_sim.verification.free.sheet.deformation import Deformation
+from eitskin_sim.verification.free.sheet.model import model_of_cloud
 from eitskin_sim.verification.free.starts import contrasts_of, followed, presses_of, starts_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely
 from eitskin_sim.verification.residual import Noise
 from eitskin_sim.verification.spreads import Spreads
-
-ANEW: Final = 4
-"""Times that a deformation's model is made again, at most."""
 
 BUDGET_S: Final = 2.0
 """What a frame may take; most take a thirtieth of it."""
@@ -47,14 +55,17 @@ BUDGET_S: Final = 2.0
 FEW: Final = 5
 """Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
 
-LOOSER: Final = 4.0
-"""Times that material may lie farther, on a sheet that nothing explained."""
+SPARED: Final = 0.7
+"""Part of chi-squared that a model which a frame asks for leaves at most, where it does not explain the frame."""
 
 NEARLY: Final = 1e-3
 """p from which a looser sheet is gone on with."""
 
 DOUBT: Final = 0.5
 """Share of belief beyond which what contradicts the touches counts."""
+
+
+Made = TypeVar("Made")
 
 
 class FreeVerifier:
@@ -81,14 +92,10 @@ class FreeVerifier:
         self._reference, self._noise, self._usual = reference_V, noise, usual_of(touches, skin)
         self._clock = clock
         self._skin, self._spreads = skin, spreads
-        self._model: Model | None = None
-        self._anew = self._shown = 0
-        self._loose = False
+        self._shown = 0
         self._seen = (np.zeros((0, 8)), np.zeros((0, 8)))
-        self.setup_s = 0.0
-        """What the present deformation's models took so far, by the verifier's clock."""
-        self.setup_cpu_s = 0.0
-        """The same by the processor."""
+        self.deformation = Deformation(clock)
+        """The present one, with its models and what they took."""
 
     def deform(self, cloud_mm: npt.ArrayLike) -> None:
         """Take a scanned deformation for the frames that follow.
@@ -96,16 +103,23 @@ class FreeVerifier:
         Raises:
             ValueError: The cloud is malformed, or folds in its own plane.
         """
-        self.setup_s = self.setup_cpu_s = 0.0
-        self._make(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
-        self._anew, self._loose = 0, False
+        self.deformation.scan(lambda: model_of_cloud(cloud_mm, self._skin, self._spreads))
 
-    def _make(self, make: Callable[[], Model]) -> None:
-        """Make a model, and count what it takes."""
-        clock, processor = self._clock(), time.process_time()
-        self._model = make()
-        self.setup_s += self._clock() - clock
-        self.setup_cpu_s += time.process_time() - processor
+    def rest(self, voltages_V: Array, frames: int = 1) -> bool:
+        """Take what the deformation reads while nothing touches it, for the frames that follow.
+
+        Args:
+            voltages_V: (104,) the mean of some frames.
+            frames: How many.
+
+        Returns:
+            Whether it is the scanned sheet; where it is not, nothing changes.
+
+        Raises:
+            ValueError: There is no deformation yet, or no frame; a number is not finite.
+        """
+        check_frame(voltages_V, self._reference)
+        return self.deformation.rest(voltages_V / self._reference - 1.0, self._reference, self._noise.of_mean(frames))
 
     def verify(
         self, voltages_V: Array, shares: Array, last: Array | None = None, budget_s: float = BUDGET_S
@@ -122,10 +136,8 @@ class FreeVerifier:
         Raises:
             ValueError: There is no deformation yet, or no time; a number is not finite.
         """
-        if self._model is None:
-            raise ValueError("no deformation to verify on; give its cloud first")
         effort = Effort(budget_s, self._clock)
-        _check(voltages_V, shares, self._reference)
+        check_frame(voltages_V, self._reference, shares)
         change = voltages_V / self._reference - 1.0
         rectangles = starts_of(shares, self._skin.grid)
         self._shown = max(len(rectangles), 0 if last is None else len(last))
@@ -139,12 +151,11 @@ class FreeVerifier:
         every = likely(fit.frame, fit, effort)
         self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
-        freedom = max(degrees_of_freedom(fit), 1)
         return FreeVerdict(
             touches_of(fit, [pieces for _, pieces in every[1:]]),
             fit.chi_squared,
-            freedom,
-            p_value(fit.chi_squared, freedom),
+            max(degrees_of_freedom(fit), 1),
+            p_of(fit),
             LEVEL,
             effort.fits,
             effort.seconds,
@@ -175,9 +186,9 @@ class FreeVerifier:
             trail: Moves that are taken are added.
         """
         frame, fit = begun
-        if not _explained(fit):
+        if not explained(fit):
             frame, fit = self._settled(frame, usually(frame, parted(frame, fit, effort), effort), effort)
-        while not effort.searched() and not _explained(fit):
+        while not effort.searched() and not explained(fit):
             name, better = moved(frame, fit, effort)
             if better is not None:
                 frame, fit = self._settled(frame, better, effort)
@@ -187,7 +198,7 @@ class FreeVerifier:
                 return self._search(start, anew, shares, effort, trail)
             if better is None:
                 break
-        unfinished = effort.searched() and not _explained(fit)
+        unfinished = effort.searched() and not explained(fit)
         fit = usually(frame, parted(frame, fit, effort), effort)
         if trail:
             fit = fewer(frame, fit, effort)
@@ -198,29 +209,25 @@ class FreeVerifier:
         return fit, unfinished or not confirmed_all
 
     def _loosened(self, fit: Fit, start: Callable[[], tuple[Frame, Fit]], effort: Effort) -> tuple[Frame, Fit] | None:
-        """Return a start on a looser sheet that nearly explains a frame, once a deformation; None leaves the model."""
-        if self._loose or _p(fit) > LEVEL or not self._may_be_made(effort):
-            return None
-        self._loose = True
-        model, anew = self._model, self._anew
-        assert model is not None
-        self._remake(partial(model.looser, LOOSER), effort)
-        self._anew = 0
-        found = start()
-        if _p(found[1]) > max(NEARLY, _p(fit)):
-            return found
-        self._model, self._anew = model, anew
+        """Return a start on a looser sheet that nearly explains a frame, each once a deformation; None for none."""
+        while self.deformation.may_be_looser and p_of(fit) <= LEVEL and self._may_be_made(effort):
+            back = self._made(self.deformation.loosen, effort)
+            found = start()
+            if p_of(found[1]) > max(NEARLY, p_of(fit)):
+                return found
+            back()
         return None
 
     def _may_be_made(self, effort: Effort) -> bool:
         """Return whether a frame has time for another model of its sheet."""
-        return not (effort.searched() or (effort.setup_s and effort.over_with_models()))
+        return not (effort.searched() or (self.deformation.spent_s and effort.over_with_models()))
 
-    def _remake(self, make: Callable[[], Model], effort: Effort) -> None:
+    def _made(self, make: Callable[[], Made], effort: Effort) -> Made:
         """Make another model of the sheet for a frame."""
-        before = self.setup_s
-        self._make(make)
-        effort.setup_s += self.setup_s - before
+        before = self.deformation.spent_s
+        found = make()
+        effort.setup_s += self.deformation.spent_s - before
+        return found
 
     def _contested(self, every: Likely, shares: Array) -> float:
         """Return the share of belief in touches that lack one the network plainly shows, or of which one is too small.
@@ -231,8 +238,7 @@ class FreeVerifier:
         return sum(share for share, pieces in every if left_out(pieces, shares, grid) or too_small(pieces, least_mm))
 
     def _frame(self, change: Array) -> Frame:
-        model = self._model
-        assert model is not None
+        model = self.deformation.model
         white = model.whitener(change, self._reference, self._noise)
         return Frame(model, white, change, self._usual, model.expected(model.ratio(change)), self._shown)
 
@@ -247,13 +253,13 @@ class FreeVerifier:
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
-            steps = STEPS if self._anew else FEW
+            steps = STEPS if self.deformation.was_made_anew else FEW
             frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched, steps), effort)
             if best is not None and best.frame is not frame:
                 best = frame.at(best.pieces, False)
             if best is None or fit.cost < best.cost:
                 best = fit
-            if effort.searched() or _explained(best):
+            if effort.searched() or explained(best):
                 break
         assert best is not None
         return frame, best
@@ -265,36 +271,19 @@ class FreeVerifier:
 
     def _settled(self, frame: Frame, fit: Fit, effort: Effort) -> tuple[Frame, Fit]:
         """Return the fit on a model that is made again where the sheet is stretched otherwise by much."""
-        whole = self._anew > 0
-        while self._anew < ANEW and self._may_be_made(effort):
+        whole = self.deformation.was_made_anew
+        while self.deformation.may_be_made_anew and self._may_be_made(effort):
             model = frame.model
             residual = frame.change - frame.expected - model.seen(fit.solved)
-            amplitudes, _ = frame.white.amplitudes(residual)
+            amplitudes = model.amplitudes(frame.change, residual, self._reference, self._noise)
             if not model.differs(amplitudes):
                 break
-            self._remake(partial(model.about, amplitudes), effort)
-            self._anew += 1
-            frame = self._frame(frame.change)
-            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW)
+            back = self._made(partial(self.deformation.make_anew, amplitudes), effort)
+            anew = self._frame(frame.change)
+            found = fitted(anew, fit.pieces, fit.turning, effort, effort.searched, FEW)
             whole = False
+            if not explained(found) and found.chi_squared > SPARED * fit.chi_squared:
+                back()  # nonsense: it would spoil the frames after it
+                break
+            frame, fit = anew, found
         return frame, fit if whole else refine(frame, fit, STEPS, effort.searched)
-
-
-def _check(voltages_V: Array, shares: Array, reference_V: Array) -> None:
-    """Raise ValueError if a frame is no frame."""
-    if voltages_V.shape != reference_V.shape:
-        raise ValueError(f"voltages {voltages_V.shape}: expected {reference_V.shape}, as the reference has")
-    for name, values in (("voltages", voltages_V), ("shares of the map", shares), ("the reference", reference_V)):
-        wrong = int((~np.isfinite(values)).sum())
-        if wrong:
-            raise ValueError(f"{name}: {wrong} of {values.size} are not finite; leave out such a frame")
-    if not np.all(reference_V):
-        raise ValueError(f"the reference: {int((reference_V == 0.0).sum())} rows of 0 V; take one with all rows")
-
-
-def _explained(fit: Fit) -> bool:
-    return _p(fit) > 5.0 * LEVEL
-
-
-def _p(fit: Fit) -> float:
-    return p_value(fit.chi_squared, max(degrees_of_freedom(fit), 1))

@@ -27,8 +27,8 @@ from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, noise_tangents
-from eitskin_sim.verification.free.usual_waves import usual_waves
-from eitskin_sim.verification.free.waves import Waves, waves_of
+from eitskin_sim.verification.free.sheet.usual_waves import usual_waves
+from eitskin_sim.verification.free.sheet.waves import Waves, waves_of
 from eitskin_sim.verification.spreads import Spreads, layer_fields
 
 LEAST: Final = 0.01

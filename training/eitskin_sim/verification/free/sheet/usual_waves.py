@@ -17,7 +17,7 @@ from eitskin_sim.scene.nominal import nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.surface.measured_cloud import measured_cloud
 from eitskin_sim.surface.predict import fit_cloud
-from eitskin_sim.verification.free.waves import waves_of
+from eitskin_sim.verification.free.sheet.waves import waves_of
 
 SEED: Final = 44_217
 """Names the deformations."""

@@ -3,7 +3,7 @@
 dV is against the flat reference, as the runtime's: V over the model's own flat sheet on the same mesh, less 1, so that
 the mesh's error and the current drop out. Where a frame says that the sheet is stretched otherwise than the scan shows,
 or conducts otherwise where it is stretched, by more than a derivative is good for, the model is made again about that:
-:meth:`Model.about`.
+:meth:`Model.about`. Frames of the untouched sheet say so best, and what the model lacks besides: :meth:`Model.rested`.
 """
 
 from dataclasses import dataclass, replace
@@ -21,7 +21,8 @@ from eitskin_sim.scene.nominal import flat_metric_of, nominal_sheet
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.sheet import Solved, TouchedSheet
 from eitskin_sim.surface.predict import FittedSurface, fit_cloud
-from eitskin_sim.verification.free.unseen import Unseen, unseen
+from eitskin_sim.verification.at_rest import MOST_SCALE, AtRest, at_rest
+from eitskin_sim.verification.free.sheet.unseen import Unseen, unseen
 from eitskin_sim.verification.residual import Noise, Whitener
 from eitskin_sim.verification.scan_noise import scan_noise_mm
 from eitskin_sim.verification.spreads import Spreads, usual
@@ -41,6 +42,20 @@ TRUSTED_GAUGE: Final = 0.2
 LIKELY: Final = 2.0
 """Standard deviations, by root mean square, up to which a frame is believed on how the sheet is stretched."""
 
+ROUGH: Final = 3.0
+"""Times that a row is believed to be off by, of what a residual has more than it should."""
+
+ROUNDS: Final = 8
+"""Times that a model is made again about what the untouched sheet reads, at most."""
+
+LOOSER: Final = 4.0
+"""Times that material may lie farther, on a sheet that nothing explained."""
+
+UNLIKE: Final = 1.2
+"""Times that more is off at rest than was thought, before a looser sheet is tried,"""
+
+LIKER: Final = 0.7
+"""which has to leave this part of it at most."""
 
 RATIO: Final = (0.3, 3.0)
 """Bounds of a frame's V over the untouched model's, by which what is unseen is scaled row by row."""
@@ -66,6 +81,8 @@ class Model:
     skin: Skin
     held: Array
     """(k,) amplitudes of the first columns, waves and layer, that the model has already."""
+    rest: AtRest | None = None
+    """What is known of the sheet since it was seen untouched; None before."""
 
     @property
     def untouched(self) -> Array:
@@ -85,25 +102,52 @@ class Model:
         """Return (104, r) dV by the free parameters."""
         return np.asarray(self.touched.jacobian(solved, free)[0] / self.flat_V[:, None])
 
-    def whitener(self, change: Array, reference: Array, noise: Noise) -> Whitener:
-        """Return the whitener of a frame (104,) dV against a reference (104,) V."""
-        columns = self.unseen.columns / self.flat_V[:, None] * self.ratio(change)[:, None]
-        return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=FLOOR)
+    def whitener(self, change: Array, reference: Array, noise: Noise, rough: float = 1.0) -> Whitener:
+        """Return the whitener of a frame (104,) dV against a reference (104,) V, of a model so many times as rough."""
+        columns = self._columns() * self.ratio(change)[:, None]
+        floor = FLOOR if self.rest is None else FLOOR * self.rest.scale
+        return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=rough * floor)
+
+    def amplitudes(self, change: Array, residual: Array, reference: Array, noise: Noise) -> Array:
+        """Return the amplitudes of all columns that a frame's residual speaks for.
+
+        Far from the truth no column explains a residual, and all that try go astray. So the rows of one that is not
+        explained are believed less, and what is left of it shows once the model is made about these amplitudes.
+
+        Args:
+            change: (104,) dV of the frame.
+            residual: (104,) dV of it that nothing else explains.
+            reference: (104,) V.
+            noise: Of the frame.
+        """
+        white = self.whitener(change, reference, noise)
+        misfit = float(white.chi_squared(residual)) / len(white) - 1.0
+        if misfit > 0.0:
+            white = self.whitener(change, reference, noise, float(np.sqrt(1.0 + ROUGH**2 * misfit)))
+        return white.amplitudes(residual)[0]
+
+    def _columns(self) -> Array:
+        """Return the (104, m) dV that may differ, of one standard deviation each, on the untouched sheet."""
+        return self.unseen.columns / self.flat_V[:, None] if self.rest is None else self.rest.columns
 
     def expected(self, ratio: Array) -> Array:
         """Return (104,) dV that is expected of a frame beside the touches: what the model has is unlikely.
 
-        What the model has already was believed of one frame; before any it is none.
+        What the model has already was believed of one frame; before any it is none. What the sheet read at rest beside
+        its model it still does.
 
         Args:
             ratio: (104,) of the frame's voltages over the untouched sheet's.
         """
+        if self.rest is not None:
+            return np.asarray(self.rest.beside * ratio)
         held = self.unseen.columns[:, : len(self.held)] @ self.held
         return np.asarray(-held / self.flat_V * ratio)
 
     def ratio(self, change: Array) -> Array:
         """Return (104,) a frame's voltages over the untouched sheet's, within bounds."""
-        return np.clip(np.abs((1.0 + change) / (1.0 + self.untouched)), *RATIO)
+        untouched = self.untouched if self.rest is None else self.rest.change
+        return np.clip(np.abs((1.0 + change) / (1.0 + untouched)), *RATIO)
 
     def beyond(self, amplitudes: Array) -> tuple[Array, float]:
         """Return (w,) the waves that amplitudes of all columns say, less those that the model has; and so its gauge."""
@@ -115,12 +159,50 @@ class Model:
 
         Args:
             amplitudes: Of all columns. What a sheet is not likely to have is nonsense: a model of it would spoil the
-                frames after it.
+                frames after it. What is known of a sheet that was seen at rest is not asked again.
         """
-        waves, gauge = self.beyond(amplitudes)
-        near = np.abs(waves).max(initial=0.0) < TRUSTED and abs(gauge) < TRUSTED_GAUGE
         own = amplitudes[: len(self.held)]
-        return not near and bool(own @ own < LIKELY**2 * len(own))
+        return self.rest is None and self._far(amplitudes) and bool(own @ own < LIKELY**2 * len(own))
+
+    def _far(self, amplitudes: Array) -> bool:
+        """Return whether amplitudes of all columns are farther from the model than a derivative is good for."""
+        waves, gauge = self.beyond(amplitudes)
+        return bool(np.abs(waves).max(initial=0.0) >= TRUSTED) or abs(gauge) >= TRUSTED_GAUGE
+
+    def rested(self, change: Array, reference: Array, noise: Noise) -> "Model | None":
+        """Return the model of the sheet that reads this while nothing touches it; None where it is another sheet.
+
+        Nothing else explains what it reads, so stretch and gauge are believed whatever they are. Where they do not
+        suffice, material may lie farther from where its scan shows it.
+
+        Args:
+            change: (104,) dV, the mean of some frames.
+            reference: (104,) V.
+            noise: Of that mean.
+        """
+        scale, found = self._rested(change, reference, noise)
+        if scale > UNLIKE:
+            other, looser = self.looser(LOOSER)._rested(change, reference, noise)
+            if other < LIKER * scale:
+                scale, found = other, looser
+        return found if scale <= MOST_SCALE else None
+
+    def _rested(self, change: Array, reference: Array, noise: Noise) -> "tuple[float, Model]":
+        """Return times that more is off at rest than was thought, and the model about what the sheet reads then."""
+        model = self
+        for left in reversed(range(ROUNDS + 1)):
+            ratio = model.ratio(change)
+            beside, expected = change - model.untouched, model.expected(ratio)
+            amplitudes = model.amplitudes(change, beside - expected, reference, noise)
+            if not left or not model._far(amplitudes):
+                break
+            try:
+                model = model.about(amplitudes)
+            except (ValueError, np.linalg.LinAlgError):
+                break  # it would fold: no sheet does
+        columns = model._columns() * ratio[:, None]
+        rest = at_rest(change, beside, expected, columns, FLOOR * (1.0 + change), noise.sd(change, reference))
+        return rest.scale, replace(model, rest=rest)
 
     def about(self, amplitudes: Array) -> "Model":
         """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns."""

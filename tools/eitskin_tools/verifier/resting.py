@@ -1,0 +1,60 @@
+"""The sheet at rest, for the verifier: the mean of some still frames that nothing touched, where it says something new.
+
+What a sheet reads untouched tells physics how it differs from its scan (:mod:`eitskin_sim.verification.at_rest`). It
+takes a quarter of a second of rest, and is told again once it has changed: after a press that left something behind, or
+by drift.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from eitskin.pipeline.stillness import Stillness
+from eitskin_proto.sensor.table import N_ROWS
+from eitskin_tools.verifier.letters import Array, Values
+
+FRAMES: Final = 50
+"""That the mean is of."""
+
+NEWS: Final = 1e-3
+"""Rms of dV by which it has to differ from what was told: what the model is not better than either."""
+
+
+class Resting:
+    """Gathers untouched frames of one surface under one reference."""
+
+    def __init__(self) -> None:
+        self._stillness = Stillness()
+        self._sum: Array = np.zeros(N_ROWS)
+        self._count = 0
+        self._told: Array | None = None
+
+    def use(self, voltages_V: Array, spread_V: Array, frames: int, step_V: float) -> None:
+        """Begin with another surface or reference; arguments as of :meth:`eitskin.pipeline.stillness.Stillness.use`."""
+        self._stillness.use(voltages_V, spread_V, frames, step_V)
+        self._told = None
+
+    def forget(self) -> None:
+        """Begin anew: something touched the sheet."""
+        self._stillness.forget()
+
+    def take(self, change: Values) -> Array | None:
+        """Count an untouched frame, and return the mean of ``FRAMES`` where it is news.
+
+        Args:
+            change: (104,) dV.
+        """
+        self._stillness.age = 0
+        if not self._stillness.still(change):
+            self._stillness.keep(change)
+            self._sum[:], self._count = 0.0, 0
+        self._sum += change
+        self._count += 1
+        if self._count < FRAMES:
+            return None
+        mean = self._sum / self._count
+        self._stillness.forget()
+        if self._told is not None and np.sqrt(np.mean(np.square(mean - self._told))) < NEWS:
+            return None
+        self._told = mean
+        return mean

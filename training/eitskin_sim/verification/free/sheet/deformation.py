@@ -1,0 +1,112 @@
+"""One deformation after another, each with its models: of its scan, about what frames have shown, at rest, looser."""
+
+import time
+from collections.abc import Callable
+from functools import partial
+from typing import Final
+
+from eitskin_sim.scene.touch_table import Array
+from eitskin_sim.verification.free.sheet.model import LOOSER, Model
+from eitskin_sim.verification.residual import Noise
+
+ANEW: Final = 4
+"""Times that a deformation's model is made again about what frames have shown, at most."""
+
+
+class Deformation:
+    """The model in use, and what else there is.
+
+    Args:
+        clock: What making models is counted by, s.
+    """
+
+    def __init__(self, clock: Callable[[], float]) -> None:
+        self._clock = clock
+        self._model: Model | None = None
+        self._scanned: Model | None = None
+        self._looser: list[Callable[[], Model]] = []
+        self._anew = 0
+        self.spent_s = 0.0
+        """What the present deformation's models took so far."""
+        self.spent_cpu_s = 0.0
+        """The same by the processor."""
+
+    @property
+    def model(self) -> Model:
+        """The one in use.
+
+        Raises:
+            ValueError: There is no deformation yet.
+        """
+        if self._model is None:
+            raise ValueError("no deformation to verify on; give its cloud first")
+        return self._model
+
+    def scan(self, make: Callable[[], Model]) -> None:
+        """Take the model of another scan."""
+        self.spent_s = self.spent_cpu_s = 0.0
+        self._make(make)
+        scanned = self.model
+        self._scanned, self._anew = scanned, 0
+        self._looser = [partial(scanned.looser, LOOSER)]
+
+    def rest(self, change: Array, reference: Array, noise: Noise) -> bool:
+        """Take what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
+
+        Args:
+            change: (104,) dV, the mean of some frames.
+            reference: (104,) V.
+            noise: Of that mean.
+        """
+        before, scanned = self.model, self._scanned
+        assert scanned is not None
+        self._make(lambda: scanned.rested(change, reference, noise) or before)
+        if self._model is before:
+            return False
+        self._anew = ANEW
+        self._looser = [partial(scanned.looser, LOOSER), lambda: scanned]
+        return True
+
+    @property
+    def was_made_anew(self) -> bool:
+        """Whether a frame, or the sheet at rest, has shown already how it is stretched."""
+        return self._anew > 0
+
+    @property
+    def may_be_made_anew(self) -> bool:
+        """Whether another frame may show it."""
+        return self._anew < ANEW
+
+    def make_anew(self, amplitudes: Array) -> Callable[[], None]:
+        """Make the model about amplitudes of all its columns, and return what brings back the one before."""
+        before = self.model
+
+        def back() -> None:
+            self._model = before
+
+        self._make(partial(before.about, amplitudes))
+        self._anew += 1
+        return back
+
+    @property
+    def may_be_looser(self) -> bool:
+        """Whether a looser sheet was not tried yet."""
+        return bool(self._looser)
+
+    def loosen(self) -> Callable[[], None]:
+        """Make the next looser sheet, each once a deformation, and return what brings back the one before."""
+        before = self._model, self._anew
+
+        def back() -> None:
+            self._model, self._anew = before
+
+        self._make(self._looser.pop())
+        self._anew = 0
+        return back
+
+    def _make(self, make: Callable[[], Model]) -> None:
+        """Make a model, and count what it takes."""
+        clock, processor = self._clock(), time.process_time()
+        self._model = make()
+        self.spent_s += self._clock() - clock
+        self.spent_cpu_s += time.process_time() - processor
