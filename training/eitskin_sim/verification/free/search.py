@@ -55,9 +55,6 @@ BUDGET_S: Final = 2.0
 FEW: Final = 5
 """Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
 
-SPARED: Final = 0.7
-"""Part of chi-squared that a model which a frame asks for leaves at most, where it does not explain the frame."""
-
 NEARLY: Final = 1e-3
 """p from which a looser sheet is gone on with."""
 
@@ -211,12 +208,20 @@ class FreeVerifier:
     def _loosened(self, fit: Fit, start: Callable[[], tuple[Frame, Fit]], effort: Effort) -> tuple[Frame, Fit] | None:
         """Return a start on a looser sheet that nearly explains a frame, each once a deformation; None for none."""
         while self.deformation.may_be_looser and p_of(fit) <= LEVEL and self._may_be_made(effort):
-            back = self._made(self.deformation.loosen, effort)
+            back = self._made(partial(self.deformation.loosen, partial(self._amplitudes, fit)), effort)
+            if back is None:
+                continue
             found = start()
             if p_of(found[1]) > max(NEARLY, p_of(fit)):
                 return found
             back()
         return None
+
+    def _amplitudes(self, fit: Fit, *, rough: bool = True) -> Array:
+        """Return amplitudes of all columns that what a fit leaves of a frame speaks for."""
+        frame = fit.frame
+        left = frame.change - frame.expected - frame.model.seen(fit.solved)
+        return frame.model.amplitudes(frame.change, left, self._reference, self._noise, rough=rough)
 
     def _may_be_made(self, effort: Effort) -> bool:
         """Return whether a frame has time for another model of its sheet."""
@@ -274,16 +279,11 @@ class FreeVerifier:
         whole = self.deformation.was_made_anew
         while self.deformation.may_be_made_anew and self._may_be_made(effort):
             model = frame.model
-            residual = frame.change - frame.expected - model.seen(fit.solved)
-            amplitudes = model.amplitudes(frame.change, residual, self._reference, self._noise)
+            amplitudes = self._amplitudes(fit, rough=self.deformation.is_rough)
             if not model.differs(amplitudes):
                 break
-            back = self._made(partial(self.deformation.make_anew, amplitudes), effort)
-            anew = self._frame(frame.change)
-            found = fitted(anew, fit.pieces, fit.turning, effort, effort.searched, FEW)
+            self._made(partial(self.deformation.make_anew, amplitudes), effort)
+            frame = self._frame(frame.change)
+            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW)
             whole = False
-            if not explained(found) and found.chi_squared > SPARED * fit.chi_squared:
-                back()  # nonsense: it would spoil the frames after it
-                break
-            frame, fit = anew, found
         return frame, fit if whole else refine(frame, fit, STEPS, effort.searched)

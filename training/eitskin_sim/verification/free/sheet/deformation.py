@@ -12,6 +12,9 @@ from eitskin_sim.verification.residual import Noise
 ANEW: Final = 4
 """Times that a deformation's model is made again about what frames have shown, at most."""
 
+Shown = Callable[[], Array]
+"""Amplitudes of all columns that a frame speaks for which nothing explains."""
+
 
 class Deformation:
     """The model in use, and what else there is.
@@ -24,8 +27,10 @@ class Deformation:
         self._clock = clock
         self._model: Model | None = None
         self._scanned: Model | None = None
-        self._looser: list[Callable[[], Model]] = []
+        self._others: list[Callable[[Shown], Model | None]] = []
         self._anew = 0
+        self.is_rough = False
+        """Whether rows of what is not explained are believed less, as frames here need."""
         self.spent_s = 0.0
         """What the present deformation's models took so far."""
         self.spent_cpu_s = 0.0
@@ -47,8 +52,13 @@ class Deformation:
         self.spent_s = self.spent_cpu_s = 0.0
         self._make(make)
         scanned = self.model
-        self._scanned, self._anew = scanned, 0
-        self._looser = [partial(scanned.looser, LOOSER)]
+        self._scanned, self._anew, self.is_rough = scanned, 0, False
+        self._others = [self._elsewhere, lambda _: scanned.looser(LOOSER)]
+
+    def _elsewhere(self, shown: Shown) -> Model | None:
+        self.is_rough = True
+        amplitudes = shown()
+        return self.model.about(amplitudes) if self.model.differs(amplitudes) else None
 
     def rest(self, change: Array, reference: Array, noise: Noise) -> bool:
         """Take what the untouched sheet reads, and return whether it is the scanned one; else nothing changes.
@@ -63,8 +73,8 @@ class Deformation:
         self._make(lambda: scanned.rested(change, reference, noise) or before)
         if self._model is before:
             return False
-        self._anew = ANEW
-        self._looser = [partial(scanned.looser, LOOSER), lambda: scanned]
+        self._anew, self.is_rough = ANEW, False
+        self._others = [lambda _: scanned.looser(LOOSER), lambda _: scanned]
         return True
 
     @property
@@ -77,30 +87,31 @@ class Deformation:
         """Whether another frame may show it."""
         return self._anew < ANEW
 
-    def make_anew(self, amplitudes: Array) -> Callable[[], None]:
-        """Make the model about amplitudes of all its columns, and return what brings back the one before."""
-        before = self.model
-
-        def back() -> None:
-            self._model = before
-
-        self._make(partial(before.about, amplitudes))
+    def make_anew(self, amplitudes: Array) -> None:
+        """Make the model about amplitudes of all its columns."""
+        self._make(partial(self.model.about, amplitudes))
         self._anew += 1
-        return back
 
     @property
     def may_be_looser(self) -> bool:
-        """Whether a looser sheet was not tried yet."""
-        return bool(self._looser)
+        """Whether another sheet was not tried yet."""
+        return bool(self._others)
 
-    def loosen(self) -> Callable[[], None]:
-        """Make the next looser sheet, each once a deformation, and return what brings back the one before."""
-        before = self._model, self._anew
+    def loosen(self, shown: Shown) -> Callable[[], None] | None:
+        """Make the next other sheet, each once a deformation, and return what brings back the one before.
+
+        These are the scan's own, where it was seen at rest; one of looser material; and where it was not seen at rest,
+        one about what a frame shows roughly. None is returned where it shows nothing.
+        """
+        before, other = (self._model, self._anew, self.is_rough), self._others.pop()
 
         def back() -> None:
-            self._model, self._anew = before
+            self._model, self._anew, self.is_rough = before
 
-        self._make(self._looser.pop())
+        self._make(lambda: other(shown) or self.model)
+        if self._model is before[0]:
+            back()
+            return None
         self._anew = 0
         return back
 
