@@ -18,10 +18,10 @@ import numpy as np
 
 from eitskin_sim.verification.residual import Array
 
-CHANGES: Final = 0.12
+CHANGES: Final = 0.25
 """Part of what a model may be off by that a touch may change."""
 
-MOVES: Final = 0.05
+MOVES: Final = 0.1
 """Part of what was seen beside the model, row by row, that it may."""
 
 MOST_SCALE: Final = 5.0
