@@ -71,6 +71,19 @@ def test_what_was_seen_at_rest_explains_what_is_touched_there(sheet: TouchedShee
     assert sizes[0] < sizes[1]
 
 
+def test_a_frame_that_nothing_explains_is_asked_roughly_how_the_sheet_conducts(sheet: TouchedSheet) -> None:
+    """Without a look at it untouched: a gauge factor that is unlikely is refused, until nothing else is left."""
+    own = verifier()
+    first = own.verify(read(sheet, PIECES, 1), shares_of(PIECES), budget_s=400.0)
+    assert "loosen" in first.trail
+    assert own.deformation.is_rough
+    second = own.verify(read(sheet, PIECES, 2), shares_of(PIECES), budget_s=400.0)
+    assert second.trail == ()
+    for found in (first, second):
+        assert not found.flagged
+        assert found.pieces[:, 1:3] == pytest.approx(PIECES[:, 1:3], abs=1.0)
+
+
 def test_a_sheet_that_has_changed_since_is_verified_by_its_scan(sheet: TouchedSheet) -> None:
     own = verifier()
     assert own.rest(at_rest(sheet), 50)

@@ -7,8 +7,9 @@
 
 Where nothing explains a frame, all of it is done once more on a sheet whose material may lie farther from where its
 scan shows it, once a deformation: bumps carry material as nothing else does. If that nearly explains it, the frame and
-those after it are verified on that sheet. A sheet that was seen at rest is known better than by its scan; where nothing
-explains a frame on it, it has changed since, and its scan is all there is, as before.
+those after it are verified on that sheet; else it is asked roughly how the sheet is stretched. A sheet that was seen at
+rest is known better than by its scan; where nothing explains a frame on it, it has changed since, and its scan is all
+there is, as before.
 
 What is minimised never rises, so more time gives no worse answer; time is looked at before each step of each fit. Where
 the fit wants a stretch of the sheet that is too large for a derivative, the model is made again about it, once or twice
