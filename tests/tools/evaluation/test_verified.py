@@ -9,7 +9,7 @@ import pytest
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation.harness import Case, Conditions, Run, evaluate_all, truth_map
 from eitskin_sim.evaluation.metrics import score
-from eitskin_sim.evaluation.trials import random
+from eitskin_sim.evaluation.trials import random, single
 from eitskin_sim.scene.parts import Phantom, Scene
 from eitskin_sim.verification.free.found import FreeTouch, FreeVerdict, map_of
 from eitskin_sim.verification.residual import Noise
@@ -69,6 +69,39 @@ def test_bad_options_of_the_benchmark_are_one_line(
 ) -> None:
     assert main(arguments) == 2
     assert says in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "status", "says"),
+    [
+        (["--single", "10", "--solver", "verified", "--at-rest", "-1"], 2, "--at-rest -1: expected a number of frames"),
+        (["--single", "10", "--at-rest", "5"], 1, "--at-rest is for --solver verified"),
+        (["--phantoms", "paper_units", "--solver", "verified", "--at-rest", "5"], 1, "for touches anywhere"),
+        (["--devices", "lab", "--solver", "verified", "--at-rest", "5"], 2, "--at-rest"),
+    ],
+)
+def test_only_touches_anywhere_are_verified_on_sheets_seen_at_rest(
+    arguments: list[str], status: int, says: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["evaluate", *arguments]) == status
+    assert says in capsys.readouterr().err
+
+
+@pytest.mark.slow
+@pytest.mark.heavy
+def test_a_shape_is_seen_at_rest_once_before_its_first_touch() -> None:
+    phantoms = single(10.0, 1, 2)
+    truths = iter([truth_map(one) for one in phantoms])
+    verified = VerifiedFree(Run(lambda _: next(truths), "pre"), Noise("N2"), "raising", PAPER, at_rest=50)
+    (results,) = evaluate_all(phantoms, [verified.run], Conditions("N2"))
+    assert verified._shape is not None
+    rest = verified._shape[1].deformation.model.rest
+    assert rest is not None
+    assert verified.checked[0].setup_ms > 0.0
+    assert verified.checked[1].setup_ms == 0.0, "no model is made for the frames after it"
+    for (_, (found,)), checked_one in zip(results, verified.checked, strict=True):
+        assert not checked_one.verdict.flagged
+        assert found.localisation_mm < 1.0
 
 
 def test_mixed_contrasts_are_of_either_sign_and_within_their_range() -> None:

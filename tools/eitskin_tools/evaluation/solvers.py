@@ -107,7 +107,7 @@ def named(
     """
     if request.reference is not None and request.reference not in REFERENCES:
         raise ValueError(f"reference {request.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
-    if request.at_rest and (request.name != VERIFIED or labels == "units"):
+    if request.at_rest and (request.name, labels) != (VERIFIED, "area"):
         raise ValueError("--at-rest is for --solver verified, and for touches anywhere; leave it out")
     if request.name in SOLVERS:
         return Named(Run(SOLVERS[request.name], request.reference or "post"))
@@ -192,11 +192,10 @@ def _verified(request: Request, labels: str, skin: Skin, touches: TouchKind, con
 
     network = _network(replace(request, name="vd2t"), labels, skin, touches)
     noise = Noise(conditions.noise, conditions.snr_db)
+    verified: Verified | VerifiedFree = Verified(network.run, noise, skin)
     if labels != "units":
-        free = VerifiedFree(network.run, noise, touches, skin, at_rest=request.at_rest)
-        return replace(network, run=free.run, verified=free)
-    units = Verified(network.run, noise, skin)
-    return replace(network, run=units.run, verified=units)
+        verified = VerifiedFree(network.run, noise, touches, skin, at_rest=request.at_rest)
+    return replace(network, run=verified.run, verified=verified)
 
 
 def verdicts_of(
