@@ -102,7 +102,7 @@ def test_a_sheet_seen_at_rest_is_known_and_one_that_is_not_its_scans_is_said(uni
     checker = checker_of(setup)
     off = 0.05 * np.sin(np.arange(104.0))
     assert checker.rest(RestLetter(1, 50, np.full(104, 0.02))) == ""
-    assert "give both anew" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
+    assert "send its cloud" in checker.rest(RestLetter(1, 50, off + 2.0 * np.abs(off)))
     of_units = checker_of(units[0])
     assert of_units.rest(RestLetter(1, 50, np.zeros(104))) == ""
     assert not of_units.improves

@@ -35,6 +35,10 @@ FREE_BUDGET_S: Final = 0.2
 TRIED: Final = 4
 """How often a model with other material is tried, for one surface."""
 
+UNLIKE_ITS_SCAN: Final = (
+    "untouched, the sheet does not read as its cloud and reference say; send its cloud, or take a reference anew"
+)
+
 UnitVerdict = Found[UnitTouch]
 Three = tuple[float, float, float]
 
@@ -221,7 +225,7 @@ class FreeChecker:
         if not shape.usable.all():
             return ""  # no frame is verified without all rows
         known = self._verifier.rest(shape.reference_V * (1.0 + letter.change), letter.frames)
-        return "" if known else "untouched, the sheet does not read as its scan and reference say; give both anew"
+        return "" if known else UNLIKE_ITS_SCAN
 
     @property
     def improves(self) -> bool:
