@@ -14,9 +14,7 @@ PYTHON ?= python3
 VENV   ?= .venv
 BIN    := $(VENV)/bin
 PIP    := $(BIN)/python -m pip --disable-pip-version-check --quiet --retries 10 --timeout 60
-# One more than there are cores: many tests wait for other processes.
-WORKERS := $(shell n=$$(nproc); echo $$((n < 8 ? n + 1 : 8)))
-PYTEST := $(BIN)/python -m pytest --numprocesses $(WORKERS) --dist loadfile --durations 10
+PYTEST := $(BIN)/python -m pytest --numprocesses auto --maxprocesses 8 --dist loadfile --durations 10
 
 SECONDS_DEMO ?= 20
 OTHER_PYTHONS ?= 3.11 3.12 3.13

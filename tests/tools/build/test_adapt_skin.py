@@ -54,6 +54,17 @@ def test_it_learns_the_touches_and_labels_that_it_knows_on_devices_of_the_twin(n
     assert adapted(name, seed=1).digest != adapted(name).digest
 
 
+def test_it_learns_touches_as_often_near_to_each_other_as_its_bundle_did():
+    (data,) = adapted("free").data.values()
+    assert data.near == recipes.load("free").data["lab"].near > 0.0
+    assert adapted("free").networks["small"].data["touches"].near == data.near
+    bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
+    for build in (None, {"data": []}, {"data": {"lab": {"near": "much"}}}, {"data": {"lab": {"near": 7}}}):
+        facts = {**bundle.manifest, "build": build or {}}
+        (found,) = adaptation.adapted(bundle.path, TWIN, facts, "raising", Adaptation()).data.values()
+        assert found.near is None
+
+
 def test_it_learns_the_presses_that_were_calibrated():
     bundle = load_bundle(files.find("press", files.BUNDLE), lazily=True)
 

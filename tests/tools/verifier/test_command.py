@@ -48,6 +48,7 @@ def test_the_verifier_ends_with_the_runtime_however_that_ends(tmp_path: Path, nu
             until(runs)
             assert (status["mode"], status["nice"], status["restarts"]) == ("idle", 7, 0)
             pid = int(status["pid"])
+            until(lambda: os.getpriority(os.PRIO_PROCESS, pid) == status["nice"])  # it takes it once it is tied to us
             if stopped:
                 os.kill(pid, signal.SIGSTOP)
             runtime.send_signal(number)

@@ -31,9 +31,9 @@ def adapted(
     """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
 
     It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
-    as after presses of a stamp; else the usual ones of its kind. Where the bundle has a smaller network that is its own
-    narrowed, one of that shape is made of the adapted one and learns on likewise, of data of its own; another kind of
-    smaller network is left out.
+    as after presses of a stamp; else the usual ones of its kind, as often near to each other as it learned them. Where
+    the bundle has a smaller network that is its own narrowed, one of that shape is made of the adapted one and learns
+    on likewise, of data of its own; another kind of smaller network is left out.
 
     Args:
         bundle: The file that it begins with.
@@ -50,7 +50,8 @@ def adapted(
     if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
         touches = SKIN
     kind = "free" if facts.get("labels") == "area" else "units"
-    data = Data(kind, touches, "random", work.seed, work.deformations, work.per_deformation)
+    size = work.deformations, work.per_deformation
+    data = Data(kind, touches, "random", work.seed, *size, near=_near(facts) if kind == "free" else None)
     leg = Leg(work.epochs, learning_rate=work.learning_rate, seed=work.seed, start_from=bundle.name, noise=SKIN)
     name, beside = f"{bundle.stem} on {skin.name}", bundle.resolve().parent
     found = BuildRecipe(name, skin, network, {"touches": data}, (leg,), work.gate, work.card, beside)
@@ -61,6 +62,14 @@ def adapted(
     gate = GateWork(0, FEW_STEPS)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
     return replace(found, networks={SMALL: replace(small, data={"touches": other})})
+
+
+def _near(facts: dict[str, Any]) -> float | None:
+    """Return the share of sets with touches near to each other in what a bundle learned first; None for the usual."""
+    data = facts.get("build", {}).get("data")
+    first = next(iter(data.values()), None) if isinstance(data, dict) else None
+    near = first.get("near") if isinstance(first, dict) else None
+    return float(near) if isinstance(near, int | float) and 0.0 <= near <= 1.0 else None
 
 
 def _small_network(facts: dict[str, Any]) -> str | None:
