@@ -117,3 +117,14 @@ def test_another_deformation_is_known_by_its_scan_alone(sheet: TouchedSheet) -> 
     own.deform(flat_cloud())
     assert own.deformation.model.rest is None
     assert own.deformation.may_be_made_anew
+
+
+def test_what_no_sheet_has_is_not_believed(sheet: TouchedSheet) -> None:
+    own = verifier()
+    before = own.deformation.model
+    nonsense = np.zeros(before.unseen.columns.shape[1])
+    nonsense[before.unseen.n_waves + before.unseen.names.index("gauge")] = -1e4
+    assert before.about(nonsense) is None
+    own.deformation.make_anew(nonsense)
+    assert own.deformation.model is before
+    assert not own.verify(read(sheet, PIECES[:1], 1), shares_of(PIECES[:1]), budget_s=400.0).flagged

@@ -2,7 +2,6 @@
 
 import time
 from collections.abc import Callable
-from functools import partial
 from typing import Final
 
 from eitskin_sim.scene.touch_table import Array
@@ -88,8 +87,8 @@ class Deformation:
         return self._anew < ANEW
 
     def make_anew(self, amplitudes: Array) -> None:
-        """Make the model about amplitudes of all its columns."""
-        self._make(partial(self.model.about, amplitudes))
+        """Make the model about amplitudes of all its columns; it stays as it is where no sheet has them."""
+        self._make(lambda: self.model.about(amplitudes) or self.model)
         self._anew += 1
 
     @property

@@ -197,21 +197,26 @@ class Model:
             amplitudes = model.amplitudes(change, beside - expected, reference, noise, rough=True)
             if not left or not model._far(amplitudes):
                 break
-            try:
-                model = model.about(amplitudes)
-            except (ValueError, np.linalg.LinAlgError):
-                break  # it would fold: no sheet does
+            if (other := model.about(amplitudes)) is None:
+                break
+            model = other
         columns = model._columns() * ratio[:, None]
         rest = at_rest(change, beside, expected, columns, FLOOR * (1.0 + change), noise.sd(change, reference))
         return rest.scale, replace(model, rest=rest)
 
-    def about(self, amplitudes: Array) -> "Model":
-        """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns."""
+    def about(self, amplitudes: Array) -> "Model | None":
+        """Return the model of the sheet with the waves and the gauge factor of some amplitudes of all columns.
+
+        None is returned where no sheet is so: its stiffness would not be positive.
+        """
         held, waves = np.zeros(len(self.held)), self.unseen.n_waves
         for kept in (slice(waves), waves + self.unseen.names.index("gauge")):
             held[kept] = amplitudes[kept]
         moved = self.unseen.waves.moved(self.surface.metric, self.unseen.mixed @ held[:waves])
-        return _model(moved, self.surface, self.spreads, self.skin, held, self._gauge(held))
+        try:
+            return _model(moved, self.surface, self.spreads, self.skin, held, self._gauge(held))
+        except (ValueError, np.linalg.LinAlgError):
+            return None
 
     def looser(self, factor: float) -> "Model":
         """Return the model of the scan alone, with material that may lie so many times as far from where it seems."""
