@@ -136,7 +136,7 @@ def test_what_the_sheet_reads_at_rest_is_told_once_for_each_surface(streaming):
             until(lambda: stream.skin.statistics.frames > begin + 4 * FRAMES)
             ((frames, most),) = [line.split() for line in rested.read_text().splitlines()]
             assert int(frames) == FRAMES
-            assert float(most) < 0.02
+            assert float(most) < 0.02  # a reference of 10 frames of 0.3 % noise is off by 0.1 %, by 0.4 % in some row
             stream.skin.set_cloud(stream.skin.description.grid.flat_cloud_mm() + 5.0)
             until(lambda: len(rested.read_text().splitlines()) == 2)
 

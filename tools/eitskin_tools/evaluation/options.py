@@ -126,7 +126,6 @@ def _add_ablations(parser: argparse.ArgumentParser) -> None:
         choices=("scan", "flat", "other"),
         help="the shape that solvers are told: as measured, flat, or that of another deformation (default: scan)",
     )
-
     group.add_argument(
         "--at-rest",
         type=int,

@@ -14,6 +14,7 @@ from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.bench.verify.moving import sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
+from eitskin_tools.verifier.resting import FRAMES
 
 ANY: Final = (0.1, 200.0)
 """Contrasts of mixed sets: half of them below 1."""
@@ -23,9 +24,6 @@ SINGLE_MM: Final = 10.0
 
 FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
 """Of deformations."""
-
-AT_REST: Final = 50
-"""Frames of a sheet that is seen untouched first: a quarter of a second at 200 frames/s, as the stream takes."""
 
 PRESS_MM: Final = 16.0
 """Diameter of a press."""
@@ -119,7 +117,7 @@ def anywhere_conditions() -> list[Anywhere]:
 
 
 def _seen_at_rest() -> list[Anywhere]:
-    """Return rows of deformations that were seen untouched before."""
+    """Return rows of deformations that were seen untouched before, for as long as the stream does."""
     rows = {
         "paper-like touches": (paper_like, IDEAL),
         "singles of 10 mm": (_singles(), IDEAL),
@@ -131,7 +129,7 @@ def _seen_at_rest() -> list[Anywhere]:
         "lab-like, presses of contrast 0.6": (_presses(0.6), LAB),
     }
     return [
-        Anywhere(f"seen at rest: {name}", phantoms, mismatch, at_rest=AT_REST)
+        Anywhere(f"seen at rest: {name}", phantoms, mismatch, at_rest=FRAMES)
         for name, (phantoms, mismatch) in rows.items()
     ]
 

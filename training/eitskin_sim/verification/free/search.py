@@ -222,7 +222,9 @@ class FreeVerifier:
         """Return amplitudes of all columns that what a fit leaves of a frame speaks for."""
         frame = fit.frame
         left = frame.change - frame.expected - frame.model.seen(fit.solved)
-        return frame.model.amplitudes(frame.change, left, self._reference, self._noise, rough=rough)
+        if rough:
+            return frame.model.roughly(frame.change, left, self._reference, self._noise)
+        return frame.white.amplitudes(left)[0]
 
     def _may_be_made(self, effort: Effort) -> bool:
         """Return whether a frame has time for another model of its sheet."""

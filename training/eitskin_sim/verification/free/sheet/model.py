@@ -108,24 +108,22 @@ class Model:
         floor = FLOOR if self.rest is None else FLOOR * self.rest.scale
         return Whitener(noise.sd(change, reference), columns, 1.0 + change, floor=rough * floor)
 
-    def amplitudes(self, change: Array, residual: Array, reference: Array, noise: Noise, *, rough: bool) -> Array:
-        """Return the amplitudes of all columns that a frame's residual speaks for.
+    def roughly(self, change: Array, residual: Array, reference: Array, noise: Noise) -> Array:
+        """Return the amplitudes of all columns that a frame's residual speaks for, rows not explained believed less.
 
-        Far from the truth no column explains a residual, and all that try go astray. Roughly, the rows of one that is
-        not explained are believed less; what is left of it shows once the model is made about these amplitudes.
+        Far from the truth no column explains a residual, and all that try go astray. What is left of it shows once the
+        model is made about these amplitudes.
 
         Args:
             change: (104,) dV of the frame.
             residual: (104,) dV of it that nothing else explains.
             reference: (104,) V.
             noise: Of the frame.
-            rough: Whether to do so; else all rows are believed whatever they leave.
         """
         white = self.whitener(change, reference, noise)
-        misfit = float(white.chi_squared(residual)) / len(white) - 1.0
-        if rough and misfit > 0.0:
-            white = self.whitener(change, reference, noise, float(np.sqrt(1.0 + ROUGH**2 * misfit)))
-        return white.amplitudes(residual)[0]
+        misfit = max(float(white.chi_squared(residual)) / len(white) - 1.0, 0.0)
+        rough = float(np.sqrt(1.0 + ROUGH**2 * misfit))
+        return self.whitener(change, reference, noise, rough).amplitudes(residual)[0]
 
     def _columns(self) -> Array:
         """Return the (104, m) dV that may differ, of one standard deviation each, on the untouched sheet."""
@@ -194,7 +192,7 @@ class Model:
         for left in reversed(range(ROUNDS + 1)):
             ratio = model.ratio(change)
             beside, expected = change - model.untouched, model.expected(ratio)
-            amplitudes = model.amplitudes(change, beside - expected, reference, noise, rough=True)
+            amplitudes = model.roughly(change, beside - expected, reference, noise)
             if not left or not model._far(amplitudes):
                 break
             if (other := model.about(amplitudes)) is None:
