@@ -13,7 +13,7 @@ from eitskin_sim.freeform.sheet import inverted_sheet
 from eitskin_sim.scene.parts import Bend, Scene, Touch
 from eitskin_sim.scene.shapes import Ellipse, Rect
 from eitskin_sim.shapes.parameters import NAMES, areas_mm2, free, parameters_of, pieces_of, strengths_mm2
-from eitskin_sim.shapes.sheet import TouchedSheet
+from eitskin_sim.shapes.sheet import TouchedSheet, _summed
 
 Array = npt.NDArray[np.float64]
 
@@ -136,3 +136,14 @@ def test_a_sheet_solved_whole_reads_as_one_solved_where_it_is_touched(monkeypatc
     wanted = free(pieces)
     rates = [own.jacobian(one, wanted)[0] for one in found]
     assert np.allclose(*rates, rtol=1e-7, atol=1e-9)
+
+
+def test_blocks_are_summed_where_elements_share_unknowns_and_none_is_left_out() -> None:
+    rng = np.random.default_rng(3)
+    blocks, place = rng.standard_normal((5, 3, 3)), np.array([[0, 1, 2], [2, -1, 3], [4, 3, 0], [-1, 5, 1], [5, 4, 2]])
+    dense = np.zeros((7, 7))
+    for block, own in zip(blocks, place, strict=True):
+        kept = own >= 0
+        dense[np.ix_(own[kept], own[kept])] += block[np.ix_(kept, kept)]
+    right = rng.standard_normal((7, 4))
+    assert _summed(blocks, place, 7) @ right == pytest.approx(dense @ right)

@@ -141,7 +141,6 @@ class PartialInverse:
             columns[:before] = self._columns[:before]
             between[:before, :before] = self._between[:before, :before]
             self._columns, self._between = columns, between
-        self._fill_columns(self._columns[before:count], dofs)
         begin = min(self._begin, int(self._line[dofs[0]]))
         for i in reversed(range(begin, self._begin) if before else ()):
             self._step(self._columns[:before], i)

@@ -65,7 +65,9 @@ def _joined(table: TouchTable, sources: Sequence[Taken], grid: SharedMesh) -> Cu
     keys = [into * n_elements + cuts.element[rows] for cuts, rows, into in sources]
     unique, back, times = np.unique(np.concatenate(keys), return_inverse=True, return_counts=True)
     alone = np.split(times[back] == 1, np.cumsum([len(key) for key in keys])[:-1])
-    fresh = find_cuts(table, np.arange(len(table)), grid.mesh, among=unique[times > 1])
+    shared = np.zeros((len(table), n_elements), dtype=np.bool_)
+    shared.reshape(-1)[unique[times > 1]] = True
+    fresh = find_cuts(table, np.arange(len(table)), grid.mesh, among=shared)
     everything = (fresh, np.arange(len(fresh.element)), fresh.of_set)
     kept = [(cuts, rows[own], into[own]) for (cuts, rows, into), own in zip(sources, alone, strict=True)]
     cut, graded, whole = ([_within(one, which) for one in (*kept, everything)] for which in range(3))

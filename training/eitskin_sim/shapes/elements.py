@@ -49,13 +49,13 @@ class Rates:
     """(q, 9, 9) S by mm, rad, or 1."""
 
 
-def touched(sheet: AssembledSheet, sets: list[Array], among: Index | None = None) -> Blocks:
+def touched(sheet: AssembledSheet, sets: list[Array], among: npt.NDArray[np.bool_] | None = None) -> Blocks:
     """Return what touch sets, (n, 8) pieces each, make of a sheet's elements, sorted by set and element.
 
     Args:
         sheet: The deformation.
         sets: (n, 8) pieces each.
-        among: Set times elements of the mesh, plus element, of those alone that are looked at; None for all.
+        among: (sets, n_elements) the elements that are looked at; None for all.
 
     Raises:
         ValueError: A border cannot be represented, or a piece would change nothing.
@@ -98,7 +98,7 @@ def rates(sheet: AssembledSheet, pieces: Array, free: npt.NDArray[np.bool_], bas
         own = pieces[near[one]]
         own[near[one] == one] = row
         sets.append(own)
-    varied = touched(sheet, sets, np.flatnonzero(ways.reach))
+    varied = touched(sheet, sets, ways.reach)
     place = np.full(len(sheet.before), -1, dtype=np.intp)
     place[base.element] = np.arange(len(base.element))
     at = place[varied.element]

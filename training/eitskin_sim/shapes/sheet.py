@@ -18,6 +18,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 from scipy.linalg import lapack
+from scipy.sparse import csr_array
 
 from eitskin_sim.fem.inverse import PartialInverse, solve_lines
 from eitskin_sim.fem.mesh import Index
@@ -95,14 +96,11 @@ class TouchedSheet:
         base = touched(sheet, [pieces])
         own = self.grid.dofs[base.element]
         dofs, place = np.unique(own, return_inverse=True)
-        place = place.reshape(own.shape)
-        if len(dofs) > LARGE:
-            return self._solved_whole(pieces, base, dofs[dofs >= 0])
         hidden = int(dofs[0] < 0)  # a column for elements under no electrode
-        added = (base.blocks - sheet.before[base.element]).ravel()
-        where = (place[:, :, None] * len(dofs) + place[:, None, :]).ravel()
-        change = np.bincount(where, added, len(dofs) ** 2).reshape(len(dofs), len(dofs))
-        dofs, change = dofs[hidden:], change[hidden:, hidden:]
+        dofs, place = dofs[hidden:], place.reshape(own.shape) - hidden
+        if len(dofs) > LARGE:
+            return self._solved_whole(pieces, base, dofs)
+        change = _summed(base.blocks - sheet.before[base.element], place, len(dofs))
         seen = self.to_terminals[dofs]
         matrix = change @ self._inverse.among(dofs)  # symmetric both: its transpose is wanted
         matrix.reshape(-1)[:: len(dofs) + 1] += 1.0
@@ -142,3 +140,22 @@ class TouchedSheet:
         place[solved.dofs] = np.arange(len(solved.dofs))
         own = self.grid.dofs[element]
         return np.where((own >= 0)[:, :, None], solved.fields[place[own]], 0.0)
+
+
+def _summed(blocks: Array, place: Index, size: int) -> csr_array:
+    """Return the sparse (size, size) sum of elements' blocks, places counted once an element: products add them up.
+
+    Args:
+        blocks: (e, b, b)
+        place: (e, b) of their unknowns; -1 for none.
+        size: Of the sum.
+    """
+    width = place.shape[1]
+    place = place.astype(np.int32)
+    order = np.argsort(place, axis=None, kind="stable")
+    order = order[np.count_nonzero(place < 0) :]
+    count = np.bincount(place.ravel()[order], minlength=size)
+    column = place[order // width]
+    values = np.where(column < 0, 0.0, blocks.reshape(-1, width)[order])
+    begin = (np.concatenate([[0], np.cumsum(count)]) * width).astype(np.int32)
+    return csr_array((values.ravel(), np.maximum(column, 0).ravel(), begin), shape=(size, size))

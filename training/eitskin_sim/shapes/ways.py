@@ -26,6 +26,9 @@ STEP: Final = 1e-5
 BAND_MM: Final = 100.0 * STEP
 """About a side, within which elements count as crossed."""
 
+SIDES: Final = slice(X, HALF_LENGTH + 2)
+"""The parameters of an upright rectangle that its sides make up."""
+
 
 @dataclass(frozen=True, slots=True)
 class Ways:
@@ -47,41 +50,36 @@ def ways_of(pieces: Array, free: npt.NDArray[np.bool_], mesh: TensorMesh) -> Way
     """Return the moves that derivatives by the (n, 7) free parameters of (n, 8) touches are made of."""
     values, number = parameters_of(pieces), np.cumsum(free.ravel()).reshape(free.shape) - 1
     boxes = _boxes(pieces)
-    touch, rows, steps, spans = [], [], [], []
-    places: list[tuple[int, int, float]] = []  # move, parameter, share
+    sharp = (pieces[:, 0] == RECTANGLE) & (pieces[:, 5] == 0.0) & (pieces[:, 7] == 0.0) & ~free[:, ANGLE]
+    by_sides = sharp & free[:, SIDES].all(axis=1)
+    others = free.copy()
+    others[by_sides, SIDES] = False
 
-    def add(one: int, row: Array, step: float, box: Array) -> None:
-        touch.append(one)
-        rows.append(row)
-        steps.append(step)
-        spans.append(box)
+    side_of = np.repeat(np.flatnonzero(by_sides), 4)  # a touch's left, right, low and high side
+    axis, outward = np.tile([[0, 0, 1, 1], [-1, 1, -1, 1]], len(side_of) // 4)
+    sides, at = values[side_of], np.arange(len(side_of))
+    where = sides[at, X + axis] + outward * sides[at, HALF_LENGTH + axis]
+    sides[at, X + axis] += 0.5 * outward * STEP
+    sides[at, HALF_LENGTH + axis] += 0.5 * STEP
+    crossed = boxes[side_of]
+    crossed[at, :, axis] = where[:, None] + (-BAND_MM, BAND_MM)
 
-    for one, own in enumerate(free):
-        sharp = pieces[one, 0] == RECTANGLE and pieces[one, 5] == 0.0 and pieces[one, 7] == 0.0 and not own[ANGLE]
-        sides = sharp and bool(own[X : HALF_LENGTH + 2].all())
-        for axis in (0, 1) if sides else ():
-            for way in (-1.0, 1.0):
-                row, box = values[one].copy(), boxes[one].copy()
-                row[X + axis] += 0.5 * way * STEP
-                row[HALF_LENGTH + axis] += 0.5 * STEP
-                side = values[one, X + axis] + way * values[one, HALF_LENGTH + axis]
-                box[:, axis] = side - BAND_MM, side + BAND_MM
-                places.append((len(rows), int(number[one, X + axis]), way))
-                places.append((len(rows), int(number[one, HALF_LENGTH + axis]), 1.0))
-                add(one, row, STEP, box)
-        for which in np.flatnonzero(own):
-            if sides and which < HALF_LENGTH + 2:
-                continue
-            row, step = values[one].copy(), _sign(pieces[one], int(which)) * STEP
-            row[which] += step
-            places.append((len(rows), int(number[one, which]), 1.0))
-            add(one, row, step, boxes[one])
-    mix = np.zeros((len(rows), int(free.sum())))
-    for move, parameter, share in places:
-        mix[move, parameter] = share
-    moved = pieces_of(pieces[touch, 0], np.array(rows).reshape(-1, values.shape[1]))
-    reach = reached(np.array(spans).reshape(-1, 2, 2), mesh)
-    return Ways(np.array(touch, dtype=np.intp), moved, np.array(steps), reach, mix)
+    one_of, which = np.nonzero(others)
+    steps, moved = _steps(pieces[one_of], which), values[one_of]
+    moved[np.arange(len(one_of)), which] += steps
+
+    touch = np.concatenate([side_of, one_of])
+    mix = np.zeros((len(touch), int(free.sum())))
+    mix[at, number[side_of, X + axis]] = outward
+    mix[at, number[side_of, HALF_LENGTH + axis]] = 1.0
+    mix[len(at) + np.arange(len(one_of)), number[one_of, which]] = 1.0
+    return Ways(
+        touch=touch,
+        moved=pieces_of(pieces[touch, 0], np.concatenate([sides, moved])),
+        step=np.concatenate([np.full(len(at), STEP), steps]),
+        reach=reached(np.concatenate([crossed, boxes[one_of]]), mesh),
+        mix=mix,
+    )
 
 
 def neighbours(pieces: Array, mesh: TensorMesh) -> list[Index]:
@@ -104,6 +102,7 @@ def _boxes(pieces: Array) -> Array:
     return np.stack([pieces[:, 1:3] - half, pieces[:, 1:3] + half], axis=1)
 
 
-def _sign(piece: Array, parameter: int) -> float:
-    """Return which way a parameter may go: a border not beyond its bounds, nor a width below the border."""
-    return -1.0 if parameter == BORDER and piece[7] > LEAST_BORDER_MM + STEP else 1.0
+def _steps(pieces: Array, which: Index) -> Array:
+    """Return (c,) steps of one parameter each: a border does not go beyond its bounds, nor a width below the border."""
+    down = (which == BORDER) & (pieces[:, 7] > LEAST_BORDER_MM + STEP)
+    return np.where(down, -STEP, STEP)

@@ -1,5 +1,6 @@
 """The verifier off the unit grid: it finds what was drawn, says how sure it is, and more time does no harm."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -13,7 +14,7 @@ from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
-from eitskin_sim.verification.free.fit import bounded, refine
+from eitskin_sim.verification.free.fit import TRIES, Fit, Frame, bounded, refine
 from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.sheet.model import Model
@@ -119,12 +120,42 @@ def test_where_the_map_is_off_it_still_is_so_a_followed_touch_moves_as_the_map_d
     assert followed(last, now, now[:0])[0, 1:3] == pytest.approx(now[0, 1:3])
 
 
-def test_a_fit_ends_where_a_step_would_gain_nothing_and_its_derivatives_serve_its_errors() -> None:
+def test_settled_touches_stay_and_their_derivatives_serve_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
+    assert not frame.at(SQUARE).settled
     done = refine(frame, refine(frame, frame.at(SQUARE), 20), 20)
+    assert done.settled
+    monkeypatch.setattr(Model, "jacobian", None)  # no more of them
     assert refine(frame, done, 20) is done
-    assert done._linear
-    assert done.errors is done.linear
+    assert len(scatter_of(done)) == 5
+
+
+def test_a_step_that_leads_up_is_shortened_only_if_much_is_to_be_gained(monkeypatch: pytest.MonkeyPatch) -> None:
+    frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
+    done = refine(frame, frame.at(SQUARE), 20)
+    sd_mm = np.sqrt(np.square(scatter_of(done)[:, 0, 0]).sum())
+    for off, tries in ((1.0, 1), (6.0, TRIES)):
+        begun, tried = frame.at(done.pieces + np.array([0, off * sd_mm, 0, 0, 0, 0, 0, 0])), []
+
+        def worse(_: Frame, pieces: Array, turning: bool, begun: Fit = begun, tried: list[Array] = tried) -> Fit:
+            tried.append(pieces)
+            return replace(begun, price=begun.price + 1e3, turning=turning)
+
+        with monkeypatch.context() as held:
+            held.setattr(Frame, "at", worse)
+            found = refine(frame, begun, 1)
+        assert len(tried) == tries
+        assert np.array_equal(found.pieces, begun.pieces)
+        assert found.settled is (tries == 1)
+
+
+def test_a_fit_may_end_roughly_and_go_on() -> None:
+    frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
+    begun = frame.at(moved([0, 2.0, 1.0, 0, 0, 0, 0, 0]))
+    rough, whole = refine(frame, begun, 20, enough=1e9), refine(frame, begun, 20)
+    assert begun.cost > rough.cost > whole.cost
+    assert not rough.settled
+    assert refine(frame, rough, 20).cost == pytest.approx(whole.cost, abs=1.0)
 
 
 def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() -> None:

@@ -33,25 +33,36 @@ POINTS: Final = 6
 def _rule() -> tuple[Array, Array]:
     line = (np.arange(POINTS) + 0.5) / POINTS
     points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    slopes = np.stack(gradients(points), axis=1)  # (q, 2, 9)
+    slopes = np.stack(gradients(points), axis=0)  # (2, q, 9)
     return points, slopes
 
 
 UNIT_POINTS: Final = _rule()[0]
 """(q, 2) middles of the cells of a unit element."""
 SLOPES: Final = _rule()[1]
-"""(q, 2, 9) gradients of the shape functions there."""
+"""(2, q, 9) gradients of the shape functions there, along x and along y."""
+SLOPES_OF_HELD: Final = np.ascontiguousarray(SLOPES.reshape(-1, 9).T)
+"""(9, 2 q) the slopes of what has some values at the nodes."""
+PLACES: Final = np.concatenate([UNIT_POINTS, UNIT_NODES]).T - 0.5
+"""(2, q + 9) points and nodes of a unit element, from its middle."""
 
 
 def _products() -> Array:
-    x, y = SLOPES[:, 0], SLOPES[:, 1]
+    x, y = SLOPES
     xy = np.einsum("qi,qj->qij", x, y)
     table = [np.einsum("qi,qj->qij", x, x), xy + np.swapaxes(xy, 1, 2), np.einsum("qi,qj->qij", y, y)]
     return np.stack(table, axis=1).reshape(len(x), -1) / len(x)
 
 
+def _crossed() -> Array:
+    (x, y), none = SLOPES, np.zeros_like(SLOPES[0])
+    return np.concatenate([np.concatenate([x, y, none], axis=1), np.concatenate([none, x, y], axis=1)])
+
+
 PRODUCTS: Final = _products()
 """(q, 3 * 81) integrands of xx, xy + yx and yy, with the weight of a cell."""
+CROSSED: Final = _crossed()
+"""(2 q, 3 * 9) what a function's slopes, along x and then along y, make of xx, xy + yx and yy with shape functions."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,54 +94,70 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
         share: (c, q) of each point's cell inside.
         inside: (c, q) S/m of the touch there.
     """
-    q, count = len(UNIT_POINTS), len(sizes_mm)
+    q = len(UNIT_POINTS)
     scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
-    middle = normal[:, -1]
-    along = np.stack([-middle[:, 1], middle[:, 0]], axis=-1)
-    plus = np.maximum(distance, 0.0) / scale
-    t = ((np.concatenate([UNIT_POINTS, UNIT_NODES]) - 0.5) * sizes_mm[:, None, :] @ along[:, :, None])[..., 0] / scale
-    nodes = slice(q, q + 9)
-    held = np.stack([plus[:, nodes], plus[:, nodes] * t[:, nodes]], axis=-1)
-
-    stretch = (sizes_mm / scale)[:, None, :]  # from mm to the unit element, over the scale
-    straight = normal[:, :q] * stretch
-    sloped = straight * t[:, :q, None] + plus[:, :q, None] * (along[:, None, :] * stretch)
-    interpolant = (SLOPES.reshape(-1, 9) @ held).reshape(count, q, 2, 2)
-    beyond = np.stack([straight, sloped], axis=-1)  # (c, q, xy, 2 functions)
-    outer = (1.0 - share)[:, :, None, None] / q
+    middle, stretch = normal[:, -1], sizes_mm / scale  # from mm to the unit element, over the scale
+    along = np.stack([-middle[:, 1], middle[:, 0]], axis=-1) * stretch
+    plus = np.maximum(distance[:, : q + 9], 0.0) / scale
+    t = along @ PLACES
+    held = with_slope(plus[:, q:], t[:, q:])
+    straight = np.swapaxes(normal[:, :q], 1, 2) * stretch[:, :, None]
+    beyond = kinked(straight, along, plus[:, :q], t[:, :q])
+    interpolant = slopes_of(held)
+    outer = ((1.0 - share) / q)[:, None, None, :]
+    inner, outside = (share / q)[:, None, None, :], beyond - interpolant
     mean = beyond * outer - interpolant / q  # a cell's mean slope of a kink, with its weight
-    inner, outside = interpolant * (share[:, :, None, None] / q), beyond - interpolant
-    corner = products_of(interpolant, inner) + products_of(outside, outside * outer)
     return Integrals(
-        added=(((inside - 1.0) * share) @ PRODUCTS).reshape(count, 3, 9, 9),
-        held=held,
+        added=(((inside - 1.0) * share) @ PRODUCTS).reshape(-1, 3, 9, 9),
+        held=np.ascontiguousarray(np.swapaxes(held, 1, 2)),
         coupling=crossed_slopes(mean),
-        corner=corner,
+        corner=products_of(products(interpolant, interpolant * inner) + products(outside, outside * outer)),
         centroid=share @ (UNIT_POINTS - 0.5) / np.maximum(share.sum(axis=1), 1e-30)[:, None],
     )
 
 
-def _x(slopes: Array) -> Array:
-    """Return (c, 9, 2): the x slopes of the shape functions times those of enrichment functions, added up."""
-    return np.asarray(SLOPES[:, 0].T @ slopes[:, :, 0])
+def with_slope(values: Array, t: Array) -> Array:
+    """Return (c, 2, n) values of enrichment functions: some (c, n), and those times t along the border."""
+    return np.stack([values, values * t], axis=1)
 
 
-def _y(slopes: Array) -> Array:
-    return np.asarray(SLOPES[:, 1].T @ slopes[:, :, 1])
+def kinked(straight: Array, along: Array, values: Array, t: Array) -> Array:
+    """Return the (c, 2 functions, xy, q) slopes of enrichment functions.
+
+    Args:
+        straight: (c, xy, q) of the first, across the border.
+        along: (c, xy) of t.
+        values: (c, q) of the first.
+        t: (c, q) along the border.
+    """
+    return np.stack([straight, straight * t[:, None, :] + values[:, None, :] * along[:, :, None]], axis=1)
+
+
+def slopes_of(held: Array) -> Array:
+    """Return the (c, 2 functions, xy, q) slopes of biquadratic functions of (c, 2, 9) values at the nodes."""
+    return np.asarray((held.reshape(-1, 9) @ SLOPES_OF_HELD).reshape(-1, 2, 2, len(UNIT_POINTS)))
 
 
 def crossed_slopes(slopes: Array) -> Array:
-    """Return the (c, 3, 9, 2) products xx, xy + yx and yy of the shape functions' slopes and (c, q, 2, 2) others."""
-    coupling = np.stack([_x(slopes), _y(slopes)], axis=1)
-    crossed = SLOPES[:, 1].T @ slopes[:, :, 0] + SLOPES[:, 0].T @ slopes[:, :, 1]
-    return np.insert(coupling, 1, crossed, axis=1)
+    """Return the (c, 3, 9, 2) products xx, xy + yx and yy of the shape functions' slopes and others.
+
+    Args:
+        slopes: (c, 2 functions, xy, q)
+    """
+    found = slopes.reshape(-1, len(CROSSED)) @ CROSSED
+    return np.ascontiguousarray(found.reshape(-1, 2, 3, 9).transpose(0, 2, 3, 1))
 
 
-def products_of(slopes: Array, weighted: Array) -> Array:
-    """Return the (c, 3, 2, 2) products xx, xy + yx and yy of (c, q, 2, 2) slopes and weighted slopes."""
-    x, y = np.swapaxes(slopes[:, :, 0], 1, 2), np.swapaxes(slopes[:, :, 1], 1, 2)
-    mixed = x @ weighted[:, :, 1]
-    return np.stack([x @ weighted[:, :, 0], mixed + np.swapaxes(mixed, 1, 2), y @ weighted[:, :, 1]], axis=1)
+def products(slopes: Array, weighted: Array) -> Array:
+    """Return the (c, 4, 4) products of (c, 2 functions, xy, q) slopes, each function along x and along y."""
+    count, q = len(slopes), slopes.shape[-1]
+    return np.asarray(slopes.reshape(count, 4, q) @ np.swapaxes(weighted.reshape(count, 4, q), 1, 2))
+
+
+def products_of(products: Array) -> Array:
+    """Return the (c, 3, 2, 2) components xx, xy + yx and yy of (c, 4, 4) products."""
+    mixed = products[:, ::2, 1::2]
+    return np.stack([products[:, ::2, ::2], mixed + np.swapaxes(mixed, 1, 2), products[:, 1::2, 1::2]], axis=1)
 
 
 def cut_blocks(cuts: Integrals, element: Index, tensor: Array, stiffness: Array) -> Array:

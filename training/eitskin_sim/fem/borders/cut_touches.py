@@ -6,17 +6,22 @@ seam. What a cut element's block becomes is in :mod:`eitskin_sim.fem.borders.cut
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_sim.fem.borders.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
 from eitskin_sim.fem.borders.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
 from eitskin_sim.fem.borders.graded_blocks import CELL, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
-from eitskin_sim.scene.shapes import ellipse_distance
+from eitskin_sim.scene.shapes import ellipse_distance, length_of
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM, LEAST_LOG_CONTRAST
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array, TouchTable, borders_mm
+
+UNIT: Final = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
+"""(q + 10, 2) where distances are taken in a unit element: its points, its nodes and its middle."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,25 +55,25 @@ class Cuts:
         return 0 if self.graded is None else len(self.graded)
 
 
-def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: Index | None = None) -> Cuts:
+def find_cuts(touches: TouchTable, sets: Index, mesh: TensorMesh, among: npt.NDArray[np.bool_] | None = None) -> Cuts:
     """Return what some touch sets do to a mesh's elements.
 
     Args:
         touches: The table.
         sets: (s,) which of its sets.
         mesh: The fixed mesh.
-        among: Set times elements of the mesh, plus element, of those alone that are looked at; None for all.
+        among: (s, n_elements) the elements that are looked at; None for all.
 
     Raises:
         ValueError: A graded border cannot be represented, or its piece would change nothing.
     """
     counts = np.diff(touches.first)[sets]
-    rows = np.concatenate([np.arange(touches.first[s], touches.first[s + 1]) for s in sets] or [np.zeros(0, np.intp)])
-    pieces, owner = touches.pieces[rows.astype(np.intp)], np.repeat(np.arange(len(sets)), counts)
+    owner = np.repeat(np.arange(len(sets)), counts)
+    pieces = touches.pieces[(touches.first[sets] - np.cumsum(counts) + counts)[owner] + np.arange(len(owner))]
     borders = borders_mm(pieces)
     piece, element = _near(pieces, mesh, borders)
     if among is not None:
-        wanted = np.isin(owner[piece] * mesh.n_elements + element, among)
+        wanted = among[owner[piece], element]
         piece, element = piece[wanted], element[wanted]
     graded = None
     if borders.any():
@@ -144,7 +149,6 @@ def _split_graded(
 
     What lies inside a graded border alone, at its full contrast, is like what lies inside a sharp one.
     """
-    unit = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
     key = owner[piece] * mesh.n_elements + element
     centre = _distance(pieces[piece], mesh.centres_mm[element][:, None, :])[0][:, 0]
     soft, span = borders[piece] > 0.0, borders[piece] / 2 + np.hypot(*mesh.sizes_mm[element].T) / 2
@@ -153,7 +157,7 @@ def _split_graded(
     passed = soft & (centre >= span)
     maybe = np.flatnonzero(np.isin(key, crossed) & ~passed)  # the others need no distances at their points
     sizes = mesh.sizes_mm[element[maybe]]
-    where = mesh.corners_mm[element[maybe]][:, None, :] + unit * sizes[:, None, :]
+    where = mesh.corners_mm[element[maybe]][:, None, :] + UNIT * sizes[:, None, :]
     distance, normal = _distance(pieces[piece[maybe]], where)
     half = borders[piece[maybe]] / 2
     beyond, within = distance.min(axis=1) >= half, distance.max(axis=1) <= -half
@@ -180,19 +184,23 @@ def _distance(pieces: Array, points: Array) -> tuple[Array, Array]:
     offset = points - pieces[:, None, 1:3]
     turn = np.deg2rad(pieces[:, 5])
     cos, sin = np.cos(turn)[:, None], np.sin(turn)[:, None]
-    local_x = cos * offset[..., 0] + sin * offset[..., 1]
-    local_y = cos * offset[..., 1] - sin * offset[..., 0]
+    upright = not turn.any()
+    local_x, local_y = offset[..., 0], offset[..., 1]
+    if not upright:
+        local_x, local_y = cos * local_x + sin * local_y, cos * local_y - sin * local_x
     beyond_x = np.abs(local_x) - pieces[:, None, 3] / 2
     beyond_y = np.abs(local_y) - pieces[:, None, 4] / 2
     out_x, out_y = np.maximum(beyond_x, 0.0), np.maximum(beyond_y, 0.0)
-    length = np.hypot(out_x, out_y)
-    distance = length + np.minimum(np.maximum(beyond_x, beyond_y), 0.0)
-    outside = length > 0.0
+    away = length_of(out_x, out_y)
+    distance = away + np.minimum(np.maximum(beyond_x, beyond_y), 0.0)
+    outside = away > 0.0
     along_x = beyond_x >= beyond_y
-    safe = np.where(outside, length, 1.0)
+    safe = np.where(outside, away, 1.0)
     normal_x = np.where(outside, out_x / safe, along_x) * np.where(local_x < 0.0, -1.0, 1.0)
     normal_y = np.where(outside, out_y / safe, ~along_x) * np.where(local_y < 0.0, -1.0, 1.0)
-    normal = np.stack([cos * normal_x - sin * normal_y, sin * normal_x + cos * normal_y], axis=-1)
+    if not upright:
+        normal_x, normal_y = cos * normal_x - sin * normal_y, sin * normal_x + cos * normal_y
+    normal = np.stack([normal_x, normal_y], axis=-1)
     ovals = np.flatnonzero(pieces[:, 0] == ELLIPSE)
     if len(ovals):
         local = np.stack([local_x[ovals], local_y[ovals]], axis=-1)
@@ -201,7 +209,7 @@ def _distance(pieces: Array, points: Array) -> tuple[Array, Array]:
         normal[ovals] = np.stack([c * own[..., 0] - s * own[..., 1], s * own[..., 0] + c * own[..., 1]], axis=-1)
     round_ones = np.flatnonzero(pieces[:, 0] == DISC)
     if len(round_ones):
-        radius = np.hypot(offset[round_ones, :, 0], offset[round_ones, :, 1])
+        radius = length_of(offset[round_ones, :, 0], offset[round_ones, :, 1])
         distance[round_ones] = radius - pieces[round_ones, None, 3] / 2
         normal[round_ones] = offset[round_ones] / np.maximum(radius, 1e-12)[..., None]
     return distance, normal
@@ -223,9 +231,8 @@ class _Pairs:
 
 
 def _integrate(pieces: Array, piece: Index, element: Index, mesh: TensorMesh) -> _Pairs:
-    unit = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])
     sizes = mesh.sizes_mm[element]
-    where = mesh.corners_mm[element][:, None, :] + unit * sizes[:, None, :]
+    where = mesh.corners_mm[element][:, None, :] + UNIT * sizes[:, None, :]
     distance, normal = _distance(pieces[piece], where)
     q = len(UNIT_POINTS)
     share = half_plane_share(distance[:, :q], normal[:, :q], sizes[:, None, :] / POINTS)

@@ -13,15 +13,19 @@ from typing import Final
 import numpy as np
 
 from eitskin_sim.fem.borders.cut_blocks import (
+    PLACES,
     POINTS,
     PRODUCTS,
-    SLOPES,
     UNIT_POINTS,
     crossed_slopes,
     eliminated,
+    kinked,
+    products,
     products_of,
+    slopes_of,
+    with_slope,
 )
-from eitskin_sim.fem.borders.cut_rule import FLOOR, UNIT_NODES
+from eitskin_sim.fem.borders.cut_rule import FLOOR
 from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import Array
@@ -73,24 +77,20 @@ def integrate_graded(
     main = order[first]  # of every group the pair whose outline is nearest
     nu = normal[main]
     scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
-    along = np.stack([-nu[:, -1, 1], nu[:, -1, 0]], axis=-1)
-    unit = np.concatenate([UNIT_POINTS, UNIT_NODES])
-    t = ((unit - 0.5) * sizes_mm[:, None, :] @ along[:, :, None])[..., 0] / scale
+    stretch = sizes_mm / scale
+    along = np.stack([-nu[:, -1, 1], nu[:, -1, 0]], axis=-1) * stretch
+    t = along @ PLACES
     psi, slope = kink(distance[main, :-1], log_contrast[main, None], border_mm[main, None])
     psi = psi / scale
-    nodes = slice(q, q + 9)
-    held = np.stack([psi[:, nodes], psi[:, nodes] * t[:, nodes]], axis=-1)
-    stretch = (sizes_mm / scale)[:, None, :]
-    straight = nu[:, :q] * slope[:, :q, None] * stretch
-    sloped = straight * t[:, :q, None] + psi[:, :q, None] * (along[:, None, :] * stretch)
-    bent = np.stack([straight, sloped], axis=-1) - (SLOPES.reshape(-1, 9) @ held).reshape(-1, q, 2, 2)
-    weighted = [bent / q, bent * (sigma / q)[:, :, None, None]]
+    straight = np.swapaxes(nu[:, :q], 1, 2) * slope[:, None, :q] * stretch[:, :, None]
+    bent = kinked(straight, along, psi[:, :q], t[:, :q]) - slopes_of(with_slope(psi[:, q:], t[:, q:]))
+    weighted = [bent / q, bent * (sigma / q)[:, None, None, :]]
     added = sigma - 1.0
     size = np.maximum(np.abs(added).sum(axis=1), 1e-30)
     return GradedIntegrals(
         added=(added @ PRODUCTS).reshape(-1, 3, 9, 9),
         coupling=np.array([crossed_slopes(mean) for mean in weighted]),
-        corner=np.array([products_of(bent, mean) for mean in weighted]),
+        corner=np.array([products_of(products(bent, mean)) for mean in weighted]),
         centroid=np.abs(added) @ (UNIT_POINTS - 0.5) / size[:, None],
         sigma=sigma.mean(axis=1),
     )

@@ -50,7 +50,7 @@ AGAINST: Final = 8.0
 """What each touch costs that the start has not: what the network shows, or the last frame had, is evidence too."""
 
 ENOUGH: Final = 1.0
-"""A step that gains less of what is minimised is the last."""
+"""A step that gains less of what is minimised is the last, and touches are settled."""
 
 KEPT: Final = 1
 """Steps after which derivatives are kept, but for what the step has shown of them, before they are taken anew."""
@@ -61,8 +61,14 @@ AGREES: Final = 0.3
 SLOW: Final = 0.02
 """A step that gains less of what chi-squared has more than rows is the last, too: something else is wrong."""
 
-NOTHING: Final = 0.1
-"""A step that should gain less is not tried."""
+NOTHING: Final = 0.02
+"""A step that should gain less for each parameter is not tried: it would go a seventh of a standard error."""
+
+ONCE: Final = 2.0
+"""One that should gain less is not shortened where it leads up: most often a side lies on a line of the mesh."""
+
+TRIES: Final = 4
+"""Of one step, each shorter than the one before."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,6 +122,11 @@ class Fit:
     """Derivatives before the last step, which gained next to nothing."""
 
     @property
+    def settled(self) -> bool:
+        """Whether another step would gain next to nothing."""
+        return self._before is not None
+
+    @property
     def errors(self) -> "Linear":
         """Return the same as ``linear``, to tell errors by: derivatives from one short step before serve as well."""
         return self._before if self._before is not None and not self._linear else self.linear
@@ -152,7 +163,7 @@ def held_prior(fit: Fit) -> float:
     return float(cost[:-1] @ cost[:-1])
 
 
-def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never) -> Fit:
+def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = never, enough: float = ENOUGH) -> Fit:
     """Return touches moved, resized and made to conduct so that they explain a frame better, never worse.
 
     Args:
@@ -161,10 +172,11 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
         steps: The most derivatives.
         over: Whether time is over: asked before each derivative and each solution, so that one of them is what a frame
             takes longer at most.
+        enough: A step that gains less is the last.
     """
     damping, by, stale = 1e-2, None, 0
     for _ in range(steps):
-        if not len(fit.pieces) or over():
+        if not len(fit.pieces) or fit.settled or over():
             return fit
         if by is None:
             by, stale = fit.linear[1], 0
@@ -173,12 +185,13 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
         gradient, square = by.T @ residual, by.T @ by
         scale = np.diag(square) + 1e-9
         best, first = None, True
-        for _ in range(4):
+        for _ in range(TRIES):
             if over():
                 return fit
             step = np.asarray(-np.linalg.solve(square + damping * np.diag(scale), gradient), dtype=np.float64)
-            if -2.0 * (gradient @ step) - step @ square @ step < NOTHING:
-                return fit  # its derivatives are taken already: nothing is solved for so little
+            told = float(-2.0 * (gradient @ step) - step @ square @ step)
+            if told < NOTHING * len(step):
+                return _served(fit, by)
             moved = bounded(frame, fit.pieces, own, step)
             try:
                 best = frame.at(moved, fit.turning)
@@ -186,6 +199,8 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
                 best = None
             if best is not None and best.cost < fit.cost:
                 break
+            if told < ONCE:
+                return _served(fit, by)
             damping *= 8.0
             best, first = None, False
         if best is None:
@@ -195,7 +210,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
             continue
         gained, before, used = fit.cost - best.cost, fit, by
         fit = best
-        if gained < max(ENOUGH, SLOW * (fit.chi_squared - len(fit.residual))):
+        if gained < max(enough, SLOW * (fit.chi_squared - len(fit.residual))):
             return _served(fit, used) if gained < ENOUGH else fit
         by, stale = _secant(by, before, fit, own, scale, stale)
         if first:

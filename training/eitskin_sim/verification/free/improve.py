@@ -12,7 +12,7 @@ import numpy as np
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import Fit, Frame, refine
+from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
 from eitskin_sim.verification.free.moves import Move, moves
 from eitskin_sim.verification.free.seen import BESIDE, DECISIVE, joints_of, together, unseen
 
@@ -42,7 +42,13 @@ IMPOSSIBLE: Final = (ValueError, np.linalg.LinAlgError)
 
 
 def fitted(
-    frame: Frame, pieces: Array, turning: bool, effort: Effort, over: Callable[[], bool], steps: int = STEPS
+    frame: Frame,
+    pieces: Array,
+    turning: bool,
+    effort: Effort,
+    over: Callable[[], bool],
+    steps: int = STEPS,
+    enough: float = ENOUGH,
 ) -> Fit:
     """Return touches fitted to a frame.
 
@@ -50,7 +56,7 @@ def fitted(
         ValueError: They cannot be.
     """
     effort.fits += 2
-    return refine(frame, frame.at(pieces, turning), steps, over)
+    return refine(frame, frame.at(pieces, turning), steps, over, enough)
 
 
 def moved(frame: Frame, fit: Fit, effort: Effort) -> tuple[str, Fit | None]:

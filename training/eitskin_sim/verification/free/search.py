@@ -30,7 +30,7 @@ from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.frame import check_frame
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import Fit, Frame, refine
+from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
 from eitskin_sim.verification.free.found import (
     FreeVerdict,
     Likely,
@@ -55,6 +55,9 @@ BUDGET_S: Final = 2.0
 
 FEW: Final = 5
 """Derivatives taken on a model that its first frames may show to be off, before that is looked at."""
+
+ROUGHLY: Final = 10.0
+"""Of what is minimised: a step that gains less is the last, as long as the model may be made again."""
 
 NEARLY: Final = 1e-3
 """p from which a looser sheet is gone on with."""
@@ -261,8 +264,8 @@ class FreeVerifier:
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
-            steps = STEPS if self.deformation.was_made_anew else FEW
-            frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched, steps), effort)
+            limits = (STEPS, ENOUGH) if self.deformation.was_made_anew else (FEW, ROUGHLY)
+            frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched, *limits), effort)
             if best is not None and best.frame is not frame:
                 best = frame.at(best.pieces, False)
             if best is None or fit.cost < best.cost:
@@ -287,6 +290,6 @@ class FreeVerifier:
                 break
             self._made(partial(self.deformation.make_anew, amplitudes), effort)
             frame = self._frame(frame.change)
-            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW)
+            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW, ROUGHLY)
             whole = False
         return frame, fit if whole else refine(frame, fit, STEPS, effort.searched)
