@@ -125,7 +125,7 @@ ROOMS: dict[str, Arrows] = {
         "recipes": set(), "build": {"command_line", "evaluation"},
         "bench": {
             "build", "choices", "command_line", "demo", "errors", "evaluation", "pictures", "processes", "recording",
-            "scripted_scene", "stages", "verifier", "view", "virtual_skin",
+            "scripted_scene", "stages", "view", "virtual_skin",
         },
         "commands": {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "guided", "processes",

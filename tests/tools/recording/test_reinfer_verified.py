@@ -15,6 +15,8 @@ from eitskin_sim.verification.verdict import Verdict
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified import recorded as module
 from eitskin_tools.evaluation.verified.recorded import WITHOUT_ROWS, OfPhysics
+from eitskin_tools.evaluation.verified.resting import FRAMES
+from eitskin_tools.evaluation.verified.shapes import VerifiedFree
 from eitskin_tools.evaluation.verified.units import Checked, Verified
 from eitskin_tools.recording.reinfer.rerun import Computed
 from eitskin_tools.recording.reinfer.results import write
@@ -22,7 +24,7 @@ from eitskin_tools.recording.reinfer.session import reinfer
 from eitskin_tools.recording.script import Script, Step
 
 from . import conftest
-from .conftest import CLOUD, TINY, measured, recorded
+from .conftest import CLOUD, TINY, VOLTS, counts, measured, recorded
 
 NOTHING = np.zeros(1350, dtype=np.bool_)
 
@@ -119,6 +121,30 @@ def test_shapes_are_not_verified_without_rows_and_units_are(tmp_path: Path, monk
     reinfer(script, bundle, OfPhysics(script, units))
     assert seen
     assert (seen[0] == ~some).all()
+
+
+def test_what_the_sheet_read_untouched_is_told_before_its_first_touch(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recorded(tmp_path / "a.mcap", measured(3 * FRAMES, skip_unchanged=True))
+    told: list[Any] = []
+
+    def solve(self: VerifiedFree, case: Any) -> Any:
+        told.append("frame")
+        raise ValueError("enough")
+
+    monkeypatch.setattr(VerifiedFree, "rest", lambda self, *words: told.append(words))
+    monkeypatch.setattr(VerifiedFree, "solve", solve)
+    script, bundle = Script(tmp_path / "a.mcap"), load_bundle(TINY)
+    reinfer(script, bundle, OfPhysics(script, bundle))
+    (volts, frames), *others, behind = told
+    assert volts == pytest.approx(counts() * VOLTS, rel=1e-4)
+    assert frames == FRAMES
+    assert others == ["frame", "frame"], "its cloud came amid the touch: of that shape nothing is known"
+    assert len(behind) == 2, "but after it"
+    told.clear()
+    reinfer(script, bundle, OfPhysics(script, bundle), every=2)
+    assert told == ["frame", "frame"], "every other frame is too few"
 
 
 def test_one_frame_in_some_meets_a_cloud_that_was_given_between(file: Path) -> None:

@@ -10,7 +10,7 @@ import pytest
 
 import eitskin
 from eitskin_tools import cli
-from eitskin_tools.verifier.resting import FRAMES
+from eitskin_tools.evaluation.verified.resting import FRAMES
 
 from .conftest import PATIENCE_S, TOUCHED, until
 

@@ -21,10 +21,10 @@ from eitskin.pipeline.stillness import Stillness
 from eitskin.reference.captured import Reference
 from eitskin.skin import Skin
 from eitskin_proto.skin.toml import to_toml
+from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.verifier.keeper import Keeper
 from eitskin_tools.verifier.letters import LARGEST_ANSWER, STATE, Rows, Setup, answered, frame_letter, rest_letter
 from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP
-from eitskin_tools.verifier.resting import FRAMES, Resting
 
 REPEAT_NS: Final = 1_000_000_000
 """After which it is said again how the verifier is."""

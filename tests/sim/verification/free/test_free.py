@@ -134,7 +134,7 @@ def test_a_step_that_leads_up_is_shortened_only_if_much_is_to_be_gained(monkeypa
     frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
     done = refine(frame, frame.at(SQUARE), 20)
     sd_mm = np.sqrt(np.square(scatter_of(done)[:, 0, 0]).sum())
-    for off, tries in ((1.0, 1), (6.0, TRIES)):
+    for off, tries in ((0.6, 1), (6.0, TRIES)):
         begun, tried = frame.at(done.pieces + np.array([0, off * sd_mm, 0, 0, 0, 0, 0, 0])), []
 
         def worse(_: Frame, pieces: Array, turning: bool, begun: Fit = begun, tried: list[Array] = tried) -> Fit:

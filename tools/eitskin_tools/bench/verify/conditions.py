@@ -14,7 +14,7 @@ from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.bench.verify.moving import sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
-from eitskin_tools.verifier.resting import FRAMES
+from eitskin_tools.evaluation.verified.resting import FRAMES
 
 ANY: Final = (0.1, 200.0)
 """Contrasts of mixed sets: half of them below 1."""

@@ -16,6 +16,7 @@ from eitskin.pipeline.maps_again import NOTHING
 from eitskin.reference.captured import Reference
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_sim.evaluation.harness import Case, Run, Sheet
+from eitskin_tools.evaluation.verified.resting import FRAMES, Resting
 from eitskin_tools.evaluation.verified.shapes import VerifiedFree
 from eitskin_tools.evaluation.verified.units import Verified, noise_shown
 from eitskin_tools.recording.bundles import reference_of
@@ -52,27 +53,59 @@ class OfPhysics:
         self._image: npt.NDArray[np.float64] = np.zeros(bundle.skin.grid.shape)
         self._fits = False
         self._unfit = ""
+        self._resting = Resting()
+        self._at_rest_V: npt.NDArray[np.float64] | None = None
 
     def compute(self, step: Step) -> Computed | None:
         """Compute a frame; None where the recording does not say what it is held against, or nothing verifies it."""
         skin = self._bundle.skin
         if step.reference is not None:
             self._reference = reference_of(self._script, step.reference, skin).flat()
-            self._verified = None
         if step.cloud is not None:
             self._sheet = Sheet(step.cloud.cloud.astype(np.float64), np.full(N_ROWS, np.nan), skin)
-            self._verified = None
+        if self._reference is not None and not (step.reference is None and step.cloud is None):
+            self._begin(self._reference)
         found = self._rerun.compute(step)
         if found is None or self._reference is None or self._sheet is None:
             return None
-        return found if found.solver == NOTHING else self._checked(found, self._reference, self._sheet)
+        if found.solver == NOTHING:
+            self._rest(found, self._reference)
+            return found
+        self._resting.forget()
+        return self._checked(found, self._reference, self._sheet)
+
+    def _begin(self, reference: Reference) -> None:
+        """Begin with another surface or reference."""
+        self._verified = self._at_rest_V = None
+        step_V = self._script.hello.volts_per_count
+        self._resting.use(reference.voltages_V, reference.spread_V, reference.frames, step_V)
+
+    def _missing(self, reference: Reference) -> npt.NDArray[np.bool_]:
+        """Return (104,) rows that are not looked at."""
+        missing = self._rerun.missing.copy()
+        missing[reference.weak] = True
+        return missing
+
+    def _rest(self, found: Computed, reference: Reference) -> None:
+        """Take an untouched frame, and tell shapes anywhere what the sheet reads then, where that is news."""
+        if found.touched:
+            self._resting.forget()
+        if found.touched or found.gate_logit is None or self._missing(reference).any():
+            return
+        if (mean := self._resting.take(self._rerun.change)) is not None:
+            self._at_rest_V = reference.voltages_V * (1.0 + mean)
+            self._tell_rest()
+
+    def _tell_rest(self) -> None:
+        if self._at_rest_V is not None and isinstance(self._verified, VerifiedFree):
+            self._verified.rest(self._at_rest_V, FRAMES)
 
     def _checked(self, found: Computed, reference: Reference, sheet: Sheet) -> Computed | None:
         """Return the network's map as physics leaves it; None, and counted, where there is no verdict."""
         if self._verified is None:
             self._verified, self._fits, self._unfit = self._of(reference), False, ""
-        missing = self._rerun.missing.copy()
-        missing[reference.weak] = True
+            self._tell_rest()
+        missing = self._missing(reference)
         if self._unfit:
             self._left_out(self._unfit)
             return None

@@ -64,11 +64,21 @@ class VerifiedFree:
         self.checked: list[Checked[FreeVerdict]] = []
         """Verdicts in the order of the cases."""
         self._shape: tuple[bytes, FreeVerifier] | None = None
+        self._seen_at_rest: tuple[npt.NDArray[np.float64], int] | None = None
 
     @property
     def run(self) -> Run:
         """Return the run that the harness takes."""
         return replace(self._network, solver=self.solve)
+
+    def rest(self, voltages_V: npt.NDArray[np.float64], frames: int) -> None:
+        """Take what the shape in use reads while nothing touches it, for its next frame and those after.
+
+        Args:
+            voltages_V: (104,) the mean of some frames.
+            frames: How many.
+        """
+        self._seen_at_rest = voltages_V, frames
 
     def solve(self, case: Case) -> npt.NDArray[np.float64]:
         """Return the map of the shapes found and a share of the network's, or that alone where they explain nothing."""
@@ -84,11 +94,14 @@ class VerifiedFree:
             before = 0.0
             verifier.deform(case.sheet.cloud_mm)
             if self._at_rest:
-                verifier.rest(self._untouched(case), self._at_rest)
+                self.rest(self._untouched(case), self._at_rest)
             self._shape, self._last = (key, verifier), None
         else:
             verifier = self._shape[1]
             before = verifier.deformation.spent_cpu_s
+        if self._seen_at_rest is not None:
+            verifier.rest(*self._seen_at_rest)
+            self._seen_at_rest = None
         made, start = verifier.deformation.spent_cpu_s, time.process_time()
         verdict = verifier.verify(case.voltages, shares, self._last, self._budget_s)
         self._last = verdict.pieces if self._follow and len(verdict.pieces) else None

@@ -50,7 +50,9 @@ AGAINST: Final = 8.0
 """What each touch costs that the start has not: what the network shows, or the last frame had, is evidence too."""
 
 ENOUGH: Final = 1.0
-"""A step that gains less of what is minimised is the last, and touches are settled."""
+"""A step that gains less of what is minimised is the last, and touches are settled.
+
+One that should gain less is not shortened where it leads up: most often a side lies on a line of the mesh."""
 
 KEPT: Final = 1
 """Steps after which derivatives are kept, but for what the step has shown of them, before they are taken anew."""
@@ -63,9 +65,6 @@ SLOW: Final = 0.02
 
 NOTHING: Final = 0.02
 """A step that should gain less for each parameter is not tried: it would go a seventh of a standard error."""
-
-ONCE: Final = 2.0
-"""One that should gain less is not shortened where it leads up: most often a side lies on a line of the mesh."""
 
 TRIES: Final = 4
 """Of one step, each shorter than the one before."""
@@ -199,7 +198,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
                 best = None
             if best is not None and best.cost < fit.cost:
                 break
-            if told < ONCE:
+            if told < ENOUGH:
                 return _served(fit, by)
             damping *= 8.0
             best, first = None, False

@@ -1,4 +1,4 @@
-"""The sheet at rest, for the verifier: the mean of some still frames that nothing touched, where it says something new.
+"""The sheet at rest, for verifiers: the mean of some still frames that nothing touched, where it says something new.
 
 What a sheet reads untouched tells physics how it differs from its scan (:mod:`eitskin_sim.verification.at_rest`). It
 takes a quarter of a second of rest, and is told again once it has changed: after a press that left something behind, or
@@ -8,10 +8,12 @@ by drift.
 from typing import Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin.pipeline.stillness import Stillness
 from eitskin_proto.sensor.table import N_ROWS
-from eitskin_tools.verifier.letters import Array, Values
+
+Array = npt.NDArray[np.float64]
 
 FRAMES: Final = 50
 """That the mean is of."""
@@ -38,7 +40,7 @@ class Resting:
         """Begin anew: something touched the sheet."""
         self._stillness.forget()
 
-    def take(self, change: Values) -> Array | None:
+    def take(self, change: npt.NDArray[np.float32]) -> Array | None:
         """Count an untouched frame, and return the mean of ``FRAMES`` where it is news.
 
         Args:

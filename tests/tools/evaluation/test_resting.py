@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from eitskin_tools.verifier.resting import FRAMES, NEWS, Resting
+from eitskin_tools.evaluation.verified.resting import FRAMES, NEWS, Resting
 
 NOISE = 1e-3
 
