@@ -11,8 +11,9 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.fem.borders.cut_blocks import POINTS, UNIT_POINTS, Integrals, integrate
+from eitskin_sim.fem.borders.cut_blocks import Integrals, integrate
 from eitskin_sim.fem.borders.cut_rule import UNIT_NODES, WHOLE, half_plane_share, union
+from eitskin_sim.fem.borders.enrichment import POINTS, UNIT_POINTS
 from eitskin_sim.fem.borders.graded_blocks import CELL, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm

@@ -12,20 +12,20 @@ from typing import Final
 
 import numpy as np
 
-from eitskin_sim.fem.borders.cut_blocks import (
+from eitskin_sim.fem.borders.cut_rule import FLOOR
+from eitskin_sim.fem.borders.enrichment import (
     PLACES,
     POINTS,
     PRODUCTS,
     UNIT_POINTS,
+    components,
     crossed_slopes,
     eliminated,
     kinked,
     products,
-    products_of,
     slopes_of,
     with_slope,
 )
-from eitskin_sim.fem.borders.cut_rule import FLOOR
 from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import Array
@@ -90,7 +90,7 @@ def integrate_graded(
     return GradedIntegrals(
         added=(added @ PRODUCTS).reshape(-1, 3, 9, 9),
         coupling=np.array([crossed_slopes(mean) for mean in weighted]),
-        corner=np.array([products_of(products(bent, mean)) for mean in weighted]),
+        corner=np.array([components(products(bent, mean)) for mean in weighted]),
         centroid=np.abs(added) @ (UNIT_POINTS - 0.5) / size[:, None],
         sigma=sigma.mean(axis=1),
     )

@@ -21,7 +21,7 @@ import numpy as np
 
 from eitskin_proto.sensor.table import TABLE
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.fem.borders.cut_blocks import PRODUCTS
+from eitskin_sim.fem.borders.enrichment import PRODUCTS
 from eitskin_sim.fem.mesh import MM, Metric
 from eitskin_sim.freeform.mesh import KEPT, MIDDLE, with_contacts
 from eitskin_sim.scene.touch_table import Array

@@ -1,0 +1,106 @@
+"""The two functions of its own that an element has where a border passes, in the generators: what they add up to.
+
+A function psi with a kink at the border and psi t, t along it, each less its biquadratic interpolant
+(:mod:`eitskin_sim.fem.borders.cut_rule`). Slopes are taken at the middles of cells, of many elements at once; sums over
+an element's points are products of matrices. Which psi it is, and what conducts where, is said by
+:mod:`eitskin_sim.fem.borders.cut_blocks` for sharp borders, :mod:`eitskin_sim.fem.borders.graded_blocks` for others.
+"""
+
+from typing import Final
+
+import numpy as np
+
+from eitskin_sim.fem.borders.cut_rule import UNIT_NODES
+from eitskin_sim.fem.q2 import gradients
+from eitskin_sim.scene.touch_table import Array
+
+POINTS: Final = 6
+"""Points a side in a cut element, each with the cell around it."""
+
+
+def _rule() -> tuple[Array, Array]:
+    line = (np.arange(POINTS) + 0.5) / POINTS
+    points = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+    slopes = np.stack(gradients(points), axis=0)  # (2, q, 9)
+    return points, slopes
+
+
+UNIT_POINTS: Final = _rule()[0]
+"""(q, 2) middles of the cells of a unit element."""
+SLOPES: Final = _rule()[1]
+"""(2, q, 9) gradients of the shape functions there, along x and along y."""
+SLOPES_OF_HELD: Final = np.ascontiguousarray(SLOPES.reshape(-1, 9).T)
+"""(9, 2 q) the slopes of what has some values at the nodes."""
+PLACES: Final = np.concatenate([UNIT_POINTS, UNIT_NODES]).T - 0.5
+"""(2, q + 9) points and nodes of a unit element, from its middle."""
+
+
+def _products() -> Array:
+    x, y = SLOPES
+    xy = np.einsum("qi,qj->qij", x, y)
+    table = [np.einsum("qi,qj->qij", x, x), xy + np.swapaxes(xy, 1, 2), np.einsum("qi,qj->qij", y, y)]
+    return np.stack(table, axis=1).reshape(len(x), -1) / len(x)
+
+
+def _crossed() -> Array:
+    (x, y), none = SLOPES, np.zeros_like(SLOPES[0])
+    return np.concatenate([np.concatenate([x, y, none], axis=1), np.concatenate([none, x, y], axis=1)])
+
+
+PRODUCTS: Final = _products()
+"""(q, 3 * 81) integrands of xx, xy + yx and yy, with the weight of a cell."""
+CROSSED: Final = _crossed()
+"""(2 q, 3 * 9) what a function's slopes, along x and then along y, make of xx, xy + yx and yy with shape functions."""
+
+
+def with_slope(values: Array, t: Array) -> Array:
+    """Return (c, 2, n) values of enrichment functions: some (c, n), and those times t along the border."""
+    return np.stack([values, values * t], axis=1)
+
+
+def kinked(straight: Array, along: Array, values: Array, t: Array) -> Array:
+    """Return the (c, 2 functions, xy, q) slopes of enrichment functions.
+
+    Args:
+        straight: (c, xy, q) of the first, across the border.
+        along: (c, xy) of t.
+        values: (c, q) of the first.
+        t: (c, q) along the border.
+    """
+    return np.stack([straight, straight * t[:, None, :] + values[:, None, :] * along[:, :, None]], axis=1)
+
+
+def slopes_of(held: Array) -> Array:
+    """Return the (c, 2 functions, xy, q) slopes of biquadratic functions of (c, 2, 9) values at the nodes."""
+    return np.asarray((held.reshape(-1, 9) @ SLOPES_OF_HELD).reshape(-1, 2, 2, len(UNIT_POINTS)))
+
+
+def crossed_slopes(slopes: Array) -> Array:
+    """Return the (c, 3, 9, 2) products xx, xy + yx and yy of the shape functions' slopes and others.
+
+    Args:
+        slopes: (c, 2 functions, xy, q)
+    """
+    found = slopes.reshape(-1, len(CROSSED)) @ CROSSED
+    return np.ascontiguousarray(found.reshape(-1, 2, 3, 9).transpose(0, 2, 3, 1))
+
+
+def products(slopes: Array, weighted: Array) -> Array:
+    """Return the (c, 4, 4) products of (c, 2 functions, xy, q) slopes, each function along x and along y."""
+    count, q = len(slopes), slopes.shape[-1]
+    return np.asarray(slopes.reshape(count, 4, q) @ np.swapaxes(weighted.reshape(count, 4, q), 1, 2))
+
+
+def components(products: Array) -> Array:
+    """Return the (c, 3, 2, 2) components xx, xy + yx and yy of (c, 4, 4) products."""
+    mixed = products[:, ::2, 1::2]
+    return np.stack([products[:, ::2, ::2], mixed + np.swapaxes(mixed, 1, 2), products[:, 1::2, 1::2]], axis=1)
+
+
+def eliminated(coupling: Array, corner: Array) -> Array:
+    """Return C K^-1 C^T of (c, 9, 2) and (c, 2, 2)."""
+    determinant = corner[:, 0, 0] * corner[:, 1, 1] - corner[:, 0, 1] ** 2
+    inverse = np.empty_like(corner)
+    inverse[:, 0, 0], inverse[:, 1, 1] = corner[:, 1, 1] / determinant, corner[:, 0, 0] / determinant
+    inverse[:, 0, 1] = inverse[:, 1, 0] = -corner[:, 0, 1] / determinant
+    return np.asarray(coupling @ inverse @ np.swapaxes(coupling, 1, 2))
