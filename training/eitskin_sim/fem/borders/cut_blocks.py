@@ -22,16 +22,13 @@ import numpy as np
 
 from eitskin_sim.fem.borders.cut_rule import FLOOR
 from eitskin_sim.fem.borders.enrichment import (
-    PLACES,
     PRODUCTS,
     UNIT_POINTS,
     components,
     crossed_slopes,
     eliminated,
-    kinked,
+    enriched,
     products,
-    slopes_of,
-    with_slope,
 )
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import Array
@@ -67,15 +64,7 @@ def integrate(sizes_mm: Array, distance: Array, normal: Array, share: Array, ins
         inside: (c, q) S/m of the touch there.
     """
     q = len(UNIT_POINTS)
-    scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
-    middle, stretch = normal[:, -1], sizes_mm / scale  # from mm to the unit element, over the scale
-    along = np.stack([-middle[:, 1], middle[:, 0]], axis=-1) * stretch
-    plus = np.maximum(distance[:, : q + 9], 0.0) / scale
-    t = along @ PLACES
-    held = with_slope(plus[:, q:], t[:, q:])
-    straight = np.swapaxes(normal[:, :q], 1, 2) * stretch[:, :, None]
-    beyond = kinked(straight, along, plus[:, :q], t[:, :q])
-    interpolant = slopes_of(held)
+    held, beyond, interpolant = enriched(sizes_mm, normal, np.maximum(distance[:, : q + 9], 0.0), np.ones_like(share))
     outer = ((1.0 - share) / q)[:, None, None, :]
     inner, outside = (share / q)[:, None, None, :], beyond - interpolant
     mean = beyond * outer - interpolant / q  # a cell's mean slope of a kink, with its weight

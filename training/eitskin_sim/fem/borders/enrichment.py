@@ -29,9 +29,9 @@ UNIT_POINTS: Final = _rule()[0]
 """(q, 2) middles of the cells of a unit element."""
 SLOPES: Final = _rule()[1]
 """(2, q, 9) gradients of the shape functions there, along x and along y."""
-SLOPES_OF_HELD: Final = np.ascontiguousarray(SLOPES.reshape(-1, 9).T)
+_SLOPES_OF_HELD: Final = np.ascontiguousarray(SLOPES.reshape(-1, 9).T)
 """(9, 2 q) the slopes of what has some values at the nodes."""
-PLACES: Final = np.concatenate([UNIT_POINTS, UNIT_NODES]).T - 0.5
+_PLACES: Final = np.concatenate([UNIT_POINTS, UNIT_NODES]).T - 0.5
 """(2, q + 9) points and nodes of a unit element, from its middle."""
 
 
@@ -49,30 +49,31 @@ def _crossed() -> Array:
 
 PRODUCTS: Final = _products()
 """(q, 3 * 81) integrands of xx, xy + yx and yy, with the weight of a cell."""
-CROSSED: Final = _crossed()
+_CROSSED: Final = _crossed()
 """(2 q, 3 * 9) what a function's slopes, along x and then along y, make of xx, xy + yx and yy with shape functions."""
 
 
-def with_slope(values: Array, t: Array) -> Array:
-    """Return (c, 2, n) values of enrichment functions: some (c, n), and those times t along the border."""
-    return np.stack([values, values * t], axis=1)
+def enriched(sizes_mm: Array, normal: Array, psi_mm: Array, slope: Array) -> tuple[Array, Array, Array]:
+    """Return psi and psi t of c elements: values (c, 2, 9) at the nodes, slopes, and those of their interpolants.
 
-
-def kinked(straight: Array, along: Array, values: Array, t: Array) -> Array:
-    """Return the (c, 2 functions, xy, q) slopes of enrichment functions.
+    Slopes are (c, 2 functions, xy, q), on the unit element, of lengths over the root of the element's area.
 
     Args:
-        straight: (c, xy, q) of the first, across the border.
-        along: (c, xy) of t.
-        values: (c, q) of the first.
-        t: (c, q) along the border.
+        sizes_mm: (c, 2)
+        normal: (c, q + 10, 2) of the border, outwards, at the points, the nodes and the middle.
+        psi_mm: (c, q + 9) at the points and the nodes.
+        slope: (c, q) of psi along the normal.
     """
-    return np.stack([straight, straight * t[:, None, :] + values[:, None, :] * along[:, :, None]], axis=1)
-
-
-def slopes_of(held: Array) -> Array:
-    """Return the (c, 2 functions, xy, q) slopes of biquadratic functions of (c, 2, 9) values at the nodes."""
-    return np.asarray((held.reshape(-1, 9) @ SLOPES_OF_HELD).reshape(-1, 2, 2, len(UNIT_POINTS)))
+    q = len(UNIT_POINTS)
+    scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
+    middle, stretch = normal[:, -1], sizes_mm / scale
+    along = np.stack([-middle[:, 1], middle[:, 0]], axis=-1) * stretch
+    psi, t = psi_mm / scale, along @ _PLACES
+    straight = np.swapaxes(normal[:, :q], 1, 2) * slope[:, None, :] * stretch[:, :, None]
+    sloped = straight * t[:, None, :q] + psi[:, None, :q] * along[:, :, None]
+    held = np.stack([psi[:, q:], psi[:, q:] * t[:, q:]], axis=1)
+    interpolant = (held.reshape(-1, 9) @ _SLOPES_OF_HELD).reshape(-1, 2, 2, q)
+    return held, np.stack([straight, sloped], axis=1), interpolant
 
 
 def crossed_slopes(slopes: Array) -> Array:
@@ -81,7 +82,7 @@ def crossed_slopes(slopes: Array) -> Array:
     Args:
         slopes: (c, 2 functions, xy, q)
     """
-    found = slopes.reshape(-1, len(CROSSED)) @ CROSSED
+    found = slopes.reshape(-1, len(_CROSSED)) @ _CROSSED
     return np.ascontiguousarray(found.reshape(-1, 2, 3, 9).transpose(0, 2, 3, 1))
 
 

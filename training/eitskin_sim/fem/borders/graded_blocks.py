@@ -14,17 +14,14 @@ import numpy as np
 
 from eitskin_sim.fem.borders.cut_rule import FLOOR
 from eitskin_sim.fem.borders.enrichment import (
-    PLACES,
     POINTS,
     PRODUCTS,
     UNIT_POINTS,
     components,
     crossed_slopes,
     eliminated,
-    kinked,
+    enriched,
     products,
-    slopes_of,
-    with_slope,
 )
 from eitskin_sim.fem.borders.graded import kink, plateau
 from eitskin_sim.fem.mesh import Index
@@ -75,15 +72,9 @@ def integrate_graded(
     sigma = np.exp(np.add.reduceat(log_contrast[:, None] * share, first, axis=0))
     order = np.lexsort((np.abs(distance[:, -1]), group))
     main = order[first]  # of every group the pair whose outline is nearest
-    nu = normal[main]
-    scale = np.sqrt(sizes_mm.prod(axis=1))[:, None]
-    stretch = sizes_mm / scale
-    along = np.stack([-nu[:, -1, 1], nu[:, -1, 0]], axis=-1) * stretch
-    t = along @ PLACES
-    psi, slope = kink(distance[main, :-1], log_contrast[main, None], border_mm[main, None])
-    psi = psi / scale
-    straight = np.swapaxes(nu[:, :q], 1, 2) * slope[:, None, :q] * stretch[:, :, None]
-    bent = kinked(straight, along, psi[:, :q], t[:, :q]) - slopes_of(with_slope(psi[:, q:], t[:, q:]))
+    psi_mm, slope = kink(distance[main, :-1], log_contrast[main, None], border_mm[main, None])
+    _, own, interpolant = enriched(sizes_mm, normal[main], psi_mm, slope[:, :q])
+    bent = own - interpolant
     weighted = [bent / q, bent * (sigma / q)[:, None, None, :]]
     added = sigma - 1.0
     size = np.maximum(np.abs(added).sum(axis=1), 1e-30)

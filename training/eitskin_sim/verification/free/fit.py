@@ -118,7 +118,7 @@ class Fit:
     _linear: "list[Linear]" = field(default_factory=list, repr=False)
     """Its derivatives, once somebody asked for them."""
     _before: "Linear | None" = field(default=None, repr=False)
-    """Derivatives before the last step, which gained next to nothing."""
+    """Derivatives that tell the errors of a settled one, of here or before a step that gained next to nothing."""
 
     @property
     def settled(self) -> bool:
@@ -218,7 +218,7 @@ def refine(frame: Frame, fit: Fit, steps: int = 8, over: Callable[[], bool] = ne
 
 
 def _served(fit: Fit, by: Array) -> Fit:
-    """Return a fit whose errors are told by derivatives (rows + p, r) that were taken a short step before."""
+    """Return a fit as settled, its errors told by derivatives (rows + p, r) of there or of a short step before."""
     residual, rate, own = fit.residuals()
     return replace(fit, _before=(residual, np.concatenate([by[: len(fit.residual)], rate]), own))
 
