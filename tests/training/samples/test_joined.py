@@ -77,3 +77,9 @@ def test_sets_that_do_not_go_together_are_refused(pair: tuple[TrainingData, Trai
     ):
         with pytest.raises(MismatchError, match=message):
             join((one, second))
+
+
+def test_references_of_one_sheet_differ_by_another_machine_s_rounding(pair: tuple[TrainingData, TrainingData]) -> None:
+    one, other = pair
+    rounded = replace(other, reference=(1.0 + 5e-15) * other.reference)
+    np.testing.assert_array_equal(join((one, rounded)).reference, one.reference)
