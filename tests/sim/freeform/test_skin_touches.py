@@ -1,4 +1,4 @@
-"""Touches as the skin's description says: its ways, contrasts, sizes and borders, and nothing else."""
+"""Touches as the skin's description says: its ways, contrasts, sizes and borders."""
 
 from dataclasses import replace
 
@@ -63,6 +63,17 @@ def test_touches_that_raise_conductance_have_no_other_sizes_either() -> None:
     assert within(pieces[:, 6], (3.0, 9.0))
     assert within(pieces[:, 3:5], (9.0, 20.0))
     assert len(np.unique(pieces[:, 6])) == CLASSES
+
+
+def test_where_all_sizes_of_hard_touches_are_the_skin_s_half_have_their_shapes_too() -> None:
+    own = skin(lower=False, higher=True, raising_contrast=(3.0, 9.0), size_mm=(5.0, 25.0), border_mm=(1.0, 4.0))
+    table = pool_of("skin", 320, np.random.default_rng(1), own)
+    assert within(table.pieces[:, 6], (3.0, 9.0))
+    hard = table.pieces[:, 7] == 0.0
+    assert within(table.pieces[~hard, 3:5], (5.0, 25.0))
+    assert table.pieces[hard, 3:5].max() > 30.0, "bars"
+    assert np.sum(np.diff(table.first) == 2) > 10, "L's"
+    assert np.sum(hard) - np.sum(np.diff(table.first) == 2) == 160
 
 
 def test_both_ways_each_with_its_own_contrasts() -> None:

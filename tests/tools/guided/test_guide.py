@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_sim.calibration.stamp import places
 from eitskin_tools.errors import UsageError
-from eitskin_tools.guided.guide import Guide, GuideError, Plan, places
+from eitskin_tools.guided.guide import Guide, GuideError, Plan
 from eitskin_tools.guided.watch import WINDOW, Watch
 
 ROWS = np.arange(104)

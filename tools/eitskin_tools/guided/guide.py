@@ -237,19 +237,3 @@ class Guide:
                 "press_frames": np.array(plan.frames),
             }
         return arrays
-
-
-def places(size_mm: tuple[float, float], count: int) -> tuple[tuple[float, float], ...]:
-    """Return places for a stamp, spread over a sheet: rows of three, well inside.
-
-    Args:
-        size_mm: Of the sheet.
-        count: How many.
-    """
-    rows = -(-count // 3)
-    found = []
-    for k in range(count):
-        row, column = divmod(k, 3)
-        along = min(3, count - 3 * row)
-        found.append((round(size_mm[0] * (column + 1) / (along + 1)), round(size_mm[1] * (row + 1) / (rows + 1))))
-    return tuple((float(x), float(y)) for x, y in found)

@@ -74,6 +74,22 @@ class Stamp:
         return f"disc of {self.size_mm[0]:g} mm" if len(self.size_mm) == 1 else "{:g} x {:g} mm".format(*self.size_mm)
 
 
+def places(size_mm: tuple[float, float], count: int) -> tuple[tuple[float, float], ...]:
+    """Return places for a stamp, spread over a sheet: rows of three, well inside.
+
+    Args:
+        size_mm: Of the sheet.
+        count: How many.
+    """
+    rows = -(-count // 3)
+    found = []
+    for k in range(count):
+        row, column = divmod(k, 3)
+        along = min(3, count - 3 * row)
+        found.append((round(size_mm[0] * (column + 1) / (along + 1)), round(size_mm[1] * (row + 1) / (rows + 1))))
+    return tuple((float(x), float(y)) for x, y in found)
+
+
 def ways(touches: Touches) -> tuple[Way, ...]:
     """Return which ways presses of a skin may change conductance."""
     return tuple(way for way, known in ((-1, touches.lower), (1, touches.higher)) if known) or (-1,)

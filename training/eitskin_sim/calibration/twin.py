@@ -11,7 +11,7 @@ from eitskin_sim.calibration.fit import Fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.parameters import OWN_LAYER
 from eitskin_sim.calibration.session import Session
-from eitskin_sim.calibration.stamp import BORDER, PRESSES, STRENGTH
+from eitskin_sim.calibration.stamp import BORDER, OWN_SPREAD, PRESSES, STRENGTH
 from eitskin_sim.calibration.unseen import UNSEEN
 
 DIGITS: Final = 7
@@ -23,7 +23,8 @@ UNKNOWN: Final = 0.8
 
 PRESSED: Final = 2.0
 """Presses are taken to have from the inverse of so many times the log contrast found to so many times it: as a stamp is
-pressed lightly or hard."""
+pressed lightly or hard. Touches that raise conductance touch or do not, so theirs is within its error and their own
+spread, so many times both."""
 
 
 def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
@@ -68,14 +69,21 @@ def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
 
 
 def _touches(session: Session, found: Fit) -> dict[str, Any]:
-    """Return which touches the skin meets: those of the stamp, pressed more or less, within the file's own bounds."""
+    """Return which touches the skin meets: the stamp's, pressed more or less, within the file's bounds."""
     parameters = session.flat.parameters
     strength, border = parameters.one(STRENGTH, found.z), parameters.one(BORDER, found.z)
-    error = parameters.groups[BORDER].errors(found.z[parameters.slices[BORDER]], found.sd[parameters.slices[BORDER]])
-    ends = sorted(float(np.exp(session.way * strength * one)) for one in (1.0 / PRESSED, PRESSED))
+
+    def error(name: str) -> float:
+        own = parameters.slices[name]
+        return float(parameters.groups[name].errors(found.z[own], found.sd[own])[0])
+
+    factor = PRESSED if session.way < 0 else np.exp(PRESSED * np.hypot(error(STRENGTH) / strength, OWN_SPREAD))
+    ends = sorted(float(np.exp(session.way * strength * one)) for one in (1.0 / factor, factor))
     name, low, high = ("lowering_contrast", 0.01, 0.99) if session.way < 0 else ("raising_contrast", 1.01, 1000.0)
-    soft = float(2.0 * error[0])
+    soft = 2.0 * error(BORDER)
     return {
+        "lower": session.way < 0,
+        "higher": session.way > 0,
         name: tuple(_round(min(max(one, low), high)) for one in ends),
         "border_mm": tuple(_round(min(max(one, 0.0), 20.0)) for one in (border - soft, border + soft)),
     }

@@ -11,7 +11,8 @@ to 22 mm, strength follows it with that spread, and size follows from both; one 
     both     half of the touches lower it so; a quarter raises it, contrast 1.2 to 200 log-uniform, any size from 8 to
              25 mm; a quarter has that contrast and the sharp shapes of hard touches, bars and L's among them
 
-    skin     the ways, contrasts, sizes and borders of the skin's description
+    skin     the ways, contrasts, sizes and borders of the skin's description; where its sizes are from 5 to 25 mm or
+             more, half of those that raise have the sharp shapes of hard touches, as above
 
 A quarter of the borders of presses is sharp, the others are graded over 0.5 to 8 mm, at most over the press's width.
 Where no measured strength goes with the skin's contrasts and sizes, sizes are drawn by themselves.

@@ -1,7 +1,8 @@
 """Which touches a data set draws: by name, or as the skin's description says.
 
 ``hard`` are the paper's, contrast 20 to 200 and sharp. ``press``, ``raise`` and ``both`` have the ranges that measured
-presses of hydrogel skins have. ``skin`` takes directions, contrasts, sizes and borders from ``[touches]``.
+presses of hydrogel skins have. ``skin`` takes directions, contrasts, sizes and borders from ``[touches]``; where these
+have all sizes of hard touches, half of those that raise conductance have their shapes too.
 """
 
 from dataclasses import dataclass
@@ -9,6 +10,7 @@ from typing import Final, Literal, get_args
 
 from eitskin_proto.skin import touch_kind as ways
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.freeform.patterns import LARGEST_MM, SMALLEST_MM
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 
 TouchKind = Literal["hard", "press", "raise", "both", "skin"]
@@ -63,6 +65,5 @@ def ranges_of(kind: str, skin: Skin) -> Ranges:
         raise ValueError(f"[touches] size_mm begins at {low:g}, expected at most {most:g} on this sheet")
     soft = max(said.border_mm[0], LEAST_BORDER_MM), max(said.border_mm[1], LEAST_BORDER_MM)
     sharp = 1.0 if said.border_mm[1] < LEAST_BORDER_MM else 0.0 if said.border_mm[0] >= LEAST_BORDER_MM else USUAL_SHARP
-    return Ranges(
-        skin.touch_kind, said.lowering_contrast, said.raising_contrast, (low, min(high, most)), soft, sharp, False
-    )
+    sizes, shapes = (low, min(high, most)), low <= SMALLEST_MM and high >= LARGEST_MM
+    return Ranges(skin.touch_kind, said.lowering_contrast, said.raising_contrast, sizes, soft, sharp, shapes)

@@ -1,9 +1,9 @@
 """``eitskin bench twins``: what calibrating a device, and letting a bundle learn its twin, is worth on that device.
 
-Devices are drawn from the lab mix, as ``eitskin evaluate --devices lab`` draws them. Of each, a full scan of the flat,
-untouched sheet is recorded with its noise; ``eitskin calibrate`` makes a twin of it, ``eitskin adapt-skin`` lets the
-bundle learn that, and both bundles are tried on the true device, each told of the skin that it is for. The work is kept
-in ``--work`` and gone on with, device by device.
+Devices are drawn from the lab mix, as ``eitskin evaluate --devices lab`` draws them. Of each is recorded what
+``eitskin calibrate --guided`` asks for (:mod:`eitskin_tools.bench.twins.session`). ``eitskin calibrate`` makes a twin
+of it, ``eitskin adapt-skin`` lets the bundle learn that, and both bundles are tried on the true device, each told of
+the skin that it is for. The work is kept in ``--work`` and gone on with, device by device.
 """
 
 import argparse
@@ -13,13 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_tools.errors import UsageError
-
-FRAMES: Final = 100
-"""That the recorded reference is the mean of."""
-
-SEED: Final = 1901
-"""Of the recording's noise."""
 
 STATED: Final = "lab"
 """The skin whose uncertainties are the priors."""
@@ -30,6 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--work", type=Path, required=True, metavar="DIR", help="folder for twins and adapted bundles")
     parser.add_argument("--bundle", default="press", metavar="FILE", help="a file, or a shipped one (default press)")
     parser.add_argument("--devices", type=int, default=3, metavar="N", help="devices of the lab mix (default 3)")
+    parser.add_argument("--bends", type=int, default=3, metavar="N", help="to calibrate by; 0 for none (default 3)")
+    parser.add_argument("--presses", type=int, default=6, metavar="N", help="of a stamp, likewise (default 6)")
     parser.add_argument("--deformations", type=int, default=8, metavar="N", help="unseen ones (default 8)")
     parser.add_argument("--each", type=int, default=3, metavar="N", help="touches at each of them (default 3)")
     parser.add_argument("--samples", type=int, default=50000, metavar="N", help="of a twin (default 50000)")
@@ -43,6 +40,8 @@ def run(arguments: argparse.Namespace) -> int:
     """Measure and report."""
     if min(arguments.devices, arguments.deformations, arguments.each, arguments.epochs, arguments.workers) < 1:
         raise UsageError("--devices, --deformations, --each, --epochs and --workers must be at least 1")
+    if min(arguments.bends, arguments.presses) < 0:
+        raise UsageError("--bends and --presses must be at least 0")
     if arguments.samples < 500:
         raise UsageError(f"--samples is {arguments.samples}, expected at least 500")
     rows = [row for number in range(arguments.devices) for row in _device(number, arguments)]
@@ -63,38 +62,36 @@ def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE))
     folder = arguments.work / f"device-{number}"
     folder.mkdir(parents=True, exist_ok=True)
-    twin, found = _calibrated(number, folder, arguments.snr_db)
+    twin, found = _calibrated(number, folder, bundle.touch_kind, arguments)
     began = time.perf_counter()
     adapted = load_bundle(_adapted(bundle, twin, folder, arguments))
     seconds = time.perf_counter() - began
     rows = [{"device": number, "bundle": "as shipped", **_tried(number, bundle, PAPER, arguments)}]
     rows.append({"device": number, "bundle": "adapted", **_tried(number, adapted, twin, arguments)})
+    gauge = twin.layer.gauge_factor
+    rows[-1] |= {"gauge_factor": round(gauge.value, 3), "its_error": round(gauge.spread, 3)}
     rows[-1] |= {"misfit": round(found["misfit"], 3), "adapting_s": round(seconds, 1)}
     return rows
 
 
-def _calibrated(number: int, folder: Path, snr_db: float) -> tuple[Any, dict[str, Any]]:
+def _calibrated(
+    number: int, folder: Path, touches: TouchKind, arguments: argparse.Namespace
+) -> tuple[Any, dict[str, Any]]:
     """Return the twin of a device, and what calibration said of it."""
-    import numpy as np
-
     from eitskin_proto.files.writing import write_bytes
-    from eitskin_proto.sensor.table import FULL_TABLE
     from eitskin_proto.skin.toml import load, named, to_toml
-    from eitskin_sim.calibration.recording import Recording
     from eitskin_sim.calibration.report import calibrate
-    from eitskin_sim.devices.readings import FINE_MM, responses_of
     from eitskin_sim.evaluation.devices.device import draw_device
     from eitskin_sim.evaluation.devices.mismatch import LAB
-    from eitskin_sim.fem.solve import factorise_scene
-    from eitskin_sim.measurement.front_end import FrontEnd
+    from eitskin_tools.bench.twins.session import recorded
 
-    described, said = folder / "twin.toml", folder / "calibrated.json"
+    way: TouchKind = "lowering" if touches == "lowering" else "raising"
+    bends, presses = arguments.bends, arguments.presses
+    name = f"{way}-{bends}-bends-{presses}-presses"
+    described, said = folder / f"{name}.toml", folder / f"{name}.json"
     if not said.exists():
-        taken = replace(draw_device(LAB, 0, number).reference(), element_size_mm=FINE_MM)
-        volts = FrontEnd().read(responses_of(factorise_scene(taken).differences()), FULL_TABLE)
-        sd = 10.0 ** (-snr_db / 20.0) / FRAMES**0.5
-        noisy = volts * (1.0 + sd * np.random.default_rng([SEED, number]).standard_normal(len(volts)))
-        twin, report = calibrate(named(STATED), Recording(noisy, FRAMES), snr_db)
+        recording = recorded(draw_device(LAB, 0, number), number, arguments.snr_db, bends, presses, way)
+        twin, report = calibrate(named(STATED), recording, arguments.snr_db)
         write_bytes(described, to_toml(twin).encode())
         write_bytes(said, json.dumps(report).encode())
     return load(described), json.loads(said.read_text())
@@ -111,7 +108,7 @@ def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace
     deformations = -(-arguments.samples // usual.per_deformation)
     work = replace(usual, deformations=deformations, epochs=arguments.epochs)
     recipe = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
-    place = folder / f"{bundle.path.stem}.build"
+    place = folder / f"{bundle.path.stem}-{arguments.bends}-{arguments.presses}.build"
     if half_made.begun(place, recipe, None) is None:
         half_made.begin(place, recipe, recipe, None)
     with Stages() as tell:

@@ -110,9 +110,10 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
     from eitskin_proto.sensor.ids import PROTOCOL_ID
     from eitskin_proto.sensor.table import N_ROWS
     from eitskin_proto.skin.cloud_file import load_surface
+    from eitskin_sim.calibration.stamp import places
     from eitskin_tools.flash.full_scan import scanning_all_rows
     from eitskin_tools.guided.frames import frames_of
-    from eitskin_tools.guided.guide import Guide, Plan, places
+    from eitskin_tools.guided.guide import Guide, Plan
     from eitskin_tools.guided.terminal import Terminal
 
     plan = Plan(
