@@ -78,6 +78,23 @@ def test_it_learns_the_presses_that_were_calibrated():
     assert touches(stamped, "raising") == "hard"  # the bundle knows other touches than the skin has
 
 
+@pytest.mark.parametrize(
+    ("said", "learned"),
+    [
+        ({"raising_contrast": (6.0, 50.0)}, "hard"),  # a stamp's: as hard as any
+        ({"raising_contrast": (2.0, 8.0)}, "skin"),
+        ({"raising_contrast": (6.0, 50.0), "size_mm": (8.0, 12.0)}, "skin"),
+        ({"raising_contrast": (6.0, 50.0), "lower": True}, "hard"),  # not of the bundle's kind
+    ],
+)
+def test_a_stamp_that_raises_by_much_is_learned_by_the_usual_touches(said, learned):
+    bundle = load_bundle(files.find("free", files.BUNDLE), lazily=True)
+    one_way = {"lower": False, "higher": True, "size_mm": bundle.skin.touches.size_mm}
+    stamped = replace(TWIN, touches=replace(TWIN.touches, **one_way | said))
+    found = adaptation.adapted(bundle.path, stamped, bundle.manifest, "raising", Adaptation(), bundle.skin)
+    assert found.data["touches"].touches == learned
+
+
 @pytest.mark.heavy
 def test_the_shipped_network_of_an_even_ring_goes_on_at_an_uneven_one():
     assert len(images(TWIN)) == 1

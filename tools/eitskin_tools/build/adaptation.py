@@ -1,15 +1,20 @@
 """The recipe of a bundle that goes on learning on another sheet, such as a calibrated one."""
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
 from eitskin.model.manifest import SMALL
+from eitskin_proto.skin.parts import Touches
 from eitskin_proto.skin.skin import Skin
 from eitskin_tools.build.recipe import SKIN, BuildRecipe, CardWork, Data, GateWork, Leg
 
 FEW_STEPS: Final = 200
 """Of a gate that is not kept."""
+
+HARD: Final = 5.0
+"""From this contrast on all touches that raise conductance answer much alike: the usual ones teach more of them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,9 +36,10 @@ def adapted(
     """Return the recipe of a bundle that goes on learning on another sheet, such as a calibrated one.
 
     It learns the touches that the skin says, where these are of the bundle's kind and other than those of its own skin,
-    as after presses of a stamp; else the usual ones of its kind, as often near to each other as it learned them. Where
-    the bundle has a smaller network that is its own narrowed, one of that shape is made of the adapted one and learns
-    on likewise, of data of its own; another kind of smaller network is left out.
+    as after presses of a stamp; else, and where a stamp raised conductance fivefold and more, the usual ones of its
+    kind, as often near to each other as it learned them. Where the bundle has a smaller network that is its own
+    narrowed, one of that shape is made of the adapted one and learns on likewise, of data of its own; another kind of
+    smaller network is left out.
 
     Args:
         bundle: The file that it begins with.
@@ -47,7 +53,7 @@ def adapted(
     if not isinstance(network, str):
         raise ValueError(f"{bundle} does not say how it was trained; build one anew with 'eitskin build'")
     touches = {"raising": "hard", "lowering": "press", "both": "both"}[touch_kind]
-    if own is not None and skin.touch_kind == touch_kind and skin.touches != own.touches:
+    if own is not None and skin.touch_kind == touch_kind and _others(skin.touches, own.touches):
         touches = SKIN
     kind = "free" if facts.get("labels") == "area" else "units"
     size = work.deformations, work.per_deformation
@@ -62,6 +68,12 @@ def adapted(
     gate = GateWork(0, FEW_STEPS)  # the pair has the larger one's
     small = replace(found, name=f"{name}, small", network=smaller, training=(again,), gate=gate)
     return replace(found, networks={SMALL: replace(small, data={"touches": other})})
+
+
+def _others(touches: Touches, own: Touches) -> bool:
+    """Return whether a skin's touches are others than a bundle's own, and not just as hard."""
+    hard = touches.higher and not touches.lower and math.prod(touches.raising_contrast) >= HARD**2
+    return touches != own and not (hard and touches.size_mm == own.size_mm)
 
 
 def _near(facts: dict[str, Any]) -> float | None:

@@ -70,7 +70,7 @@ def _device(number: int, arguments: argparse.Namespace) -> list[dict[str, Any]]:
     rows.append({"device": number, "bundle": "adapted", **_tried(number, adapted, twin, arguments)})
     gauge = twin.layer.gauge_factor
     rows[-1] |= {"gauge_factor": round(gauge.value, 3), "its_error": round(gauge.spread, 3)}
-    rows[-1] |= {"misfit": round(found["misfit"], 3), "adapting_s": round(seconds, 1)}
+    rows[-1] |= {"misfit": round(found["misfit"], 3), "learning_s": round(seconds, 1)}
     return rows
 
 
@@ -98,16 +98,22 @@ def _calibrated(
 
 
 def _adapted(bundle: Any, twin: Any, folder: Path, arguments: argparse.Namespace) -> Path:
-    """Return the bundle that learned the twin, as ``eitskin adapt-skin`` makes it, without its card."""
+    """Return the bundle that learned the twin, as ``eitskin adapt-skin`` makes it, without what the trials ask not.
+
+    That is the card, a smaller network, and most steps of the gate.
+    """
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import steps
-    from eitskin_tools.build.adaptation import Adaptation, adapted
+    from eitskin_tools.build.adaptation import FEW_STEPS, Adaptation, adapted
+    from eitskin_tools.build.recipe import GateWork
     from eitskin_tools.stages import Stages
 
     usual = Adaptation()
     deformations = -(-arguments.samples // usual.per_deformation)
-    work = replace(usual, deformations=deformations, epochs=arguments.epochs)
-    recipe = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
+    gate = GateWork(0, FEW_STEPS)
+    work = replace(usual, deformations=deformations, epochs=arguments.epochs, gate=gate)
+    whole = adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
+    recipe = replace(whole, networks={})
     place = folder / f"{bundle.path.stem}-{arguments.bends}-{arguments.presses}.build"
     if half_made.begun(place, recipe, None) is None:
         half_made.begin(place, recipe, recipe, None)
