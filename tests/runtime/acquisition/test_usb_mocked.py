@@ -85,7 +85,7 @@ def test_the_runtime_goes_on_after_an_unplug(usb, tmp_path, tiny_path):
                 said.append(line)
                 if line.startswith("ready"):
                     break
-            assert any(line.startswith("ready") for line in said), said
+            assert any(line.startswith("ready") for line in said), "".join(said)
             usb.tell("unplug 0.2")
             out, err = runtime.communicate(timeout=300)
         finally:
