@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from eitskin_proto.skin.cloud import flat_cloud
-from eitskin_sim.calibration.stamp import places
 from eitskin_tools.errors import UsageError
 from eitskin_tools.guided.guide import Guide, GuideError, Plan
 from eitskin_tools.guided.watch import WINDOW, Watch
@@ -174,14 +173,6 @@ def test_a_sheet_that_moves_is_not_at_rest_and_noise_alone_is():
     assert still == 200
     assert moving == 0
     assert not Watch().steady
-
-
-def test_places_are_spread_over_the_sheet():
-    assert places((150.0, 100.0), 6) == (
-        (38.0, 33.0), (75.0, 33.0), (112.0, 33.0), (38.0, 67.0), (75.0, 67.0), (112.0, 67.0),
-    )  # fmt: skip
-    assert places((150.0, 100.0), 1) == ((75.0, 50.0),)
-    assert places((150.0, 100.0), 0) == ()
 
 
 @pytest.mark.parametrize("text", ["", "a", "16x", "1", "20x10x3", "nan", "61"])

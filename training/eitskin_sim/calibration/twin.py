@@ -23,8 +23,10 @@ UNKNOWN: Final = 0.8
 
 PRESSED: Final = 2.0
 """Presses are taken to have from the inverse of so many times the log contrast found to so many times it: as a stamp is
-pressed lightly or hard. Touches that raise conductance touch or do not, so theirs is within its error and their own
-spread, so many times both."""
+pressed lightly or hard. Touches that raise conductance touch or do not: theirs reach as far as they are uncertain."""
+
+SURE: Final = 2.0
+"""Standard errors that what is uncertain of touches reaches."""
 
 
 def calibrated_skin(skin: Skin, session: Session, found: Fit) -> Skin:
@@ -77,10 +79,10 @@ def _touches(session: Session, found: Fit) -> dict[str, Any]:
         own = parameters.slices[name]
         return float(parameters.groups[name].errors(found.z[own], found.sd[own])[0])
 
-    factor = PRESSED if session.way < 0 else np.exp(PRESSED * np.hypot(error(STRENGTH) / strength, OWN_SPREAD))
+    factor = PRESSED if session.way < 0 else np.exp(SURE * np.hypot(error(STRENGTH) / strength, OWN_SPREAD))
     ends = sorted(float(np.exp(session.way * strength * one)) for one in (1.0 / factor, factor))
     name, low, high = ("lowering_contrast", 0.01, 0.99) if session.way < 0 else ("raising_contrast", 1.01, 1000.0)
-    soft = 2.0 * error(BORDER)
+    soft = SURE * error(BORDER)
     return {
         "lower": session.way < 0,
         "higher": session.way > 0,

@@ -55,7 +55,7 @@ def join(sets: Sequence[TrainingData]) -> TrainingData:
             if found != expected:
                 raise MismatchError(f"data set {one.digest}: {name}", found=found, expected=expected, hint=hint)
         off = float(np.abs(one.reference / first.reference - 1.0).max())
-        if off > ROUNDING:
+        if not off <= ROUNDING:
             raise MismatchError(
                 f"data set {one.digest}: reference", found=f"off by {off:.1e}", expected="the first set's", hint=hint
             )

@@ -45,3 +45,7 @@ def test_calibration_finds_the_gauge_factor_and_what_presses_are_like(way, contr
     low, high = np.sort(np.abs(np.log(contrasts)))
     assert low < strength < high
     assert twin.touch_kind == way
+    touches = twin.touches
+    ends = np.abs(np.log(touches.lowering_contrast if way == "lowering" else touches.raising_contrast))
+    wide = ends.max() / ends.min()
+    assert wide == pytest.approx(4.0, rel=1e-3) if way == "lowering" else 1.5 < wide < 3.5  # half to twice; its errors

@@ -60,7 +60,7 @@ def recorded(device: Device, number: int, snr_db: float, bends: int, presses: in
     flat = device.reference()
     reference = read(flat, FULL_TABLE)
     bents, pressed = [], []
-    for bend in draw("A", bends, SEED + number, device.skin) if bends else ():
+    for bend in draw("A", bends, SEED + number, device.skin):
         volts = read(device.scene(nominal_scene(device.skin, bend), as_it_is=True))
         bents.append(Later(volts, FRAMES, device.cloud(bend, rng)))
     contrast, border_mm = PRESSED[way]
