@@ -184,8 +184,8 @@ static void sleep_us(uint32_t duration_us)
     ALARM_INTERRUPTS = 1;
     ALARM_RELOAD = duration_us * TICKS_PER_US;
     ALARM_VALUE = duration_us * TICKS_PER_US;
-    ALARM_CONTROL = 9; /* run, interrupt */
-    __asm volatile("cpsid i" ::: "memory");
+    __asm volatile("cpsid i" ::: "memory"); /* an alarm that comes before wfi stays pending, and ends it */
+    ALARM_CONTROL = 9;                      /* run, interrupt */
     if (ring_used(&rx) == 0) {
         __asm volatile("wfi");
     }

@@ -1,5 +1,6 @@
 #include "eit_device.h"
 
+#include "eit_flash.h"
 #include "eit_reply.h"
 #include "eit_request.h"
 
@@ -189,6 +190,7 @@ void eit_device_poll(struct eit_device *device)
     const uint32_t now_us = clock_us(device);
 
     announce(device, now_us);
+    (void)eit_flash_lock_ms(device, now_us); /* a lock expires even if nobody asks before the clock has come round */
     if (device->store.trial && device->uptime_us >= EIT_TRIAL_US && !device->restarting) {
         device->streaming = false;
         device->restarting = true;

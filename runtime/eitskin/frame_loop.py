@@ -12,6 +12,7 @@ are packed and handed to a taker, and then streams are told what was measured. B
 :class:`eitskin.messaging.frame_record.FrameRecord`.
 """
 
+import threading
 import time
 from collections.abc import Callable, Generator, Iterator
 from typing import Any, Final, Protocol
@@ -75,6 +76,7 @@ class FrameLoop:
         self.source = FrameSource(device, pipeline, self.statistics.told)
         self.reference: Reference | None = None
         self._recapture: Recapture | None = None
+        self._capturing = threading.Lock()
         self.teller: Teller | None = None
         """Of what was measured, where a taker has streams."""
         self.verifier_status: Callable[[], dict[str, Any]] = dict
@@ -113,7 +115,7 @@ class FrameLoop:
         try:
             for _ in self._accepted(until_ns):
                 recapture = self._recapture
-                if recapture is not None and not record.idle:
+                if recapture is not None and not (record.idle or recapture.settled):
                     self._feed(recapture)
                 wanted = taker.wanted
                 if pipeline.compute(wanted):
@@ -185,7 +187,7 @@ class FrameLoop:
             record.touches = None
             return
         values = pipeline.buffers.map[0] if record.touched and not record.map_is_zero else None
-        which = record.solver, record.map_sequence
+        which = record.solver, record.map_key
         record.touches = touches.look(values, which, pipeline.buffers.surface, record.device_us)
 
     def _pack(self, *, short: bool, frames: bool) -> memoryview:
@@ -249,10 +251,11 @@ class FrameLoop:
             BadReference: As in :meth:`capture`; or the loop was stopped, or another one is being captured. The old
                 reference stays.
         """
-        if (other := self._recapture) is not None:
-            raise BadReference(f"{other.builder.taken} of {other.builder.frames} frames of another reference are in")
         recapture = Recapture(ReferenceBuilder(frames, self._pipeline.skin), self._yardstick(), force=force)
-        self._recapture = recapture
+        with self._capturing:
+            if self._recapture is not None:
+                raise self._recapture.under_way()
+            self._recapture = recapture
         if self.source.stopping:  # looked at behind the line above, which ``stop`` looks at behind its own
             self._give_up_recapture("stopped")
         try:
@@ -285,10 +288,8 @@ class FrameLoop:
             if not recapture.builder.add(self._pipeline.normaliser.voltages()):
                 return
         except BadReference as error:
-            self._recapture = None
             recapture.settle(error)
             return
-        self._recapture = None
         try:
             found = recapture.finish(self._device.hello)
             self.use(found, fresh=True)

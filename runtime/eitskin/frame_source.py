@@ -37,9 +37,6 @@ LONGEST_BAD_S: Final = 60.0
 LOOK_NS: Final = 50_000_000
 """Without a frame that can be used for so long, it is looked at what the matter is."""
 
-MOST_EVENTS: Final = 8
-"""Events of a device that one frame tells."""
-
 MOST_AT_ONCE: Final = 64
 """Payloads of which the newest is looked for; a device faster than this loop has its rest dropped next time."""
 
@@ -64,7 +61,6 @@ class FrameSource:
         self._fit_ns = self._greeted_ns = self._patient_ns = self._looked_ns = time.perf_counter_ns()
         self._withheld = 0
         self._bad_s = FIRST_BAD_S
-        self._pending_events: tuple[str, ...] = ()
         self.payload = b""
         """Of the frame in hand."""
         self.tell_withheld: Callable[[bytes, int], None] | None = None
@@ -192,10 +188,15 @@ class FrameSource:
 
     def _start(self) -> None:
         """Start the stream with the first frame that is asked for: what nobody reads would only grow old."""
-        if not self._started:
-            self._started = True
+        if self._started:
+            return
+        try:
             self._device.start()
             self._pipeline.clock.anchor(self._device.time_sample)
+        except PortReturned:
+            self._patient_ns = time.perf_counter_ns()
+            self._recover()
+        self._started = True
 
     def _newest(self, payloads: list[bytes]) -> list[bytes]:
         """Return what to compute when time is short: of all frames that wait, the newest, if there is any."""
@@ -215,15 +216,12 @@ class FrameSource:
         return newest
 
     def _accept(self, payload: bytes, read_ns: int) -> bool:
-        """Return whether a frame is accepted; if so, it has what happened before it."""
+        """Return whether a frame is accepted."""
         self.afterwards.do()
         if not self._pipeline.accept(payload, read_ns):
             self._tell_of(payload, read_ns)
             return False
         self.payload = payload
-        if self._pending_events:
-            self._pipeline.record.note(*self._pending_events)
-            self._pending_events = ()
         return True
 
     def _tell_of(self, withheld: bytes, read_ns: int) -> None:
@@ -255,8 +253,7 @@ class FrameSource:
         self.recoveries += 1
         self._pipeline.greet(self._device.hello)
         self._pipeline.clock.anchor(self._device.time_sample)
-        if "recovered" not in self._pending_events:
-            self._pending_events = (*self._pending_events, "recovered")
+        self._pipeline.intake.tell_next("recovered")
         self._greeted_ns = time.perf_counter_ns()
 
     def _bear(self, error: NotReady) -> None:
@@ -294,6 +291,4 @@ class FrameSource:
             return
         event = Event.unpack(payload)
         self._failed |= event.code == EventCode.FRONT_END_FAILED
-        text = f"device:{event.text.lower()}"
-        if len(self._pending_events) < MOST_EVENTS and text not in self._pending_events:
-            self._pending_events = (*self._pending_events, text)
+        self._pipeline.intake.tell_next(f"device:{event.text.lower()}")

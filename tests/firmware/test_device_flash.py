@@ -105,6 +105,13 @@ def test_a_second_flasher_is_told_how_long_to_wait_until_the_lock_expires(device
     assert ack(device, begin(token=5)).code == Code.OK
 
 
+def test_a_lock_that_expired_stays_so_when_the_clock_has_come_round(device):
+    assert ack(device, begin(token=5)).code == Code.OK
+    for _ in range(43):  # 2^32 us are 71.6 minutes
+        device.run(100_000_000, step_us=1_000_000)
+    assert ack(device, begin(token=6)).code == Code.OK
+
+
 @pytest.mark.parametrize(
     ("changes", "code", "detail"),
     [

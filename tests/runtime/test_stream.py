@@ -63,12 +63,12 @@ def test_touches_come_and_go_and_untouched_frames_are_not_computed(virtual_skin,
 
 def test_the_first_frame_is_not_one_that_waited_since_before_anybody_asked(virtual_skin, tiny_path):
     with virtual_skin() as port, opened(port, tiny_path) as skin:
-        last, stale = skin.pipeline.record.sequence, skin.pipeline.withheld["stale"]
+        last, stale = skin.pipeline.record.sequence, skin.pipeline.intake.withheld["stale"]
         wait_for_bytes(port, 4095)  # all that the kernel counts of a pseudo-terminal: eleven frames, and more behind
         first = next(skin.frames())
         assert first.sequence > last + 10
-        assert skin.pipeline.withheld["stale"] - stale == first.sequence - last - 1
-        assert skin.pipeline.withheld["stale"] == first.counts["withheld"]
+        assert skin.pipeline.intake.withheld["stale"] - stale == first.sequence - last - 1
+        assert skin.pipeline.intake.withheld["stale"] == first.counts["withheld"]
         assert first.counts["lost"] == 0
 
 
@@ -137,8 +137,8 @@ def test_a_reset_in_the_middle_of_a_sweep_is_noticed_and_streaming_resumes(virtu
         assert skin.recoveries == 1
         assert skin.pipeline.counter.resets == 1
     events = [frame.events for frame in frames if frame.events]
-    assert ("device_reset", "recovered") in events
-    after = frames[[frame.events for frame in frames].index(("device_reset", "recovered")) :]
+    assert ("recovered", "device_reset") in events
+    after = frames[[frame.events for frame in frames].index(("recovered", "device_reset")) :]
     assert after[0].sequence < frames[0].sequence
     assert len(after) > 10
     assert not any(frame.touched for frame in frames)
@@ -265,7 +265,7 @@ def test_of_a_front_end_that_hangs_nothing_is_published_and_the_next_frame_says_
 ):
     with virtual_skin(faults=[f"{kind}@0.6:0.4"], noise=3e-3) as port, opened(port, tiny_path) as skin:
         frames = collect(skin, 1.6)
-        withheld = skin.pipeline.withheld
+        withheld = skin.pipeline.intake.withheld
     before = next(index for index, frame in enumerate(frames) if {f"withheld:{reason}", reason} & set(frame.events))
     assert frames[before].device_us - frames[before - 1].device_us >= 350_000
     assert not any(frame.touched for frame in frames)

@@ -16,7 +16,7 @@ from typing import Final, Protocol
 from eitskin.acquisition.clock import TimeSample
 from eitskin.acquisition.greeting import check_same, check_usable
 from eitskin.acquisition.transport import Transport
-from eitskin.errors import NotReady
+from eitskin.errors import NotReady, PortReturned
 from eitskin_proto.skin.skin import Skin
 from eitskin_proto.wire import requests
 from eitskin_proto.wire.answers import Ack, Hello, Time
@@ -77,8 +77,8 @@ class Device:
         """It scans a few drives only, at a rate that HELLO does not tell."""
         self.stopping = False
         """Nobody waits for answers any more; may be set from another thread, which then wakes the transport."""
-        self._tag = 0
-        self.hello = self._handshake()
+        self._tag, self._returned = 0, None  # type: int, PortReturned | None
+        self.hello = self._greeted()
         """What the device said about itself."""
         self.time_sample: TimeSample | None = None
         """Its clock, asked just before the stream was started; None if it gave no answer."""
@@ -124,7 +124,11 @@ class Device:
 
         Raises:
             PortLost: The line is gone.
+            PortReturned: It vanished and is open again.
         """
+        if self._returned is not None:
+            returned, self._returned = self._returned, None
+            raise returned
         if self.held:
             held = list(self.held)
             self.held.clear()
@@ -192,11 +196,16 @@ class Device:
     def ask_mode(self, mode: Mode) -> None:
         """Ask for another mode and return at once; the frames say when it has come about.
 
+        If the line vanished and is back, the next ``payloads`` says so.
+
         Raises:
             PortLost: The line is gone.
         """
         self.idle = mode == Mode.IDLE
-        self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
+        try:
+            self.transport.write(encode(requests.SetMode(self._next_tag(), mode).pack()))
+        except PortReturned as returned:
+            self._returned = returned
 
     def recover(self) -> None:
         """Greet the device again after silence or a reset, and stream on if nothing changed.
@@ -214,6 +223,14 @@ class Device:
     def _next_tag(self) -> int:
         self._tag = (self._tag + 1) & 0xFF
         return self._tag
+
+    def _greeted(self) -> Hello:
+        """Shake hands, and once more whenever the line vanished and is back."""
+        while True:
+            try:
+                return self._handshake()
+            except PortReturned:
+                self.deframer.reset()
 
     def _handshake(self) -> Hello:
         before = self.deframer.discarded_bytes

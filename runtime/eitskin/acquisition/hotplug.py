@@ -19,9 +19,8 @@ from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final
 
-from serial.tools import list_ports
-
 from eitskin.acquisition.ports import open_line as open_any
+from eitskin.acquisition.ports import serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.acquisition.transport import USB_PREFIX, Transport
 from eitskin.errors import PortLost, PortReturned, TransportError
@@ -42,7 +41,7 @@ class UsbName:
 def usb_name(port: str) -> UsbName | None:
     """Return how to find a port again; None if it is no USB port, or one without a serial number."""
     path = os.path.realpath(port)
-    for found in list_ports.comports():
+    for found in serial_ports():
         if os.path.realpath(found.device) == path and found.vid is not None and found.serial_number:
             return UsbName(found.vid, found.pid, found.serial_number)
     return None
@@ -50,7 +49,7 @@ def usb_name(port: str) -> UsbName | None:
 
 def port_named(name: UsbName) -> str | None:
     """Return the path of the port of this name; None while it is not there."""
-    for found in list_ports.comports():
+    for found in serial_ports():
         if found.vid is not None and UsbName(found.vid, found.pid, found.serial_number or "") == name:
             return str(found.device)
     return None

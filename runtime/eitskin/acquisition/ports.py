@@ -1,7 +1,27 @@
 """Which transport a port's name means: ``usb:`` and ``usb:SERIAL`` are USB devices, all else is a serial path."""
 
+from typing import Any, Final
+
+from serial.tools import list_ports
+
 from eitskin.acquisition.serial_port import DEFAULT_BAUD, SerialPort
 from eitskin.acquisition.transport import USB_PREFIX, Transport
+
+LOOKS: Final = 3
+"""At the serial ports, if one of them comes or goes just then."""
+
+
+def serial_ports() -> list[Any]:
+    """Return the serial ports that are there, as pyserial describes them.
+
+    pyserial stumbles over a port that comes or goes while it reads about it; then it is looked at again.
+    """
+    for _ in range(LOOKS):
+        try:
+            return list(list_ports.comports())
+        except (OSError, TypeError, ValueError):
+            continue
+    return []
 
 
 def open_line(port: str, baud: int = DEFAULT_BAUD) -> Transport:

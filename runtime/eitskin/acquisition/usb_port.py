@@ -186,6 +186,8 @@ def _ours(backend: Any) -> list[Any]:
         return list(usb.core.find(find_all=True, idVendor=VENDOR_ID, idProduct=PRODUCT_ID, backend=backend))
     except usb.core.NoBackendError as error:
         raise TransportError("libusb is not installed: apt-get install libusb-1.0-0") from error
+    except usb.core.USBError as error:
+        raise TransportError(f"the USB devices cannot be listed ({error}): try again") from error
 
 
 def _find(serial_number: str, backend: Any) -> Any:

@@ -10,10 +10,8 @@ import resource
 from pathlib import Path
 from typing import Any, Final
 
-from serial.tools import list_ports
-
 from eitskin.acquisition.device import Device
-from eitskin.acquisition.ports import open_line
+from eitskin.acquisition.ports import open_line, serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import SkinError
 from eitskin.messaging.endpoints import runtime_folder
@@ -38,7 +36,7 @@ SYSTEM_RULES: Final = (Path("/etc/udev/rules.d"), Path("/usr/lib/udev/rules.d"),
 def examine() -> dict[str, Any]:
     """Return ports, USB devices, bundles, running runtimes, limits and problems as plain values."""
     problems: list[str] = []
-    ports = [_port(info, problems) for info in sorted(list_ports.comports())]
+    ports = [_port(info, problems) for info in sorted(serial_ports())]
     usb = _usb(problems)
     bundles = [_bundle(labels, path, problems) for labels, path in _shipped()]
     try:

@@ -17,6 +17,9 @@ from eitskin.messaging.frame_record import PACK, PUBLISH, FrameRecord
 MAP_UNCHANGED: Final = ("map:unchanged",)
 """What is skipped in a message without its map."""
 
+ZERO: Final = "zero"
+"""Instead of a map's key: nothing was computed."""
+
 
 class FrameMessages:
     """Makes the message of one frame after another, in the memory of one.
@@ -38,10 +41,10 @@ class FrameMessages:
         )
         self.published = 0
         """Frames packed so far."""
-        self._sent_map = -1
-        """The frame whose map went out last."""
-        self._packed_map = -2
-        """The frame whose map the packer holds; -1 for one that is zero."""
+        self._sent_map: tuple[int, int] | None = None
+        """The key of the map that went out last; None where none did."""
+        self._packed_map: tuple[int, int] | str | None = None
+        """The key of the map that the packer holds, or :data:`ZERO`."""
         self._short = False
 
     def begin(self, record: FrameRecord, *, short: bool, frames: bool = True) -> None:
@@ -54,15 +57,16 @@ class FrameMessages:
         """
         self.published += 1
         if not frames:
-            self._short, self._sent_map = False, -1
+            self._short, self._sent_map = False, None
             record.stamps[PACK] = time.perf_counter_ns()
             return
-        self._short = short and record.map_sequence == self._sent_map
-        self._sent_map = record.map_sequence
+        key = record.map_key
+        self._short = short and key == self._sent_map
+        self._sent_map = key
         if self._short:
             record.skipped += MAP_UNCHANGED
         else:
-            packed = -1 if record.solver == "none" else record.map_sequence
+            packed = ZERO if record.map_is_zero else key
             if packed != self._packed_map:
                 self._packer.put_map(record.map)
                 self._packed_map = packed

@@ -28,8 +28,8 @@ class FrameRecord:
 
     __slots__ = (
         "_computed_map", "_nothing", "cloud", "cloud_sequence", "corrupt", "device_us", "drift", "electrodes", "events",
-        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "scanned_ns", "sequence",
-        "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
+        "gate_logit", "idle", "inferred", "lost", "map_sequence", "overrun", "regions", "resets", "scanned_ns",
+        "sequence", "skipped", "solver", "stamps", "touched", "touches", "weak_rows", "withheld",
     )  # fmt: skip
 
     def __init__(self, computed_map: memoryview, shape: tuple[int, int]) -> None:
@@ -71,6 +71,7 @@ class FrameRecord:
         self.corrupt = 0
         self.withheld = 0
         self.overrun = 0
+        self.resets = 0
         """Totals up to this frame."""
         self.touches: tuple[bytes, bytes, int] | None = None
         """Touches, their events, and how many are not listed (:mod:`eitskin.touches.watch`); None if nobody asks."""
@@ -84,6 +85,11 @@ class FrameRecord:
     def map(self) -> memoryview:
         """The map as float32, little-endian; the next frame overwrites it."""
         return self._nothing if self.solver == "none" else self._computed_map
+
+    @property
+    def map_key(self) -> tuple[int, int]:
+        """What tells its map from all others of this run: a device that starts anew numbers its frames anew."""
+        return self.resets, self.map_sequence
 
     def note(self, *events: str) -> None:
         """Add what happened at this frame."""

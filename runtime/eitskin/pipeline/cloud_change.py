@@ -10,9 +10,9 @@ import numpy.typing as npt
 from eitskin.errors import BadReference
 from eitskin.model.geometry import GeometryGraph, Given
 from eitskin.pipeline.frame_pipeline import Pipeline
+from eitskin.pipeline.held_prediction import prediction_against
 from eitskin.reference.captured import Reference
 from eitskin.reference.plausible import check_prediction
-from eitskin.reference.predicted import log_ratio
 from eitskin_proto.skin.sheet_cloud import check_sheet
 
 
@@ -61,14 +61,10 @@ class CloudChange:
         if predicted is not None:
             surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
             check_prediction(surface, predicted, predicted_flat, reference, skin)
-            against = predicted_flat
-            if against is None:
-                if reference is None:
-                    raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
-                against = reference.flat().voltages_V
-            ratio = log_ratio(predicted, against)
-            if reference is not None and (predicted_flat is None or self._pipeline.health is None):
-                ratio[reference.weak] = 0.0  # else those rows are filled in, and held against the prediction
+            if predicted_flat is None and reference is None:
+                raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
+            fills = self._pipeline.health is not None
+            ratio = prediction_against(predicted, predicted_flat, reference, fills=fills)
         with self._lock:
             geometry = self._graph.geometry(cloud, ratio, self._revision + 1)
             self._revision += 1

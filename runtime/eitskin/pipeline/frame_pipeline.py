@@ -21,6 +21,7 @@ from eitskin.model.gate import RememberingGate, begin_anew
 from eitskin.model.geometry import Geometry
 from eitskin.pipeline.front_end_watch import FrontEndWatch
 from eitskin.pipeline.gate_audit import GateAudit, audit_pixels
+from eitskin.pipeline.held_prediction import HeldPrediction
 from eitskin.pipeline.idle import IdleGate
 from eitskin.pipeline.intake import Intake
 from eitskin.pipeline.map_source import MapSource, RegionEngines
@@ -81,6 +82,7 @@ class Pipeline:
         self.health = health
         self.idle_gate = idle_gate
         self.buffers = Buffers(bundle, None if self.gate is None else self.gate.change)
+        self._prediction = HeldPrediction(self.buffers, fills=health is not None)
         self._change = self.buffers.change[0]
         self.record = FrameRecord(memoryview(self.buffers.map[0]).cast("B"), grid.shape)
         """The frame in hand; the next one overwrites it."""
@@ -103,11 +105,6 @@ class Pipeline:
         """What computes the present regions, from the most accurate to the fastest."""
         return self.maps.engines
 
-    @property
-    def withheld(self) -> dict[str, int]:
-        """Frames that were not fit to publish, by reason."""
-        return self.intake.withheld
-
     def greet(self, hello: Hello) -> None:
         """Take over what a device said after it was greeted anew."""
         self.intake.greet(hello)
@@ -125,10 +122,11 @@ class Pipeline:
             self.health.use(flat.voltages_V, spread_V, self.gate, frames=flat.frames, fresh=fresh)
             self.maps.change_projection(self.health.projection)
         self.maps.compare_by(flat.voltages_V, flat.spread_V, flat.frames, step_V)
+        self._prediction.use(reference)
 
     def start_with(self, geometry: Geometry) -> None:
         """Use a geometry at once, without an event; only between two frames of the same thread."""
-        self.buffers.take(geometry)
+        self._prediction.take(geometry)
         self.record.cloud = geometry.revision
         self.maps.forget()
 
@@ -167,6 +165,9 @@ class Pipeline:
         intake, record = self.intake, self.record
         if not intake.accept(payload, read_ns):
             return False
+        if record.resets != self.counter.resets:  # frames are numbered anew, and a map is known by its frame
+            record.resets = self.counter.resets
+            self.maps.forget()
         if record.idle and self.idle_gate is not None:
             self.idle_gate.load(intake.counts)
         else:
@@ -187,9 +188,9 @@ class Pipeline:
         if record.idle:
             return self._compute_idle()
         if not self.normaliser.change_into(self._change):
-            return self.intake.withhold("no_signal" if self.normaliser.silent else "implausible")
+            return self.intake.give_up("no_signal" if self.normaliser.silent else "implausible")
         if self.normaliser.far and self.front_end.look(self.normaliser):
-            return self.intake.withhold("stuck")
+            return self.intake.give_up("stuck")
         health = self.health
         if health is not None:
             health.prepare(self._change)
@@ -210,7 +211,7 @@ class Pipeline:
         elif self.maps.keep():
             record.skipped = UNCHANGED
         elif not self.maps.infer():
-            return self.intake.withhold("implausible")
+            return self.intake.give_up("implausible")
         else:
             record.skipped = self._skipped_new if fresh_cloud else self._skipped
         self._describe()
@@ -223,9 +224,9 @@ class Pipeline:
         assert gate is not None
         touched = gate.touched(self.normaliser)
         if touched is None:
-            return self.intake.withhold("implausible")
+            return self.intake.give_up("implausible")
         if gate.far and self.front_end.look_idle():
-            return self.intake.withhold("stuck")
+            return self.intake.give_up("stuck")
         record.touched, record.gate_logit = touched, gate.gate.logit
         record.stamps[NORMALISE] = record.stamps[GATE] = time.perf_counter_ns()
         self.maps.leave()
@@ -237,7 +238,7 @@ class Pipeline:
     def _describe(self) -> None:
         """Say what state the frame was computed in."""
         record, health = self.record, self.health
-        self.intake.name_withheld()
+        self.intake.name_events()
         record.weak_rows = self.normaliser.weak_count
         if health is not None:
             record.drift, record.electrodes = health.drift.distance, health.electrodes.texts

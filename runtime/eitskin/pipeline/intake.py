@@ -31,7 +31,7 @@ from eitskin_proto.wire.answers import Hello
 from eitskin_proto.wire.codes import FrameFlag
 from eitskin_proto.wire.frames import HEADER_BYTES, FrameView
 from eitskin_proto.wire.scan_rows import ALL_DRIVES
-from eitskin_proto.wire.unwrap import StreamCounter
+from eitskin_proto.wire.unwrap import Step, StreamCounter
 
 REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implausible", "no_signal", "stuck",
                   "frozen", "stale")  # fmt: skip
@@ -39,6 +39,9 @@ REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implaus
 
 WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 """The event of the next published frame."""
+
+MOST_EVENTS: Final = 16
+"""Events before it that one frame tells."""
 
 REMEMBERED: Final = 8
 """Frames that a frame may repeat: a front end that hangs may have several buffers."""
@@ -119,15 +122,9 @@ class Intake:
             return self.withhold("malformed")
         if view.sample_bytes != self._width or view.flags & _FULL != self._full:
             return self.withhold("malformed")
-        step = self.counter.step(view.sequence, view.device_us)
+        step = self._counted()
         if step.duplicate:
             return self.withhold("duplicate")
-        events: tuple[str, ...] = ()
-        if step.reset:
-            self.clock.restart()
-            events = ("device_reset",)
-        elif step.lost:
-            events = ("lost",)
         if view.generation != self.generation:
             self.generation_differs = True
             return self.withhold("configuration")
@@ -147,14 +144,22 @@ class Intake:
             self._payloads.append(payload)
         if idle != record.idle:
             record.idle = idle
-            events += ("idle" if idle else "awake",)
-        if view.saturation:
-            events += ("saturated",)
-        record.events = events
+            self.tell_next("idle" if idle else "awake")
+        record.events = ("saturated",) if view.saturation else ()
         record.sequence, record.device_us = step.sequence, step.device_us
         record.scanned_ns = self.clock.scanned_ns(step.device_us, read_ns)
         record.stamps[READ] = read_ns
         return True
+
+    def _counted(self) -> Step:
+        """Count the frame in hand, and let the next published one say what it shows: a reset, or lost frames."""
+        step = self.counter.step(self._view.sequence, self._view.device_us)
+        if step.reset:
+            self.clock.restart()
+            self.tell_next("device_reset")
+        elif step.lost:
+            self.tell_next("lost")
+        return step
 
     def _repeats(self, payload: bytes) -> bool:
         """Return whether all samples of a frame are those of one that is remembered."""
@@ -167,7 +172,7 @@ class Intake:
         except ProtocolError:
             self.withhold("malformed")
             return
-        self.counter.step(self._view.sequence, self._view.device_us)
+        self._counted()
         self.withhold("stale")
 
     def withhold(self, reason: str) -> bool:
@@ -180,13 +185,23 @@ class Intake:
 
     def tell_next(self, event: str) -> None:
         """Let the next published frame say that something happened; in the frame loop's thread."""
-        if event not in self._since:
+        if event not in self._since and len(self._since) < MOST_EVENTS:
             self._since += (event,)
 
-    def name_withheld(self) -> None:
-        """Let the frame in hand say what was withheld before it, and put the totals into it."""
+    def give_up(self, reason: str) -> bool:
+        """Withhold the frame in hand, which was accepted, and return False; the next one says what it would have said.
+
+        That rows were cut off is of that frame alone.
+        """
+        for event in self._record.events:
+            if event != "saturated":
+                self.tell_next(event)
+        return self.withhold(reason)
+
+    def name_events(self) -> None:
+        """Let the frame in hand say what happened before it, and put the totals into it."""
         record = self._record
         if self._since:
-            record.events += self._since
+            record.events = (*self._since, *(event for event in record.events if event not in self._since))
             self._since = ()
         record.lost, record.withheld = self.counter.lost, self.withheld_total

@@ -9,9 +9,9 @@ interrupted.
 """
 
 import threading
+from contextlib import suppress
 from typing import Final
 
-from eitskin.errors import BundleError
 from eitskin.messaging.regions import Regions
 from eitskin.pipeline.frame_pipeline import Pipeline
 
@@ -58,8 +58,9 @@ class RegionWorker:
                     return
             try:
                 self._pipeline.use_regions(wanted)
-            except (BundleError, MemoryError):  # every frame says which regions it shows
-                self._pipeline.use_regions(self._pipeline.whole)
+            except Exception:  # this thread must hear the next wish; every frame says what it shows
+                with suppress(Exception):
+                    self._pipeline.use_regions(self._pipeline.whole)
             made = wanted
             self.made += 1
             self._closing.wait(REST_S)

@@ -22,11 +22,13 @@ class Recapture:
         force: Whether it is taken whatever is found.
     """
 
-    __slots__ = ("_force", "_outcome", "_yardstick", "builder")
+    __slots__ = ("_force", "_outcome", "_yardstick", "builder", "settled")
 
     def __init__(self, builder: ReferenceBuilder, yardstick: Yardstick, *, force: bool) -> None:
         self.builder, self._yardstick, self._force = builder, yardstick, force
         self._outcome: SimpleQueue[Reference | SkinError] = SimpleQueue()
+        self.settled = False
+        """It has an outcome, whether or not that was waited for already."""
 
     def finish(self, hello: Hello) -> Reference:
         """Return the reference of the frames that were taken.
@@ -38,6 +40,7 @@ class Recapture:
 
     def settle(self, outcome: Reference | SkinError) -> None:
         """Say which reference is in use now, or why there is no new one; safe in a signal handler. The first counts."""
+        self.settled = True
         self._outcome.put(outcome)
 
     def wait(self, seconds: float) -> Reference | None:
@@ -53,6 +56,10 @@ class Recapture:
         if isinstance(outcome, SkinError):
             raise outcome
         return outcome
+
+    def under_way(self) -> BadReference:
+        """Return the error of another one, which must wait for this."""
+        return BadReference(f"{self.builder.taken} of {self.builder.frames} frames of another reference are in")
 
     def too_few(self) -> BadReference:
         """Return the error of frames that did not come."""

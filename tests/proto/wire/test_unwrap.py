@@ -53,9 +53,17 @@ def test_a_gap_of_the_largest_size_is_loss_and_one_more_is_a_reset():
 def test_the_same_frame_twice_is_a_duplicate_that_changes_nothing():
     counter = StreamCounter()
     counter.step(3, 100)
-    step = counter.step(3, 999)
+    step = counter.step(3, 100)
     assert (step.duplicate, step.device_us, step.lost) == (True, 100, 0)
     assert counter.step(4, 200).device_us == 200
+
+
+def test_the_same_number_at_another_time_is_a_reset():
+    counter = StreamCounter()
+    counter.step(0, 900_000_000)  # the device starts anew before it sends another one
+    step = counter.step(0, 5_000)
+    assert (step.reset, step.duplicate, step.sequence, step.device_us) == (True, False, 0, 5_000)
+    assert counter.step(1, 10_000).device_us == 10_000
 
 
 def test_restart_forgets_the_last_frame_but_keeps_the_counts():

@@ -87,7 +87,7 @@ def test_a_usb_port_is_found_again_under_another_path(monkeypatch, pty):
             self.device, self.vid, self.pid, self.serial_number = device, vid, pid, serial_number
 
     ports = [Found("/dev/ttyS0", None, None, None), Found(str(pty.path), 0x1209, 0x5315, "SKIN-7")]
-    monkeypatch.setattr("eitskin.acquisition.hotplug.list_ports.comports", lambda: ports)
+    monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: ports)
     assert usb_name(str(pty.path)) == UsbName(0x1209, 0x5315, "SKIN-7")
     assert usb_name("/dev/ttyS0") is None
     line = HotPlug(str(pty.path), give_up_s=60.0)

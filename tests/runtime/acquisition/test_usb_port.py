@@ -251,3 +251,12 @@ def test_without_libusb_the_error_says_what_to_install(monkeypatch):
     monkeypatch.setattr(usb_port.usb.core, "find", no_backend)
     with pytest.raises(TransportError, match=r"apt-get install libusb-1\.0-0"):
         UsbPort()
+
+
+def test_a_bus_that_cannot_be_listed_for_a_moment_is_an_error_of_the_line(monkeypatch):
+    def fails(**_):
+        raise usb.core.USBError("Insufficient memory", errno=errno.ENOMEM)
+
+    monkeypatch.setattr(usb_port.usb.core, "find", fails)
+    with pytest.raises(TransportError, match="the USB devices cannot be listed"):
+        UsbPort()

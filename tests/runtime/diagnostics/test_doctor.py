@@ -15,7 +15,7 @@ from eitskin.messaging.publish import Publisher
 def machine(monkeypatch, tmp_path):
     """Return a machine with nothing plugged in; a test adds to its lists."""
     made = SimpleNamespace(ports=[], usb=[], denied=set(), adapters=tmp_path / "adapters")
-    monkeypatch.setattr(doctor.list_ports, "comports", lambda: made.ports)
+    monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", lambda: made.ports)
     monkeypatch.setattr(usb_port, "devices", lambda: made.usb)
     monkeypatch.setattr(doctor, "ADAPTERS", made.adapters)
     monkeypatch.setattr(doctor, "SYSTEM_RULES", (tmp_path / "rules.d",))

@@ -1,5 +1,6 @@
 """Regions: what is asked for, what is computed of it, and that the computed pixels are the whole network's."""
 
+import queue
 import threading
 import time
 
@@ -143,6 +144,26 @@ def test_the_newest_wish_wins_and_a_fickle_one_does_not_keep_a_core_busy(tiny, h
         time.sleep(0.01)
     assert pipeline._next_engines.regions == (Region(28, 29, 0, 45),)
     assert 1 <= worker.made < 10
+
+
+def test_a_worker_hears_the_next_wish_whatever_became_of_the_last(tiny, hello, monkeypatch):
+    from eitskin.pipeline import region_worker
+
+    monkeypatch.setattr(region_worker, "REST_S", 0.05)
+    pipeline, heard = Pipeline(tiny, hello), queue.SimpleQueue()
+
+    def fails(regions):
+        heard.put(regions)
+        raise RuntimeError("no memory for a binding")
+
+    monkeypatch.setattr(pipeline, "use_regions", fails)
+    worker = RegionWorker(pipeline)
+    for row in range(2):
+        wanted = (Region(row, row + 1, 0, 45),)
+        worker.want(wanted)
+        assert heard.get(timeout=60) == wanted
+        assert heard.get(timeout=60) == pipeline.whole
+    worker.close()
 
 
 def test_a_worker_that_is_closed_makes_no_more_unions_and_leaves_no_thread(tiny, hello, monkeypatch):

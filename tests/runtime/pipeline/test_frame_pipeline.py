@@ -40,7 +40,7 @@ def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, cou
     assert not go(pipeline, b"\x82")
     pipeline.normaliser.use_scale(float("nan"))
     assert not go(pipeline, payload(counts, 5))
-    assert pipeline.withheld == {
+    assert pipeline.intake.withheld == {
         "malformed": 2, "duplicate": 1, "configuration": 1, "partial": 1, "implausible": 1, "no_signal": 0,
         "stuck": 0, "frozen": 0, "stale": 0,
     }  # fmt: skip
@@ -50,7 +50,7 @@ def test_frames_that_are_not_fit_are_withheld_each_with_its_reason(pipeline, cou
 def test_a_frame_without_any_voltage_is_no_touch_and_the_next_frame_says_why_it_was_withheld(pipeline, counts, touched):
     assert not go(pipeline, payload(0 * counts, 1))  # dV = -1 everywhere: once published as a touch
     assert not go(pipeline, payload(0 * counts, 2))
-    assert pipeline.withheld["no_signal"] == 2
+    assert pipeline.intake.withheld["no_signal"] == 2
     assert go(pipeline, payload(touched, 3))
     assert pipeline.record.events.count("withheld:no_signal") == 1
     assert go(pipeline, payload(touched, 4))
@@ -75,7 +75,7 @@ class Broken:
 def test_a_map_that_is_not_finite_is_never_published(pipeline, touched, value):
     pipeline.engines[0] = Broken(pipeline.buffers, value)
     assert not go(pipeline, payload(touched, 1))
-    assert pipeline.withheld["implausible"] == 1
+    assert pipeline.intake.withheld["implausible"] == 1
 
 
 def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, counts):
@@ -90,6 +90,34 @@ def test_lost_frames_resets_and_saturation_are_events_of_their_frame(pipeline, c
     assert pipeline.record.events == ("device_reset",)
     assert go(pipeline, payload(counts, 1))
     assert pipeline.record.events == ()
+
+
+def test_a_reset_that_falls_on_a_stale_frame_is_told_by_the_next_and_its_clock_begins_anew(pipeline, counts):
+    hour_us = 3_600_000_000
+    for number in range(40):
+        assert go(pipeline, Frame(sequence=number, device_us=hour_us + 5000 * number, counts=counts).pack())
+    pipeline.intake.discard(payload(counts, 0))  # the device starts anew; nobody has time for this frame
+    assert go(pipeline, payload(counts, 1))
+    assert pipeline.record.events == ("device_reset", "withheld:stale")
+    assert abs(pipeline.record.scanned_ns - pipeline.record.stamps[0]) < 1_000_000_000
+
+
+def test_what_a_frame_that_is_withheld_would_have_said_the_next_one_says(pipeline, counts):
+    assert go(pipeline, payload(counts, 10))
+    pipeline.use_geometry(pipeline.buffers.geometry)
+    assert not go(pipeline, payload(0 * counts, 12))
+    assert go(pipeline, payload(counts, 13))
+    assert pipeline.record.events == ("lost", "cloud", "withheld:no_signal")
+
+
+def test_maps_of_frames_with_one_number_are_told_apart(pipeline, counts, touched):
+    assert go(pipeline, payload(touched, 5))
+    before = pipeline.record.map_key
+    assert go(pipeline, payload(counts, 3))  # a reset
+    assert go(pipeline, payload(counts, 4))
+    assert go(pipeline, payload(touched, 5))
+    assert pipeline.record.map_sequence == before[1]
+    assert pipeline.record.map_key != before
 
 
 def test_the_device_time_goes_on_over_the_wrap_of_its_counter(pipeline, counts):

@@ -22,7 +22,7 @@ def noisy(pipeline, counts):
 def test_rows_at_one_count_are_withheld_and_the_next_frame_says_so(noisy, counts):
     for number, value in enumerate((2**31 - 1, -(2**31), 1_000_000, 1)):
         assert not go(noisy, payload(np.full(104, value, dtype=np.int32), number))
-    assert (noisy.withheld["stuck"], noisy.withheld["no_signal"]) == (3, 1)
+    assert (noisy.intake.withheld["stuck"], noisy.intake.withheld["no_signal"]) == (3, 1)
     assert go(noisy, payload(counts, 9))
     assert {"withheld:stuck", "withheld:no_signal"} <= set(noisy.record.events)
 
@@ -33,7 +33,7 @@ def test_a_frame_that_comes_again_is_withheld_whichever_buffer_it_comes_from(noi
     assert go(noisy, payload(touched, 3))
     assert not go(noisy, payload(counts, 4))
     assert not go(noisy, payload(touched, 5))
-    assert noisy.withheld["frozen"] == 3
+    assert noisy.intake.withheld["frozen"] == 3
     for number in range(REMEMBERED):
         other = counts.copy()
         other[0] += 1 + number
@@ -49,7 +49,7 @@ def test_without_noise_in_the_reference_a_frame_may_come_again(pipeline, counts)
 def test_a_frame_of_another_width_or_table_is_none_of_this_device(pipeline, counts):
     assert not go(pipeline, payload(counts // 2, 1, sample_bytes=3))
     assert not go(pipeline, payload(np.tile(counts, 2), 2, flags=FrameFlag.FULL))
-    assert pipeline.withheld["malformed"] == 2
+    assert pipeline.intake.withheld["malformed"] == 2
     assert go(pipeline, payload(counts, 3))
 
 
@@ -57,7 +57,7 @@ def test_of_208_rows_a_stuck_converter_is_told_as_well(tiny, hello, counts):
     pipeline = Pipeline(tiny, replace(hello, rows=208))
     pipeline.use_reference(Reference(counts * 1e-9, np.abs(counts) * 3e-12, 100, "TEST-1", 0xABCD, "paper", ""))
     assert not go(pipeline, payload(np.full(208, 77_777, dtype=np.int32), 1, flags=FrameFlag.FULL))
-    assert pipeline.withheld["stuck"] == 1
+    assert pipeline.intake.withheld["stuck"] == 1
     cut_off = payload(np.full(208, 2**31 - 1, dtype=np.int32), 2, flags=FrameFlag.FULL, saturation=2**208 - 1)
     assert not go(pipeline, cut_off)
-    assert pipeline.withheld["stuck"] == 2
+    assert pipeline.intake.withheld["stuck"] == 2

@@ -57,7 +57,7 @@ def test_the_device_idles_while_untouched_and_wakes_at_a_touch(virtual_skin, wat
             frames.append(frame)
             if skin.pipeline.record.idle and any(seen.map.any() for seen in frames):
                 break  # it has been idle, awake, and is idle again
-        assert skin.pipeline.withheld["partial"] == 0
+        assert skin.pipeline.intake.withheld["partial"] == 0
     idle = ["acquisition:idle" in frame.skipped for frame in frames]
     changes = [index for index in range(1, len(frames)) if idle[index] != idle[index - 1]]
     assert [idle[index] for index in changes] == [True, False, True]
@@ -86,7 +86,7 @@ def test_a_host_finds_whole_scans_whatever_the_one_before_left(virtual_skin, wat
         line.close()  # killed while the device idled
         with Skin(port, bundle=watchful) as skin:
             skin.capture_reference(5)
-            assert skin.pipeline.withheld["partial"] == 0
+            assert skin.pipeline.intake.withheld["partial"] == 0
             assert not skin.pipeline.record.idle
 
 

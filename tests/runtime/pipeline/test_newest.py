@@ -57,11 +57,12 @@ def accepted(pipeline, *batches, frames=1):
 @pytest.mark.parametrize("behind", [[], [FAILED], [FAILED, FAILED]])
 def test_the_newest_frame_is_computed_whatever_comes_behind_it(pipeline, frames, behind):
     assert accepted(pipeline, [frames(1), FAILED, frames(2)], [frames(3), *behind]) == [3]
-    assert pipeline.withheld["stale"] == 2
+    assert pipeline.intake.withheld["stale"] == 2
     assert pipeline.intake.counter.lost == 0
-    assert pipeline.record.events == ("device:front_end_failed",)
+    pipeline.intake.name_events()
+    assert "device:front_end_failed" in pipeline.record.events
 
 
 def test_where_only_events_wait_the_next_frame_is_computed_and_tells_them(pipeline, frames):
     assert accepted(pipeline, [FAILED], [], [frames(1)], [frames(2)], frames=2) == [1, 2]
-    assert pipeline.withheld["stale"] == 0
+    assert pipeline.intake.withheld["stale"] == 0

@@ -85,9 +85,9 @@ def test_when_nothing_is_fast_enough_stale_frames_are_dropped_for_the_newest(vir
         for frame in skin.frames(timeout_s=120.0):
             if frame.touched:
                 frames.append(frame)
-            if len(frames) > 40 and skin.pipeline.withheld["stale"] > 50:
+            if len(frames) > 40 and skin.pipeline.intake.withheld["stale"] > 50:
                 break
-        stale = skin.pipeline.withheld["stale"]
+        stale = skin.pipeline.intake.withheld["stale"]
     assert_one_level_down_at_each_overrun(frames)
     levels = [ORDER.index(frame.solver) for frame in frames]
     assert levels == sorted(levels)

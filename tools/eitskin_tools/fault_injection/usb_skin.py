@@ -9,7 +9,6 @@ The host's programs need the bus's environment and nothing else: ``eitskin run -
 """
 
 import json
-import math
 import os
 import shutil
 import subprocess
@@ -35,12 +34,15 @@ WRAPPER: Final = "umockdev-wrapper"
 
 
 class Steady:
-    """Voltages that are not all alike, with a ripple that a reference can be taken of."""
+    """Voltages that are not all alike, with noise: a reference is refused whose frames repeat each other bit by bit."""
+
+    def __init__(self) -> None:
+        self._rng = np.random.default_rng(0)
 
     def voltages(self, time_s: float) -> npt.NDArray[np.float64]:
         """Return the (104,) V at a time since the first START."""
         rows: npt.NDArray[np.float64] = np.linspace(-0.1, -0.001, N_ROWS)
-        return rows * (1.0 + 1e-4 * math.sin(40.0 * time_s))
+        return rows * (1.0 + 1e-4 * self._rng.standard_normal(N_ROWS))
 
 
 class Puller(FaultPlayer):

@@ -104,10 +104,10 @@ class Stream:
         pipeline = self.pipeline
         self._sequence += 1
         frame = Frame(self._sequence, self._sequence * 5000 % (1 << 32), counts, saturation=saturation)
-        before = dict(pipeline.withheld)
+        before = dict(pipeline.intake.withheld)
         if pipeline.accept(frame.pack(), time.perf_counter_ns()) and pipeline.compute(True):
             return True
-        self.tally.withheld.update({k: n - before[k] for k, n in pipeline.withheld.items() if n > before[k]})
+        self.tally.withheld.update({k: n - before[k] for k, n in pipeline.intake.withheld.items() if n > before[k]})
         return False
 
     def engine(self, name: str) -> Engine:

@@ -200,7 +200,7 @@ def strike(attack: Attack, bundle: Bundle, sample: Sample, tally: Tally) -> Outc
             except PortLost:
                 pass  # the script's end
             finally:
-                withheld = {reason: n for reason, n in skin.pipeline.withheld.items() if n}
+                withheld = {reason: n for reason, n in skin.pipeline.intake.withheld.items() if n}
                 corrupt = skin.device.deframer.corrupt
         except (SkinError, ValueError) as error:
             refused = f"{type(error).__name__}: {error}"

@@ -1,0 +1,94 @@
+"""A cable that is out for a moment costs frames and not the program, at whatever operation it is pulled."""
+
+import threading
+
+import numpy as np
+import pytest
+
+from eitskin.acquisition.hotplug import HotPlug
+from eitskin.acquisition.ports import serial_ports
+from eitskin.pipeline.idle import IdleMode
+from eitskin.skin import Skin
+
+from .leaving_line import ROWS_V
+from .leaving_line import Skin as Here
+
+PATIENCE_S = 120.0
+
+
+def opened(here, bundle):
+    return Skin(HotPlug("/dev/here", give_up_s=PATIENCE_S, open_line=here.line), bundle=bundle)
+
+
+def some(skin, count):
+    """Return events of as many frames, in order."""
+    frames = skin.frames(timeout_s=PATIENCE_S)
+    return [event for _, frame in zip(range(count), frames, strict=False) for event in frame.events]
+
+
+@pytest.mark.parametrize("number", [1, 2, 3, 4, 8, 13, 14, 15])
+def test_a_cable_out_for_a_moment_while_the_skin_is_opened_ends_nothing(tiny, number):
+    here = Here()
+    here.leaves = lambda _, operation: operation == number
+    with opened(here, tiny) as skin:
+        assert skin.capture_reference(5).frames == 5
+        some(skin, 3)
+        assert skin.transport.returns == 1
+        assert skin.statistics.frames == 3
+    assert here.operations > number
+
+
+def test_a_cable_out_just_as_another_mode_is_asked_for_ends_nothing(tiny):
+    here = Here()
+    with opened(here, tiny) as skin:
+        skin.capture_reference(5)
+        skin.loop.idle = IdleMode(0.05)
+        here.leaves = lambda kind, _: kind == "write" and skin.transport.returns == 0
+        events = some(skin, 40)
+        assert skin.transport.returns == 1
+        assert skin.recoveries == 1
+    assert "recovered" in events
+
+
+def test_what_happened_at_frames_that_are_withheld_the_next_frame_tells(tiny):
+    here = Here()
+    with opened(here, tiny) as skin:
+        skin.capture_reference(5)
+        some(skin, 5)
+        here.source.factor = 0.0  # no current for a moment, and a cloud comes
+        revision = skin.set_cloud(skin.description.grid.flat_cloud_mm())
+        threading.Timer(0.05, setattr, (here.source, "factor", 1.0)).start()
+        frame = next(skin.frames(timeout_s=PATIENCE_S))
+        assert frame.cloud == revision
+        told = frame.events
+    assert "withheld:no_signal" in told
+    assert "cloud" in told
+
+
+def test_a_prediction_is_held_against_a_new_reference_from_then_on(tiny):
+    here = Here()
+    with opened(here, tiny) as skin:
+        skin.capture_reference(5)
+        given = skin.set_cloud(skin.description.grid.flat_cloud_mm(), 1.05 * skin.reference.voltages_V)
+        some(skin, 3)
+        weak = skin.reference.weak
+        predicted = skin.pipeline.buffers.log_predicted
+        np.testing.assert_allclose(predicted[0][~weak], np.log(1.05), rtol=1e-4)
+        here.source.factor = 1.05
+        new = skin.capture_reference(5, force=True)
+        assert np.median(new.voltages_V / ROWS_V) == pytest.approx(1.05, rel=1e-3)
+        np.testing.assert_allclose(predicted[0][~(weak | new.weak)], 0.0, atol=2e-3)
+        assert skin.pipeline.buffers.revision == given
+
+
+def test_a_port_that_leaves_while_it_is_looked_at_is_no_error(monkeypatch):
+    looks = []
+
+    def comports():
+        looks.append(1)
+        if len(looks) == 1:
+            raise TypeError("int() argument must be a string, not 'NoneType'")
+        return ["a port"]
+
+    monkeypatch.setattr("eitskin.acquisition.ports.list_ports.comports", comports)
+    assert serial_ports() == ["a port"]
