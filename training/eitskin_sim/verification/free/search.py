@@ -265,9 +265,10 @@ class FreeVerifier:
         best = None
         for one in tries:
             limits = (STEPS, ENOUGH) if self.deformation.was_made_anew else (FEW, ROUGHLY)
-            frame, fit = self._settled(frame, fitted(frame, one, False, effort, effort.searched, *limits), effort)
+            turning = bool(one[:, 5].any())
+            frame, fit = self._settled(frame, fitted(frame, one, turning, effort, effort.searched, *limits), effort)
             if best is not None and best.frame is not frame:
-                best = frame.at(best.pieces, False)
+                best = frame.at(best.pieces, best.turning)
             if best is None or fit.cost < best.cost:
                 best = fit
             if effort.searched() or explained(best):

@@ -1,10 +1,11 @@
-"""Where a search starts: the touches of the network's map as upright rectangles, one each, or two of one that is an L.
+"""Where a search starts: the touches of the network's map as rectangles, one each, or two of one that is an L.
 
 A touch is what the stream says it is: pixels and the share that it has of each. A rectangle has the moments of its
-shares. Where two rectangles, cut apart along a row or a column of pixels, draw the map much better than one, the touch
-starts as two.
+shares. It is upright, unless one along the touch draws the map much better, or two, cut apart along a row or a column
+of pixels: then the touch starts turned, or as two.
 """
 
+from collections.abc import Iterator
 from typing import Final
 
 import numpy as np
@@ -20,6 +21,15 @@ BETTER: Final = 0.45
 PIXELS: Final = 2.5
 """What one rectangle leaves, in squares of whole pixels, before two are thought of."""
 
+TURNED: Final = 0.8
+"""A turned rectangle leaves less than this share of what an upright one leaves."""
+
+TURNED_PIXELS: Final = 1.5
+"""What an upright rectangle leaves before a turned one is thought of: that may come out upright all the same."""
+
+AS_GOOD: Final = 1.5
+"""Times of what two rectangles leave that a turned one may leave, to be taken first: it is one touch."""
+
 MOVED_MM: Final = 15.0
 """What a touch moves from frame to frame at most, or it is another."""
 
@@ -28,7 +38,7 @@ LEAST_MM: Final = 3.0
 
 
 def starts_of(shares: Array, grid: Grid = PAPER.grid) -> Array:
-    """Return (m, 8) rectangles of contrast 1 that draw a map's touches.
+    """Return (m, 8) rectangles of contrast 1, upright or turned, that draw a map's touches.
 
     Args:
         shares: (n, rows, columns) of the map, what each touch has of every pixel; ``shares_of`` of the stream's.
@@ -95,17 +105,34 @@ def _nearest(last: Array, rectangles: Array) -> Index | None:
 
 def rectangle(share: Array, grid: Grid) -> Array:
     """Return the (8,) upright rectangle with the area and the moments of (rows, columns) shares."""
+    middle, spread = _moments(share, grid)
+    return _of_moments(share, grid, middle, np.diag(spread), 0.0)
+
+
+def turned_rectangle(share: Array, grid: Grid) -> Array:
+    """Return the (8,) rectangle likewise, along (rows, columns) shares."""
+    middle, spread = _moments(share, grid)
+    own, ways = np.linalg.eigh(spread)
+    angle_deg = float(np.rad2deg(np.arctan2(ways[1, 1], ways[0, 1]))) % 180.0
+    return _of_moments(share, grid, middle, own[::-1], angle_deg)
+
+
+def _moments(share: Array, grid: Grid) -> tuple[Array, Array]:
+    """Return the (2,) middle and the (2, 2) second moments about it, in mm and mm2, less those of a pixel."""
     total = max(float(share.sum()), 1e-9)
-    middle, spread = np.empty(2), np.empty(2)
-    for axis, pitch in enumerate(grid.pixel_mm):
-        along = share.sum(axis=axis)
-        at = (np.arange(len(along)) + 0.5) * pitch
-        middle[axis] = along @ at / total
-        spread[axis] = along @ (at - middle[axis]) ** 2 / total - pitch**2 / 12.0
+    x, y = ((np.arange(count) + 0.5) * pitch for count, pitch in zip(share.shape[::-1], grid.pixel_mm, strict=True))
+    middle = np.array([share.sum(axis=0) @ x, share.sum(axis=1) @ y]) / total
+    x, y = x - middle[0], y - middle[1]
+    spread = np.diag([share.sum(axis=0) @ x**2, share.sum(axis=1) @ y**2]) / total
+    spread[0, 1] = spread[1, 0] = y @ share @ x / total
+    return middle, spread - np.diag(np.square(grid.pixel_mm)) / 12.0
+
+
+def _of_moments(share: Array, grid: Grid, middle: Array, spread: Array, angle_deg: float) -> Array:
     sides = np.maximum(np.sqrt(12.0 * np.maximum(spread, 0.0)), LEAST_MM)
-    area = max(total * grid.pixel_mm2, LEAST_MM**2)
+    area = max(float(share.sum()) * grid.pixel_mm2, LEAST_MM**2)
     sides *= np.clip(np.sqrt(area / sides.prod()), 0.7, 1.3)
-    return np.array([RECTANGLE, *middle, *sides, 0.0, 1.0, 0.0])
+    return np.array([RECTANGLE, *middle, *sides, angle_deg, 1.0, 0.0])
 
 
 def _drawn(pieces: list[Array], grid: Grid) -> Array:
@@ -117,23 +144,33 @@ def _drawn(pieces: list[Array], grid: Grid) -> Array:
 
 
 def _one_or_two(share: Array, grid: Grid) -> Array:
+    """Return (1 or 2, 8) rectangles: an upright one, a turned one, or two upright ones."""
+
+    def left_by(*pieces: Array) -> float:
+        return float(np.sum((_drawn(list(pieces), grid) - share) ** 2))
+
     one = rectangle(share, grid)
-    left = float(np.sum((_drawn([one], grid) - share) ** 2))
-    best, two = left, [one]
+    left = best = left_by(one)
+    found = [one]
     if left > PIXELS:
-        for axis in (0, 1):
-            there = np.flatnonzero((share > 0.3).any(axis=1 - axis))
-            for cut in there[1:]:
-                parts = [share.copy(), share.copy()]
-                if axis == 0:
-                    parts[0][cut:], parts[1][:cut] = 0.0, 0.0
-                else:
-                    parts[0][:, cut:], parts[1][:, :cut] = 0.0, 0.0
-                pieces = [rectangle(part, grid) for part in parts]
-                error = float(np.sum((_drawn(pieces, grid) - share) ** 2))
-                if error < best:
-                    best, two = error, pieces
-    return np.array(two if best < BETTER * left else [one])
+        for pieces in _pairs(share, grid):
+            if (other := left_by(*pieces)) < min(best, BETTER * left):
+                best, found = other, pieces
+    if left > TURNED_PIXELS:
+        turned = turned_rectangle(share, grid)
+        if left_by(turned) < min(TURNED * left, AS_GOOD * best):
+            found = [turned]
+    return np.array(found)
+
+
+def _pairs(share: Array, grid: Grid) -> Iterator[list[Array]]:
+    """Yield two rectangles for every row or column of pixels along which (rows, columns) shares may be cut."""
+    for axis in (0, 1):
+        there = np.flatnonzero((share > 0.3).any(axis=1 - axis))
+        for cut in there[1:]:
+            before = np.arange(share.shape[axis]) < cut
+            first = np.where(before[:, None] if axis == 0 else before, share, 0.0)
+            yield [rectangle(first, grid), rectangle(share - first, grid)]
 
 
 def contrasts_of(usual: float) -> tuple[float, ...]:

@@ -22,6 +22,9 @@ from eitskin_sim.verification.free.improve import IMPOSSIBLE, fitted
 GENTLE: Final = ((2.0, 0.2), (5.0, 0.2))
 """Contrasts below those that a skin states of touches that raise conductance, and the shares of belief of each."""
 
+LARGER: Final = ((2.0, 0.1),)
+"""The same of touches that would be larger than :data:`PLAIN_MM` with the skin's contrast."""
+
 LOWERING: Final = ((0.7, 0.4),)
 """The same of touches that lower conductance: gentler ones are nearer to 1."""
 
@@ -34,6 +37,12 @@ APART: Final = 0.2
 PLAIN_MM: Final = 8.5
 """Root of the area from which a touch of contrast 50 reads otherwise than any of contrast 5."""
 
+LARGE_MM: Final = 14.0
+"""The same of contrast 2, of twice the side: beyond it a touch's size shows,"""
+
+FEW: Final = 2
+"""and of more touches than these it shows, too."""
+
 STEPS: Final = 1
 """Derivatives taken of each: more do not draw better maps."""
 
@@ -45,10 +54,10 @@ def likely(frame: Frame, fit: Fit, effort: Effort) -> Likely:
     """Return a fit's touches, and those of other contrasts that explain a frame as well."""
     usual = frame.usual
     own = ((1.0, fit.pieces),)
-    if not len(fit.pieces) or not usual.sign or (usual.sign > 0 and np.sqrt(areas_mm2(fit.pieces).min()) > PLAIN_MM):
+    mean = float(np.log(fit.pieces[:, 6]).mean()) if len(fit.pieces) else 0.0
+    others = [one for one in _gentler(frame, fit.pieces) if abs(np.log(one[0]) - mean) > APART]
+    if not others:
         return own
-    mean = float(np.log(fit.pieces[:, 6]).mean())
-    others = [one for one in (GENTLE if usual.sign > 0 else LOWERING) if abs(np.log(one[0]) - mean) > APART]
     tried = [(1.0 - sum(share for _, share in others), _unlikely(fit), fit.pieces)]
     for contrast, share in others:
         if effort.searched():
@@ -64,6 +73,18 @@ def likely(frame: Frame, fit: Fit, effort: Effort) -> Likely:
     belief[1:][belief[1:] < LEAST * belief.sum()] = 0.0
     belief /= belief.sum()
     return tuple((float(one), pieces) for one, (_, _, pieces) in zip(belief, tried, strict=True) if one > 0.0) or own
+
+
+def _gentler(frame: Frame, pieces: Array) -> tuple[tuple[float, float], ...]:
+    """Return the contrasts that are looked at besides, and the share of belief of each."""
+    if not len(pieces) or not frame.usual.sign:
+        return ()
+    if frame.usual.sign < 0:
+        return LOWERING
+    root_mm = float(np.sqrt(areas_mm2(pieces).min()))
+    if root_mm <= PLAIN_MM:
+        return GENTLE
+    return LARGER if root_mm <= LARGE_MM and len(pieces) <= FEW else ()
 
 
 def scaled(pieces: Array, contrast: float) -> Array:
