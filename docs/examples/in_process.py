@@ -8,15 +8,20 @@ all cores for them; and whether it stands still is for the program to watch.
 """
 
 import sys
+from contextlib import suppress
 
 import eitskin
+
+if len(sys.argv) != 2:
+    sys.exit(__doc__)
 
 with eitskin.Skin(sys.argv[1]) as skin:
     reference = skin.capture_reference(frames=50)
     print(f"reference of {reference.frames} frames from {reference.serial_number}, weak rows {reference.weak.size}")
-    for frame in skin.frames(timeout_s=5.0):
-        if frame.touched:
-            row, column = divmod(int(frame.map.argmax()), frame.map.shape[1])
-            print(f"touched at x {(column + 0.5) * 10 / 3:.1f} mm, y {(row + 0.5) * 10 / 3:.1f} mm")
+    with suppress(KeyboardInterrupt):
+        for frame in skin.frames(timeout_s=5.0):
+            if frame.touched:
+                row, column = divmod(int(frame.map.argmax()), frame.map.shape[1])
+                print(f"touched at x {(column + 0.5) * 10 / 3:.1f} mm, y {(row + 0.5) * 10 / 3:.1f} mm")
     status = skin.status()
     print(f"{status['frames']} frames, {status['lost']} lost")

@@ -73,7 +73,9 @@ class SocketLine:
 
 
 if __name__ == "__main__":
-    with eitskin.Skin(SocketLine(sys.argv[1], int(sys.argv[2]))) as skin:
+    if len(sys.argv) != 3:
+        sys.exit(__doc__)
+    with suppress(KeyboardInterrupt), eitskin.Skin(SocketLine(sys.argv[1], int(sys.argv[2]))) as skin:
         skin.capture_reference(frames=50)
         for frame in skin.frames(timeout_s=2.0):
             print(f"frame {frame.sequence} over TCP: highest pixel {frame.map.max():.2f}")

@@ -6,12 +6,16 @@ The runtime computes what its subscribers ask for, all together, and no more.
 """
 
 import sys
+from contextlib import suppress
 
 import eitskin
 
 LEFT_EDGE_MM = (0.0, 0.0, 30.0, 100.0)  # x0, y0, x1, y1 on the flat sheet
 
-with eitskin.subscribe(*sys.argv[1:2], region_mm=LEFT_EDGE_MM, skip_unchanged=True, timeout_s=10.0) as frames:
+with (
+    suppress(KeyboardInterrupt),
+    eitskin.subscribe(*sys.argv[1:2], region_mm=LEFT_EDGE_MM, skip_unchanged=True, timeout_s=10.0) as frames,
+):
     for frame in frames:
         part = frame.map[frames.region.slices]  # rows and columns of the rectangle; the rest of the map may be 0
         print(f"left edge {part.shape}: highest pixel {part.max():.2f}; computed {frame.regions}")

@@ -12,6 +12,9 @@ import sys
 import eitskin
 from eitskin_proto.skin.cloud_file import Surface, load_surface
 
+if len(sys.argv) < 2:
+    sys.exit(__doc__)
+
 found = load_surface(sys.argv[1])
 if found.predicted_V is None:
     from eitskin_sim.surface.predict import flat_voltages, predict
