@@ -2,6 +2,8 @@
 
 import argparse
 import ast
+import re
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -11,6 +13,7 @@ from eitskin_tools import cli
 from eitskin_tools.command_line import needs
 from eitskin_tools.commands.offline.bench import BENCHMARKS
 
+ROOT = Path(__file__).parents[3]
 BENCH = Path(eitskin_tools.__file__).parent / "bench"
 
 BROUGHT = {"eitskin_sim": "scipy", "eitskin_training": "torch", "eitskin_export": "scipy"}
@@ -44,6 +47,46 @@ def test_every_command_of_the_table_exists() -> None:
     assert {name.removeprefix("bench ") for name in needs.NEEDS if name.startswith("bench ")} <= set(BENCHMARKS)
 
 
+MODULES = {"scikit-fem": "skfem", "pyeit": "pyeit"}
+"""Name of a package -> the module that it brings, where they differ or only some of an extra's are imported."""
+
+TOOLS_OF_DEV = {"pytest", "pytest-xdist", "hypothesis", "mypy", "ruff", "scipy-stubs", "build"}
+
+
+def test_every_extra_brings_the_modules_that_the_table_says() -> None:
+    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    brought = {}
+    for extra in extras.keys() - {"docs"}:
+        names = {re.split(r"[^A-Za-z0-9_-]", text)[0] for text in extras[extra]} - {"eitskin"} - TOOLS_OF_DEV
+        brought |= {MODULES.get(name, name): extra for name in names}
+    assert brought == needs.EXTRAS
+
+
+def test_the_pin_of_torch_is_everywhere_the_same() -> None:
+    assert f"install {needs.TORCH}\n" in (ROOT / "Makefile").read_text()
+    assert needs.TORCH in (ROOT / "constraints.txt").read_text().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("missing", "expected"),
+    [
+        ("zstandard", "pip install 'eitskin[record]'"),
+        ("mcap.reader", "pip install 'eitskin[record]'"),
+        ("rich", "pip install 'eitskin[sim]'"),
+        ("msgpack", "pip install eitskin"),
+    ],
+)
+def test_a_module_that_is_missed_while_a_command_runs_names_its_extra(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], missing: str, expected: str
+) -> None:
+    def run(arguments: argparse.Namespace) -> int:
+        raise ModuleNotFoundError(f"No module named {missing!r}", name=missing)
+
+    monkeypatch.setattr("eitskin_tools.commands.live.doctor.run", run)
+    assert cli.main(["doctor"]) == 1
+    assert capsys.readouterr().err == f"eitskin doctor: No module named {missing!r}; install it with: {expected}\n"
+
+
 @pytest.fixture
 def without(monkeypatch: pytest.MonkeyPatch) -> None:
     """An installation without any extra."""
@@ -54,11 +97,17 @@ def without(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "expected"),
     [
-        (["bench", "skip"], "eitskin bench: bench skip needs scipy, torch: pip install 'eitskin[train]'"),
+        (
+            ["bench", "skip"],
+            "eitskin bench: bench skip needs scipy, torch: pip install torch==2.13.0 && pip install 'eitskin[train]' (",
+        ),
         (
             ["train", "--recipe", "tiny", "--data", "x", "--out", "y"],
-            "eitskin train: train needs scipy, torch: pip install 'eitskin[train]'",
+            "eitskin train: train needs scipy, torch: pip install torch==2.13.0 && pip install 'eitskin[train]' (torch "
+            "alone and first: any other way may bring gigabytes of CUDA)",
         ),
+        (["view", "day.mcap"], "view day.mcap needs mcap, zstandard: pip install 'eitskin[record]'"),
+        (["record", "--out", "day.mcap"], "record needs mcap, zstandard: pip install 'eitskin[record]'"),
         (["demo"], "eitskin demo: demo needs scipy: pip install 'eitskin[sim]'"),
     ],
 )

@@ -8,10 +8,17 @@ from typing import Final
 from eitskin_proto.errors import SkinError
 
 EXTRAS: Final[dict[str, str]] = {
-    "scipy": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
-    "distributed": "cluster", "skfem": "dev", "mcap": "record", "pyarrow": "parquet", "rosbags": "ros",
+    "scipy": "sim", "rich": "sim", "torch": "train", "onnx": "train", "onnxscript": "train", "matplotlib": "plot",
+    "distributed": "cluster", "skfem": "dev", "pyeit": "dev", "mcap": "record", "zstandard": "record", "lz4": "record",
+    "pyarrow": "parquet", "rosbags": "ros",
 }  # fmt: skip
-"""Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings."""
+"""Extra of ``pip install 'eitskin[EXTRA]'`` by the module that it brings, as in pyproject.toml."""
+
+TORCH: Final = "torch==2.13.0"
+"""What the Makefile installs alone and before anything else, and constraints.txt holds."""
+
+RECORDINGS: Final = ("mcap", "zstandard")
+"""What reads and writes recordings."""
 
 NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "demo": ("scipy",),
@@ -21,10 +28,10 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "dataset": ("scipy",),
     "evaluate": ("scipy",),
     "calibrate": ("scipy",),
-    "record": ("mcap",),
-    "replay": ("mcap",),
-    "reinfer": ("mcap",),
-    "convert": ("mcap",),
+    "record": RECORDINGS,
+    "replay": RECORDINGS,
+    "reinfer": RECORDINGS,
+    "convert": RECORDINGS,
     "adapt-skin": ("scipy", "torch", "onnx", "onnxscript"),
     "build": ("scipy", "torch", "onnx", "onnxscript"),
     "card": ("scipy",),
@@ -34,7 +41,7 @@ NEEDS: Final[dict[str, tuple[str, ...]]] = {
     "export": ("scipy", "torch", "onnx", "onnxscript"),
     "bench frame": ("scipy",),
     "bench memory": ("scipy",),
-    "bench recording": ("scipy", "mcap"),
+    "bench recording": ("scipy", *RECORDINGS),
     "bench skins": ("scipy",),
     "bench skip": ("scipy", "torch"),
     "bench tradeoff": ("scipy",),
@@ -58,6 +65,9 @@ OPTION_NEEDS: Final[dict[str, tuple[str, ...]]] = {
 }  # fmt: skip
 """Modules by option, whichever command has it."""
 
+GIVEN_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {"view": {"file": RECORDINGS}}
+"""Modules by command and what it was given."""
+
 PART_NEEDS: Final[dict[str, dict[str, tuple[str, ...]]]] = {"bench electrodes": {"gate": ("torch",)}}
 """Modules by part, of benchmarks of which ``--only`` leaves parts out."""
 
@@ -77,6 +87,9 @@ def check(arguments: argparse.Namespace) -> None:
     for option, modules in OPTION_NEEDS.items():
         if getattr(arguments, option, None):
             require(f"--{option}", modules)
+    for given, modules in GIVEN_NEEDS.get(name, {}).items():
+        if (value := getattr(arguments, given)) is not None:
+            require(f"{name} {value}", modules)
     asked = {part for given in getattr(arguments, "only", None) or () for part in given}
     for part, modules in PART_NEEDS.get(name, {}).items():
         if not asked or part in asked:
@@ -99,8 +112,16 @@ def require(who: str, modules: Iterable[str]) -> None:
 
 
 def install(modules: Iterable[str]) -> str:
-    """Return the command that installs some modules."""
-    extras = {EXTRAS.get(module, "sim") for module in modules}
+    """Return the command that installs some modules, and why it is two where torch is among them.
+
+    Args:
+        modules: By name, parts of packages too; of one in no extra, what is installed with eitskin itself.
+    """
+    names = {module.partition(".")[0] for module in modules}
+    extras = {EXTRAS[name] for name in names if name in EXTRAS}
     if extras & {"train", "cluster", "dev"}:
         extras -= {"sim"}  # they bring it along
-    return f"pip install 'eitskin[{','.join(sorted(extras))}]'"
+    command = f"pip install 'eitskin[{','.join(sorted(extras))}]'" if extras else "pip install eitskin"
+    if "torch" not in names:
+        return command
+    return f"pip install {TORCH} && {command} (torch alone and first: any other way may bring gigabytes of CUDA)"
