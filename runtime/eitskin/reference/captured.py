@@ -27,11 +27,12 @@ import numpy.typing as npt
 
 from eitskin.errors import BadReference, MismatchError
 from eitskin.reference.judgement import Judgement
+from eitskin.reference.read import capture_again, read_reference
 from eitskin.reference.row_noise import WEIGHED_SPREAD, lost_rows, weighed_rows
 from eitskin.reference.scanned import ReferenceScan
 from eitskin_proto.files.digest import sha256_of_values
 from eitskin_proto.files.plain import quoted, stated
-from eitskin_proto.files.reading import FileError, is_whole, parse_json, read_bytes, text_of
+from eitskin_proto.files.reading import FileError, is_whole, parse_json, text_of
 from eitskin_proto.files.writing import write_bytes
 from eitskin_proto.sensor.ids import PROTOCOL_ID
 from eitskin_proto.sensor.table import N_ROWS, TABLE
@@ -206,14 +207,7 @@ def load(path: str | Path, skin: Skin | None = None) -> Reference:
         MismatchError: It is of another version or protocol_id, or of another skin.
     """
     where = Path(path)
-    hint = f"capture it again: eitskin reference --port PORT --out {where}"
-    try:
-        raw = read_bytes(where, LARGEST_FILE)
-    except FileError as error:
-        raise BadReference(f"no reference: {error}; {hint}") from error
-    except OSError as error:
-        raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {hint}") from error
-    return parsed(raw, str(where), hint, skin)
+    return parsed(read_reference(where, FORMAT, LARGEST_FILE), str(where), capture_again(where), skin)
 
 
 def parsed(raw: bytes, where: str, hint: str, skin: Skin | None = None) -> Reference:

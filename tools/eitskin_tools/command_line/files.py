@@ -11,6 +11,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.reading import FileError, kind_of
 from eitskin_proto.files.shipped import is_name
 from eitskin_proto.files.writing import check_target
+from eitskin_tools.command_line import kinds
 from eitskin_tools.command_line.suggest import did_you_mean
 
 
@@ -104,15 +105,22 @@ def parent(path: str | Path) -> Path:
     return found
 
 
-def writable(path: str | Path) -> Path:
+def writable(path: str | Path, written: kinds.Known) -> Path:
     """Return the path of a file that is to be written, before the work that fills it.
+
+    Args:
+        path: Of the file.
+        written: What is written there.
 
     Raises:
         MissingFileError: Its folder is not there.
         FileError: The folder takes no files; or it is there and no regular file: a rename would replace a device, a
-            FIFO or a socket.
+            FIFO or a socket; or it is a file of another kind, which would be lost.
+        OSError: It is there and cannot be read.
     """
-    return check_target(parent(path))
+    found = check_target(parent(path))
+    kinds.check_replaced(found, written)
+    return found
 
 
 def picture(path: str | Path) -> Path:
@@ -122,7 +130,7 @@ def picture(path: str | Path) -> Path:
         MissingFileError: See :func:`writable`.
         FileError: See there; or its name ends in no format that can be drawn.
     """
-    found = writable(path)
+    found = writable(path, kinds.PICTURE)
     if found.suffix and found.suffix.lower() not in PICTURES:
         raise FileError(f"{path} ends in {found.suffix!r}, expected one of {', '.join(PICTURES)}")
     return found

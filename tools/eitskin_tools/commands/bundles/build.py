@@ -79,14 +79,14 @@ def make(
     from eitskin_tools.build import folder as half_made
     from eitskin_tools.build import hours, press_lesson, steps
     from eitskin_tools.build.making import Making
-    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line import files, kinds
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
     from eitskin_tools.stages import Stages
 
     if arguments.threads < 0 or (arguments.workers is not None and arguments.workers < 1):
         raise UsageError("--workers is at least 1, --threads at least 0")
-    files.writable(arguments.out)
+    files.writable(arguments.out, kinds.BUNDLE)
     work = arguments.work or arguments.out.with_name(f"{arguments.out.name}.build")
     others = asked.others()
     if (many := sum(one.deformations for one in asked.data.values())) > MANY:

@@ -21,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(arguments: argparse.Namespace) -> int:
     """Try the bundle part by part, and report."""
     from eitskin_tools.build.steps import finish
-    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line import files, kinds
     from eitskin_tools.errors import UsageError
     from eitskin_tools.evaluation import card
     from eitskin_tools.stages import Stages
@@ -31,7 +31,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError("--deformations {} --each {} --draws {}: expected at least 1 of each".format(*sizes))
     path = files.find(arguments.bundle, files.BUNDLE)
     if arguments.out is not None:
-        files.writable(arguments.out)
+        files.writable(arguments.out, kinds.BUNDLE)
     found = {}
     with Stages() as tell:
         for name in card.parts(path):

@@ -25,7 +25,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Export and report."""
     from eitskin_export import package
     from eitskin_export.bundle import amend
-    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line import files, kinds
     from eitskin_tools.errors import UsageError
     from eitskin_tools.stages import Stages
     from eitskin_training.run_files import data_of, trained
@@ -33,7 +33,7 @@ def run(arguments: argparse.Namespace) -> int:
     out = Path(arguments.out)
     if arguments.seeds < 1:
         raise UsageError(f"--seeds is {arguments.seeds}; expected at least 1")
-    files.writable(out)
+    files.writable(out, kinds.BUNDLE)
     for path in arguments.phantoms:
         files.find(path, files.PHANTOMS)
     found = trained(Path(arguments.run_folder))

@@ -30,10 +30,10 @@ def run(arguments: argparse.Namespace) -> int:
     """Put the one into the other, and report."""
     from eitskin.model.manifest import GENTLE, SMALL
     from eitskin_export.pair import pair, replaced
-    from eitskin_tools.command_line import files
+    from eitskin_tools.command_line import files, kinds
 
     bundle, other = (files.find(name, files.BUNDLE) for name in (arguments.bundle, arguments.other))
-    files.writable(arguments.out)
+    files.writable(arguments.out, kinds.BUNDLE)
     if arguments.replace:
         found = replaced(bundle, other, arguments.out)
     else:

@@ -6,7 +6,7 @@ import signal
 import sys
 from pathlib import Path
 
-from eitskin_tools.command_line import files, touches
+from eitskin_tools.command_line import files, kinds, touches
 from eitskin_tools.command_line.noise import check_seed
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.commands.live.run import SOLVERS
@@ -67,7 +67,7 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.bundle is not None:
         files.find(arguments.bundle, files.BUNDLE)
     if arguments.record is not None:
-        files.writable(arguments.record)
+        files.writable(arguments.record, kinds.NOTED)
     if arguments.picture is not None:
         files.picture(arguments.picture)
     bundle, kind = choose(arguments.bundle, touches.chosen(arguments))

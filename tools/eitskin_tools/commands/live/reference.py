@@ -11,7 +11,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, kinds
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
 
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError("--port captures a reference; name the file that it goes to with --out")
         if arguments.frames < 2:
             raise UsageError(f"--frames is {arguments.frames}, expected at least 2")
-        files.writable(arguments.out)
+        files.writable(arguments.out, kinds.REFERENCE)
         found = _capture(arguments)
         references.save(found, arguments.out)
     if arguments.json:

@@ -10,7 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line import files, kinds, skins
 from eitskin_tools.console.say import say
 
 DEFAULT = "default"
@@ -55,7 +55,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     skin = skins.chosen(arguments)
     points = read_points(files.find(arguments.file, files.POINTS))
-    files.writable(arguments.out)
+    files.writable(arguments.out, kinds.CLOUD)
     start = time.perf_counter()
     try:
         result = organise(points, tuple(arguments.corner) if arguments.corner else None, skin.grid)

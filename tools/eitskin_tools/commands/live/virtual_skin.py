@@ -4,7 +4,7 @@ import argparse
 import os
 from pathlib import Path
 
-from eitskin_tools.command_line import files, skins, touches
+from eitskin_tools.command_line import files, kinds, skins, touches
 from eitskin_tools.command_line.noise import check_seed, check_snr
 from eitskin_tools.errors import UsageError
 
@@ -59,9 +59,9 @@ def run(arguments: argparse.Namespace) -> int:
     check_seed(arguments.seed)
     files.find(arguments.config, files.CONFIGURATION)
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
-    for path in (arguments.wire_times, arguments.log):
+    for path, written in ((arguments.wire_times, kinds.ARRAY), (arguments.log, kinds.LOG)):
         if path is not None:
-            files.writable(path)
+            files.writable(path, written)
     skin, kind = skins.chosen(arguments), touches.chosen(arguments)
     try:
         faults = tuple(parse(text) for text in arguments.fault)

@@ -10,7 +10,7 @@ from pathlib import Path
 from shlex import quote
 from typing import Any, Final
 
-from eitskin_tools.command_line import files, skins
+from eitskin_tools.command_line import files, kinds, skins
 from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.errors import UsageError
 
@@ -71,7 +71,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     if arguments.snr_db is not None and not 10.0 <= arguments.snr_db <= 120.0:
         raise UsageError(f"--snr-db is {arguments.snr_db:g}, expected 10 to 120")
-    files.writable(arguments.out)
+    files.writable(arguments.out, kinds.SKIN)
     skin = skins.read(arguments.skin)
     check_outline(skin)
     check_contacts(skin)
@@ -127,7 +127,7 @@ def _record(arguments: argparse.Namespace, skin: Any) -> None:
         raise UsageError("--guided needs --port, of a skin or of 'eitskin virtual-skin'")
     if arguments.json:
         raise UsageError("--guided talks on standard output; leave --json out, and calibrate FILE once more with it")
-    files.writable(Path(arguments.recording))
+    files.writable(Path(arguments.recording), kinds.GUIDED)
     ids = {"protocol_id": PROTOCOL_ID, "grid_id": skin.grid_id, "skin_digest": skin.digest}
 
     def opened() -> Transport:

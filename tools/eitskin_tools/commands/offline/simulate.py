@@ -7,7 +7,7 @@ from pathlib import Path
 from time import perf_counter
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_tools.command_line import skins
+from eitskin_tools.command_line import kinds, skins
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -43,7 +43,7 @@ def run(arguments: argparse.Namespace) -> int:
 
     skin = skins.chosen(arguments)
     scene = load_scene(files.find(arguments.scene, files.SCENE), skin)
-    files.writable(arguments.out)
+    files.writable(arguments.out, kinds.VOLTAGES)
     if arguments.reference:
         scene = scene.reference()
     if arguments.element_size_mm is not None:

@@ -6,13 +6,15 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files, needs
+from eitskin_tools.command_line import files, kinds, needs
 from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
 
 FORMATS = {".npz": "npz", ".parquet": "parquet", "": "rosbag2"}
 """By the end of the name; a folder has none."""
+
+WRITTEN = {"npz": kinds.CONVERTED, "parquet": kinds.PARQUET}
 
 MODULES = {"npz": (), "parquet": ("pyarrow",), "rosbag2": ("rosbags",)}
 
@@ -35,7 +37,7 @@ def run(arguments: argparse.Namespace) -> int:
         raise UsageError(expected_one_of("the end of --out", arguments.out.suffix, (".npz", ".parquet", "none")))
     check_span(arguments)
     needs.require(f"convert to {kind}", MODULES[kind])
-    files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out)
+    files.parent(arguments.out) if kind == "rosbag2" else files.writable(arguments.out, WRITTEN[kind])
     from eitskin_tools.recording.script import Script
 
     script = Script(arguments.file)

@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from eitskin_tools.command_line import files
+from eitskin_tools.command_line import files, kinds
 from eitskin_tools.command_line.span import add_span, check_span
 from eitskin_tools.errors import UsageError
 
@@ -177,6 +177,6 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError(f"--every is {arguments.every}, expected at least 1")
     check_span(arguments)
     if arguments.out is not None:
-        files.writable(arguments.out)
+        files.writable(arguments.out, kinds.COMPUTED)
     if arguments.plot is not None:
         files.picture(arguments.plot)

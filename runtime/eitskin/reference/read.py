@@ -1,0 +1,72 @@
+"""The bytes of a reference's file, or why there are none and what to do: never to capture over a file that is no such.
+
+Reference files are their owner's alone (mode 0600), so that one which another user captured is met often.
+"""
+
+import os
+import pwd
+from contextlib import suppress
+from pathlib import Path
+from typing import Final
+
+from eitskin.errors import BadReference
+from eitskin_proto.files.reading import FileError, read_bytes
+
+ANOTHER: Final = "name a reference, or capture one into a new file: eitskin reference --port PORT --out NEW"
+"""What to do about a file that is no reference and must stay as it is."""
+
+
+def capture_again(where: Path) -> str:
+    """Return what to do about a reference that cannot be used, or that is not there."""
+    return f"capture it again: eitskin reference --port PORT --out {where}"
+
+
+def read_reference(where: Path, form: str, largest: int) -> bytes:
+    """Return the bytes of a file that says it is a reference, damaged or not.
+
+    Args:
+        where: The file.
+        form: What a reference says that it is.
+        largest: Bytes of a reference.
+
+    Raises:
+        BadReference: It is none, or cannot be read.
+    """
+    try:
+        raw = read_bytes(where, largest)
+    except FileError as error:
+        raise BadReference(f"no reference: {error}; {ANOTHER}") from error
+    except PermissionError as error:
+        raise BadReference(f"reference {where} cannot be read: {_denied(where)}") from error
+    except FileNotFoundError as error:
+        raise BadReference(f"reference {where} cannot be read: {error.strerror}; {capture_again(where)}") from error
+    except OSError as error:
+        raise BadReference(f"reference {where} cannot be read: {error.strerror or error}; {ANOTHER}") from error
+    if raw.lstrip()[:1] != b"{" or form.encode() not in raw:  # a recording holds one too, among other things
+        raise BadReference(f"{where} is no reference; {ANOTHER}")
+    return raw
+
+
+def _denied(where: Path) -> str:
+    """Return whose file it is that this user may not read, and what to do."""
+    me = _user(os.geteuid())
+    with suppress(OSError):
+        found = where.stat()
+        if found.st_uid != os.geteuid():
+            owner = _user(found.st_uid)
+            return (
+                f"it is of the user {owner} and not of {me}, who runs this; run this as {owner}, or capture it as "
+                f"{me} into a file of its own, or give it away: sudo chown {me} {where}"
+            )
+        return (
+            f"its mode is {found.st_mode & 0o777:04o}, which lets not even its owner, {me}, read it: chmod 600 {where}"
+        )
+    return f"its folder lets {me} not in; put it where {me} may read it"
+
+
+def _user(number: int) -> str:
+    """Return a user's name, or the number of one who has none, as in a container."""
+    try:
+        return pwd.getpwuid(number).pw_name
+    except KeyError:
+        return str(number)

@@ -1,0 +1,116 @@
+"""A file of another kind than a command writes is never replaced: a slip of the name would lose a day's recording."""
+
+import io
+import json
+import zipfile
+from importlib import resources
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.tools.command_line.test_files import WRITING, WRITING_WITH_TORCH, said, taken
+
+from eitskin_proto.configurations import __name__ as configurations
+from eitskin_proto.files.reading import FileError
+from eitskin_proto.skin.cloud import flat_cloud
+from eitskin_proto.skin.cloud_file import Surface, save_surface
+from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import to_toml
+from eitskin_tools.command_line import kinds
+
+
+def arrays(*names: str) -> bytes:
+    stream = io.BytesIO()
+    np.savez(stream, **{name: np.zeros(2) for name in names})
+    return stream.getvalue()
+
+
+def cloud(folder: Path) -> bytes:
+    save_surface(folder / "made.npz", Surface(flat_cloud()))
+    return (folder / "made.npz").read_bytes()
+
+
+def array() -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, np.zeros(3))
+    return stream.getvalue()
+
+
+def archive(name: str) -> bytes:
+    stream = io.BytesIO()
+    with zipfile.ZipFile(stream, "w") as file:
+        file.writestr(name, "{}")
+    return stream.getvalue()
+
+
+FILES = {
+    kinds.REFERENCE: json.dumps({"format": "eitskin-reference", "version": 1}, indent=1).encode()[:-9],
+    kinds.SKIN: b"# a sheet\n\n" + to_toml(PAPER).encode(),
+    kinds.RECIPE: b'format = "eitskin-recipe"\n',
+    kinds.ROBOT: b'# an arm\n[[skins]]\nname = "elbow"\n',
+    kinds.CONFIGURATION: resources.files(configurations).joinpath("paper.toml").read_bytes(),
+    kinds.BUNDLE: archive("manifest.json"),
+    kinds.VOLTAGES: arrays("voltages", "voltages208", "scene"),
+    kinds.GUIDED: arrays("reference_V", "reference_frames", "press_V"),
+    kinds.NOTED: arrays("received_ns", "scalars"),
+    kinds.CONVERTED: arrays("voltages_V", "reference_V", "serial", "map", "solver", "wall_ns"),
+    kinds.COMPUTED: arrays("seq", "map", "solver", "wall_ns"),
+    kinds.PARQUET: b"PAR1\0\0",
+    kinds.RECORDING: b'\x89MCAP0\r\n{"format": "eitskin-reference"',
+    kinds.PICTURE: b'<?xml version="1.0"?>\n<!DOCTYPE svg PUBLIC "x">\n<svg xmlns="x">',
+    kinds.ARRAY: array(),
+    kinds.LOG: b'{"event": "boot", "host_ns": 1}\n',
+    kinds.POINTS: b"ply\nformat ascii 1.0\n",
+    kinds.OTHER_ARCHIVE: arrays("anything"),
+    kinds.OTHER_JSON: b'[\n{"phantom": 1}]',
+    None: b"a letter to somebody",
+}
+"""Kind -> the beginning of such a file, which is often all that there is."""
+
+ALL = {**FILES, kinds.CLOUD: b""}
+
+
+def name_of(kind: kinds.Known | None) -> str:
+    return "unknown" if kind is None else kind.what
+
+
+@pytest.mark.parametrize("kind", ALL, ids=name_of)
+def test_a_file_is_known_by_what_it_holds(kind: kinds.Known | None, tmp_path: Path) -> None:
+    path = tmp_path / "whatever.json"
+    path.write_bytes(FILES[kind] if kind in FILES else cloud(tmp_path))
+    assert kinds.kind_of_file(path) is kind
+
+
+def test_every_kind_is_among_them() -> None:
+    assert ALL.keys() - {None} == set(kinds.KINDS)
+
+
+@pytest.mark.parametrize("command", WRITING | WRITING_WITH_TORCH)
+def test_a_file_of_another_kind_stays_as_it_is(
+    command: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "out.png"
+    path.write_bytes(FILES[kinds.ROBOT])
+    words = [*taken(command), str(path)]
+    found = said(capsys, [*words, *(["--force"] if command == "reference" else [])])
+    assert f"{path} is a robot's list of skins, expected " in found
+    assert "to replace, or a new name; name another, or move it away" in found
+    assert path.read_bytes() == FILES[kinds.ROBOT]
+
+
+@pytest.mark.parametrize("kind", FILES.keys() - {kinds.REFERENCE}, ids=name_of)
+def test_a_reference_replaces_references_alone_and_what_is_empty(kind: kinds.Known | None, tmp_path: Path) -> None:
+    path = tmp_path / "reference.json"
+    kinds.check_replaced(path, kinds.REFERENCE)
+    for content in (b"", FILES[kinds.REFERENCE]):
+        path.write_bytes(content)
+        kinds.check_replaced(path, kinds.REFERENCE)
+    path.write_bytes(FILES[kind])
+    with pytest.raises(FileError, match="expected a reference to replace"):
+        kinds.check_replaced(path, kinds.REFERENCE)
+
+
+def test_a_beginning_of_blank_lines_is_looked_at_in_no_time(tmp_path: Path) -> None:
+    path = tmp_path / "blank"
+    path.write_bytes(b"\n" * (1 << 20))
+    assert kinds.kind_of_file(path) is None

@@ -1,0 +1,113 @@
+"""What a command may replace: a file of the kind that it writes, or an empty one; a name of another is a slip.
+
+A file is known by what it holds, never by its name. One that is damaged is still of its kind while its first words, or
+the names of its arrays, say so.
+"""
+
+import re
+import stat
+from dataclasses import dataclass
+from pathlib import Path
+from typing import BinaryIO, Final
+
+from eitskin_proto.files.archive import BadArchiveError, members
+from eitskin_proto.files.reading import FileError, opened
+
+LOOKED_AT: Final = 1 << 16
+"""Bytes at a file's beginning that are looked at."""
+
+ANY_LENGTH: Final = 1 << 62
+"""Bytes: what is looked at is bounded, so the file may be as long as it likes."""
+
+UNKNOWN: Final = "a file that eitskin does not know"
+
+
+@dataclass(frozen=True, slots=True)
+class Known:
+    """A kind of file, and how one is told from others."""
+
+    what: str
+    """For people, with an article."""
+    looks: bytes = b""
+    """Regular expression of what the beginning of one holds."""
+    holds: tuple[str, ...] = ()
+    """Names that a ZIP file of this kind has; then ``looks`` is left out."""
+
+    def fits(self, head: bytes, names: frozenset[str]) -> bool:
+        """Return whether a file is of this kind, by its beginning and, of a ZIP file, the names in it."""
+        if self.holds:
+            return names.issuperset(self.holds)
+        return re.search(self.looks, head, re.MULTILINE) is not None
+
+
+REFERENCE: Final = Known("a reference", rb'\A\s*\{[^\0]*"eitskin-reference"')
+SKIN: Final = Known("a skin's description", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-skin[\"']")
+ROBOT: Final = Known("a robot's list of skins", rb"^[ \t]*\[\[skins\]\]")
+RECIPE: Final = Known("a bundle's recipe", rb"^[ \t]*format[ \t]*=[ \t]*[\"']eitskin-recipe[\"']")
+CONFIGURATION: Final = Known("a device's configuration", rb"^[ \t]*hardware[ \t]*=[ \t]*[\"']eitskin-")
+BUNDLE: Final = Known("a bundle", holds=("manifest.json",))
+CLOUD: Final = Known("a cloud of 'eitskin surface'", holds=("magic.npy", "cloud.npy"))
+VOLTAGES: Final = Known("voltages of 'eitskin simulate'", holds=("voltages.npy", "voltages208.npy"))
+GUIDED: Final = Known("a recording to calibrate from", holds=("reference_V.npy", "reference_frames.npy"))
+NOTED: Final = Known("what 'eitskin demo' noted", holds=("received_ns.npy", "scalars.npy"))
+CONVERTED: Final = Known("a converted recording (.npz)", holds=("voltages_V.npy", "reference_V.npy", "serial.npy"))
+COMPUTED: Final = Known("maps of 'eitskin reinfer'", holds=("map.npy", "solver.npy", "wall_ns.npy"))
+PARQUET: Final = Known("a Parquet file", rb"\APAR1")
+RECORDING: Final = Known("a recording (.mcap)", rb"\A\x89MCAP0")
+PICTURE: Final = Known(
+    "a picture",
+    rb"\A(\x89PNG|\xff\xd8\xff|RIFF....WEBP|II\*\0|MM\0\*|%PDF|%!PS|(\s*<[?!][^>]*>)*\s*<svg)",
+)
+ARRAY: Final = Known("an array of numbers (.npy)", rb"\A\x93NUMPY")
+LOG: Final = Known("a log of 'eitskin virtual-skin'", rb'\A\{"event": ')
+POINTS: Final = Known("points of a scan (.ply)", rb"\Aply\r?\n")
+OTHER_ARCHIVE: Final = Known("an archive of other arrays or files", rb"\APK")
+OTHER_JSON: Final = Known("another JSON file", rb"\A\s*[\[{]\s*[\[\]{}\"0-9]")
+
+KINDS: Final = (
+    REFERENCE, BUNDLE, CLOUD, VOLTAGES, GUIDED, NOTED, CONVERTED, COMPUTED, PARQUET, RECORDING, PICTURE, ARRAY, LOG,
+    POINTS, OTHER_ARCHIVE, OTHER_JSON, SKIN, RECIPE, ROBOT, CONFIGURATION,
+)  # fmt: skip
+"""The first that fits is what a file is."""
+
+
+def check_replaced(path: Path, written: Known) -> None:
+    """Refuse to write over a file of another kind.
+
+    Args:
+        path: Of what is to be written; nothing need be there. A link is looked through.
+        written: What is written there.
+
+    Raises:
+        FileError: There is a file, which is of another kind.
+        OSError: It cannot be read, so nobody can tell what would be lost.
+    """
+    try:
+        if not stat.S_ISREG((found := path.stat()).st_mode) or found.st_size == 0:
+            return
+    except FileNotFoundError:
+        return
+    if (known := kind_of_file(path)) is not written:
+        what = UNKNOWN if known is None else known.what
+        raise FileError(
+            f"{path} is {what}, expected {written.what} to replace, or a new name; name another, or move it away"
+        )
+
+
+def kind_of_file(path: Path) -> Known | None:
+    """Return what a file is, or None.
+
+    Raises:
+        OSError: It cannot be read.
+    """
+    with opened(path, ANY_LENGTH) as stream:
+        head = stream.read(LOOKED_AT)
+        names = _names(stream) if head.startswith(b"PK") else frozenset[str]()
+    return next((kind for kind in KINDS if kind.fits(head, names)), None)
+
+
+def _names(stream: BinaryIO) -> frozenset[str]:
+    try:
+        return frozenset(members(stream))
+    except BadArchiveError:
+        return frozenset()
