@@ -24,6 +24,7 @@ from eitskin.errors import FrameError
 from eitskin.messaging.received.parts import map_of, regions_of, strict_map
 from eitskin.messaging.regions import MOST_PIXELS, Regions
 from eitskin.touches.touch import NAMES, Touch, TouchList, unpack_touches
+from eitskin_proto.files.plain import plain
 
 VERSION: Final = 1
 """Of the message; a subscriber refuses another one."""
@@ -212,7 +213,8 @@ def unpack_frame(message: bytes, received_ns: int, known: Frame | None = None) -
     fields = strict_map(message, LARGEST_MESSAGE, LARGEST_MAP, MAX_TEXTS)
     alone = message[:1] == TOUCH_FIRST_BYTE
     if fields.get("v") != (expected := TOUCH_VERSION if alone else VERSION):
-        raise FrameError(f"frame version: found {fields.get('v')!r}, expected {expected}; use the runtime's release")
+        found = plain(str(fields.get("v"))[:20])
+        raise FrameError(f"frames of version {found} come; this program knows {expected}: use the runtime's release")
     sequence = _count(fields, "seq")
     map_sequence = _count(fields, "map_seq") if "map_seq" in fields else sequence
     regions: Regions | None = None

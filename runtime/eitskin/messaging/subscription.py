@@ -21,7 +21,6 @@ from eitskin.errors import FrameError, NoFrame, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import Frame, MapMissing
-from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.received.subscriber import LONGEST_WAIT_MS, Subscriber
 from eitskin.messaging.received.wishes import NotAsked, Wishes
 from eitskin.messaging.regions import other_skin
@@ -91,8 +90,6 @@ class Subscription(Subscriber):
         """Frames taken so far."""
         self.lost = 0
         """Frames published but not taken, because this side was too slow; in mode ``latest`` that is intended."""
-        self.rejected = 0
-        """Messages that were no frames."""
         self.mapless = 0
         """Frames without a map whose map had not come either: just after the start, or after a loss."""
         self.passed_over = 0
@@ -127,9 +124,9 @@ class Subscription(Subscriber):
             except zmq.Again:
                 self._look_at_connection()
                 if left_ms == waits_ms:
-                    why = explain_silence(self.endpoint, timeout_ms / 1000)
-                    if self.passed_over and not self.received:
-                        why = f"{self.passed_over} came without touches: the runtime is older than they are"
+                    why = f"{self.passed_over} came without touches: the runtime is older than they are"
+                    if self.received or not self.passed_over:
+                        why = self.silence(timeout_ms / 1000)
                     raise NoFrame(f"no frame from {self.endpoint} within {timeout_ms / 1000:g} s: {why}") from None
                 frame = None
             if frame is None:
@@ -154,10 +151,10 @@ class Subscription(Subscriber):
                 self.mapless += 1
             except NotAsked:
                 self.passed_over += 1
-            except FrameError:
-                self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+            except FrameError as error:
+                self._reject(error)
             else:
-                self._known = frame
+                self._known, self._unusable = frame, (0, "")
                 if (grid := self._wishes.grid) is not None and frame.map.shape != grid.shape:
                     raise other_skin(self.endpoint, frame.map.shape, grid)
             if not self._newest_only or not self.waits:

@@ -18,7 +18,6 @@ import zmq
 from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.frame import Frame
-from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.subscription import FIRST_FRAME_S, Subscription
 from eitskin.robot.config import RobotSkin
 from eitskin.robot.described import Source, robot_skins
@@ -188,8 +187,7 @@ class RobotSubscription:
                 continue
             allowed_s = self._timeout_s if self._subscriptions[name].received else self._first_s
             self._due_s[name] = now_s + allowed_s
-            endpoint = self.skins[name].publish
-            why = explain_silence(endpoint, allowed_s)
+            endpoint, why = self.skins[name].publish, self._subscriptions[name].silence(allowed_s)
             raise SilentSkin(name, f"no frame of skin {name} from {endpoint} within {allowed_s:g} s: {why}")
 
     __next__ = next_frame

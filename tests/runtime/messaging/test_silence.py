@@ -12,6 +12,10 @@ from eitskin.errors import EndpointError, NoFrame
 from eitskin.messaging import endpoints, subscription
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.reachability import explain_silence
+from eitskin.messaging.streams.envelope import packed
+from eitskin.messaging.streams.subscription import subscribe_streams
+from eitskin.messaging.verified.message import TOPIC
+from eitskin.messaging.verified.subscription import subscribe_verified
 
 
 @pytest.fixture
@@ -101,6 +105,59 @@ def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):
 def test_an_endpoint_that_is_none_says_what_one_looks_like():
     with pytest.raises(EndpointError, match=r"expected ipc:///path or tcp://address:port"):
         eitskin.subscribe("here")
+
+
+@pytest.fixture
+def newer(session):
+    """A runtime of another release: what it sends is up to the test."""
+    context = zmq.Context()
+    socket = context.socket(zmq.XPUB)
+    socket.bind(f"ipc://{session}/newer")
+    yield socket, f"ipc://{session}/newer"
+    context.destroy(linger=0)
+
+
+def said_after(newer, opened, message, ask):
+    """Return what a subscriber is told to whom one message came."""
+    with opened(newer[1], timeout_s=0.05) as found:
+        assert newer[0].poll(60_000)  # it has subscribed
+        newer[0].send(message)
+        assert found._socket.poll(60_000)
+        with pytest.raises(NoFrame) as caught:
+            ask(found)
+        with pytest.raises(NoFrame, match="somebody listens there"):
+            ask(found)  # nothing came meanwhile
+    assert found.rejected == 1
+    return str(caught.value)
+
+
+def another_version(message):
+    return message.replace(b"\xa1v\x01", b"\xa1v\x02")
+
+
+@pytest.mark.parametrize("mode", ["latest", "all"])
+def test_frames_of_another_version_are_told_from_silence(newer, packer, mode):
+    def opened(endpoint, **wishes):
+        return eitskin.subscribe(endpoint, mode, **wishes)
+
+    text = said_after(newer, opened, another_version(bytes(packer.message())), next)
+    assert "is no frame that can be used: frames of version 2 come; this program knows 1: use the runtime's" in text
+
+
+def test_damaged_frames_are_told_from_silence(newer, packer):
+    text = said_after(newer, eitskin.subscribe, bytes(packer.message())[:-20], next)
+    assert "is no frame that can be used: a message of" in text
+
+
+def test_a_newer_stream_is_told_from_silence(newer):
+    [message] = packed("wire", 1, "r", b"\x80")
+    text = said_after(newer, subscribe_streams, message.replace(b"\xa1v\x03", b"\xa1v\x04"), next)
+    assert "stream version: found 4, expected 3" in text
+
+
+def test_verdicts_that_cannot_be_read_are_told_from_silence(newer):
+    text = said_after(newer, subscribe_verified, TOPIC + b"damaged", next)
+    assert "is no verdict that can be used" in text
 
 
 @pytest.mark.parametrize("wish", [{}, {"mode": "all"}, {"skip_unchanged": True}])

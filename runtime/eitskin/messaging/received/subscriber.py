@@ -14,9 +14,10 @@ from typing import Any, Final, Self
 
 import zmq
 
-from eitskin.errors import EndpointError
+from eitskin.errors import EndpointError, FrameError
 from eitskin.messaging.admission.descriptors import Connection, connection_at
 from eitskin.messaging.curve_keys import ClientKeys
+from eitskin.messaging.reachability import explain_silence
 
 _POLLIN: Final = int(zmq.POLLIN)
 
@@ -51,6 +52,10 @@ class Subscriber:
         self.endpoint = endpoint
         self.reconnected = 0
         """How often the connection was made anew because it was gone, or nothing had ever come over it."""
+        self.rejected = 0
+        """Messages that were not what was subscribed to, or were damaged."""
+        self._unusable: tuple[int, str] = (0, "")
+        """Messages that were rejected since the last one that was taken, and what the last of them was."""
         self._connection: Connection | None = None
         """Over which the last message came, as far as it is known; looked at anew after silence."""
         self._patience_s = PATIENCE_S
@@ -91,6 +96,18 @@ class Subscriber:
             self._look_at_connection()
             if left_ms <= LONGEST_WAIT_MS:
                 return False
+
+    def _reject(self, error: FrameError) -> None:
+        """Count a message that cannot be used; whoever publishes there, it must not end a robot's loop."""
+        self.rejected += 1
+        self._unusable = self._unusable[0] + 1, str(error)
+
+    def silence(self, waited_s: float, what: str = "frame", likely: str = "") -> str:
+        """Return why nothing that was waited for came; arguments as of :func:`explain_silence`."""
+        (count, last), self._unusable = self._unusable, (0, "")
+        if count:
+            return f"what comes ({count} in that time) is no {what} that can be used: {last}"
+        return explain_silence(self.endpoint, waited_s, what, likely)
 
     def _recv(self) -> bytes:
         """Receive a message, and keep in mind when it came, and over which connection."""

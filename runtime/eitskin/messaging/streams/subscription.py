@@ -13,7 +13,6 @@ from typing import Any, Final, Self
 from eitskin.errors import FrameError, NoFrame
 from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
-from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.streams.envelope import CLOUD, CONDITIONS, FIRST_BYTE, NAMES, STATE, TOPICS, WIRE, Joiner, opened
 from eitskin.messaging.streams.measured import CloudInUse, Conditions, WireFrame
@@ -69,8 +68,6 @@ class StreamSubscription(Subscriber):
         """Items taken so far."""
         self.lost = dict.fromkeys(NAMES, 0)
         """Messages of each stream that did not come, because this side was too slow."""
-        self.rejected = 0
-        """Messages that were of no stream, or malformed."""
         self._joiner = Joiner()
         self._numbers: dict[str, tuple[str, int]] = {}
         self._reference: tuple[str, bytes | None] = ("", None)
@@ -96,15 +93,16 @@ class StreamSubscription(Subscriber):
         end_s = time.perf_counter() + timeout_s
         while True:
             if not self._comes(end_s):
-                why = explain_silence(self.endpoint, timeout_s)
+                why = self.silence(timeout_s)
                 raise NoFrame(f"nothing of a stream from {self.endpoint} within {timeout_s:g} s: {why}")
             try:
                 item = self._take(self._recv(), self._heard_ns)
-            except FrameError:
-                self.rejected += 1  # whoever publishes there: a bad message must not end a recording
+            except FrameError as error:
+                self._reject(error)
                 continue
             if item is not None:
                 self.received += 1
+                self._unusable = 0, ""
                 return item
 
     def _take(self, message: bytes, received_ns: int) -> Item | None:

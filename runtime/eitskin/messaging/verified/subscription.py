@@ -17,7 +17,6 @@ from eitskin.messaging.curve_keys import ClientKeys
 from eitskin.messaging.endpoints import default_publish
 from eitskin.messaging.frame import FIRST_BYTE as FRAME_BYTE
 from eitskin.messaging.frame import Frame, unpack_frame
-from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.received.subscriber import Subscriber
 from eitskin.messaging.regions import ALWAYS, WHOLE
 from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, VerifiedFrame, unpack_verified
@@ -73,8 +72,6 @@ class VerifiedSubscription(Subscriber):
         """Messages taken so far."""
         self.lost = 0
         """Messages that were sent but did not come, because this side was too slow."""
-        self.rejected = 0
-        """Messages that were malformed, or neither frames nor verdicts."""
         self._frames: OrderedDict[tuple[str, int], Frame] = OrderedDict()
         self._seen = ("", 0)
         super().__init__(
@@ -111,7 +108,7 @@ class VerifiedSubscription(Subscriber):
         if self._frames and not self.received:
             return f"frames come, but nobody verifies them; {START}"
         likely = "" if self.received else f"nobody verifies its frames ({START})"
-        return explain_silence(self.endpoint, timeout_s, "verdict", likely)
+        return self.silence(timeout_s, "verdict", likely)
 
     def _take(self, message: bytes) -> VerifiedFrame | None:
         """Return what a message says of a frame; None for a frame, which is kept for its verdict."""
@@ -122,8 +119,8 @@ class VerifiedSubscription(Subscriber):
             if message[:1] != FRAME_BYTE:
                 return None  # a topic of somebody else's that begins alike
             frame = unpack_frame(message, now_ns)
-        except FrameError:
-            self.rejected += 1  # whoever publishes there: a bad message must not end a robot's loop
+        except FrameError as error:
+            self._reject(error)
             return None
         self._frames[frame.run, frame.sequence] = frame
         while len(self._frames) > REMEMBERED:
@@ -136,6 +133,7 @@ class VerifiedSubscription(Subscriber):
             self.lost += found.number - number - 1
         self._seen = found.run, found.number
         self.received += 1
+        self._unusable = 0, ""
         return found.of_frame(self._frames.get((found.run, found.sequence)))
 
     __next__ = next_verified
