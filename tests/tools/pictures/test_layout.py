@@ -55,6 +55,15 @@ def test_a_truth_that_cannot_be_shown_is_named_and_the_map_keeps_the_room(size: 
     assert any("▀" in line for line in lines)
 
 
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii", "koi8-r"])
+def test_a_terminal_is_drawn_on_with_what_it_has(encoding: str) -> None:
+    stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+    Painter(stream).show(TITLE, a_map(), 1.0 - a_map(), FOOTER)  # writes nothing that cannot be encoded
+    lines = Painter(stream).picture(80, 24, TITLE, a_map(), 1.0 - a_map(), FOOTER)
+    blocks = any("\u2580" in line for line in lines)
+    assert blocks if encoding == "koi8-r" else any("####" in line for line in lines)
+
+
 def test_a_map_of_its_own_size_is_drawn_as_it_is_and_enlarged_by_whole_pixels() -> None:
     image = np.random.default_rng(0).random(PAPER.grid.shape)
     assert np.allclose(fitted(image, 45, 15), image, atol=1e-12)

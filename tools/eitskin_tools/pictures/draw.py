@@ -45,9 +45,28 @@ def _codes() -> tuple[list[str], list[str]]:
     return [f"\x1b[38;5;{n}m" for n in cube], [f"\x1b[48;5;{n}m" for n in cube]
 
 
-def plain_lines(image: npt.NDArray[np.floating]) -> list[str]:
-    """Return a line of shades for two rows of a map, for a terminal without colours or for a text file."""
-    shades = " ░▒▓█"
+HALF: Final = "▀"
+SHADES: Final = " ░▒▓█"
+ASCII_SHADES: Final = " .+*#"
+"""What a terminal shows whose encoding has no blocks."""
+
+
+def has_blocks(encoding: str | None) -> bool:
+    """Return whether what is drawn with can be written in an encoding; None for a stream without one, of texts."""
+    try:
+        (HALF + SHADES).encode(encoding or "utf-8")
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def plain_lines(image: npt.NDArray[np.floating], shades: str = SHADES) -> list[str]:
+    """Return a line of shades for two rows of a map, for a terminal without colours or for a text file.
+
+    Args:
+        image: (rows, columns), 0 to 1.
+        shades: From the lowest to the highest.
+    """
     upright = np.asarray(image, dtype=np.float64)[::-1]
     if len(upright) % 2:
         upright = np.concatenate([np.zeros((1, upright.shape[1])), upright])
@@ -66,7 +85,8 @@ class Painter:
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
         self._above, self._below = _codes()
-        self._plain = bool(os.environ.get("NO_COLOR"))
+        self._shades = SHADES if has_blocks(stream.encoding) else ASCII_SHADES
+        self._plain = bool(os.environ.get("NO_COLOR")) or self._shades is ASCII_SHADES
 
     def __enter__(self) -> Self:
         self._stream.write("\x1b[?1049h\x1b[?25l\x1b[2J")
@@ -82,7 +102,7 @@ class Painter:
     def lines(self, image: npt.NDArray[np.floating]) -> list[str]:
         """Return the lines of one map, one for two of its rows."""
         if self._plain:
-            return plain_lines(image)
+            return plain_lines(image, self._shades)
         upright = np.asarray(image, dtype=np.float64)[::-1]
         levels = np.clip((upright * LEVELS).astype(int), 0, LEVELS - 1)
         found = []
@@ -92,7 +112,7 @@ class Painter:
                 if pair != before:  # most of a map has one colour
                     cells.append(f"{self._above[pair[0]]}{self._below[pair[1]]}")
                     before = pair
-                cells.append("▀")
+                cells.append(HALF)
             found.append("".join(cells) + "\x1b[0m")
         return found
 
