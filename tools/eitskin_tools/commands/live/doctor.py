@@ -135,9 +135,9 @@ def _of_recording(arguments: argparse.Namespace, bundle: Any = None) -> tuple[An
         bundle: Refuse a recording of another skin than this bundle's; None for any.
     """
     from eitskin.diagnostics.electrode_checkup import Recording
-    from eitskin_tools.command_line.needs import require
+    from eitskin_tools.command_line.needs import RECORDINGS, require
 
-    require("a recording", ("mcap",))
+    require("a recording", RECORDINGS)
     from eitskin.errors import BadReference
     from eitskin.health.electrodes import WINDOW
     from eitskin_tools.recording.bundles import for_skin, reference_of
