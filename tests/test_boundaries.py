@@ -131,7 +131,7 @@ ROOMS: dict[str, Arrows] = {
             "build", "command_line", "console", "demo", "errors", "evaluation", "flash", "guided", "processes",
             "recording", "robot", "service", "stages", "verifier", "view", "virtual_skin",
         },
-        "cli": {"processes", "command_line", "console", "errors"},
+        "cli": {"processes", "command_line", "console", "errors"}, "entry": {"cli"},
     },
 }  # fmt: skip
 """Of each package: room, and what it may import of its neighbours."""

@@ -2,6 +2,7 @@
 
 ``COMMANDS`` is the whole table. A subcommand's module has ``add_arguments(parser)`` and ``run(arguments) -> int``.
 Exit status: 0 on success, 2 on bad usage, 1 on failure, with one line on stderr that says what is wrong and what to do.
+Whoever stops reading standard output, as ``| head -1`` does, has had enough: that is no failure.
 ``run`` has 70 besides (:mod:`eitskin_tools.service.watchdog`).
 """
 
@@ -18,7 +19,7 @@ from eitskin_proto.errors import SkinError
 from eitskin_proto.files.plain import plain
 from eitskin_tools.command_line import files, needs, overwriting
 from eitskin_tools.command_line.parser import Parser
-from eitskin_tools.console.closed import replace_closed, written_out
+from eitskin_tools.console.closed import escape_unwritable, replace_closed, unread, written_out
 from eitskin_tools.console.journal import goes_to_journal, prefix
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import Told, told_as_by_ctrl_c
@@ -123,12 +124,14 @@ def _print_version() -> None:
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one subcommand and return its exit status."""
     replace_closed()
+    escape_unwritable()
     words = list(sys.argv[1:] if argv is None else argv)
+    status = 0
     try:
         with told_as_by_ctrl_c(), written_out():
-            return _main(words)
-    except BrokenPipeError:
-        return 1
+            status = _main(words)
+    except BrokenPipeError:  # nobody reads standard output any more
+        return status
     except OSError as error:  # of standard output
         print(f"eitskin: {_one_line(error)}", file=sys.stderr)
         return 1
@@ -137,6 +140,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 128 + told.number
     except KeyboardInterrupt:
         return 128 + signal.SIGINT
+    return status
 
 
 def _main(words: list[str]) -> int:
@@ -154,8 +158,10 @@ def _main(words: list[str]) -> int:
         needs.check(arguments)
         overwriting.check(arguments)
         return int(module.run(arguments))
-    except BrokenPipeError:
-        raise
+    except BrokenPipeError as error:
+        if unread():
+            raise
+        return _fail(arguments, _one_line(error), 1)
     except UsageError as error:
         return _fail(arguments, str(error), 2)
     except (SkinError, ValueError, OSError, ModuleNotFoundError) as error:

@@ -34,15 +34,68 @@ def test_a_full_standard_output_is_one_line_and_a_failure(words: str, unbuffered
     assert done.stderr.partition(": ")[2] == "no space left where this is written; free some, or write elsewhere\n"
 
 
-def test_a_standard_output_that_nobody_reads_ends_without_a_word() -> None:
+STUBBED = """
+import socket, sys
+from eitskin_tools import cli
+from eitskin_tools.commands.live import doctor
+
+def run(arguments):
+    print("ok" * 5000)
+    print("the end", flush=True)
+    return 0
+
+def failed(arguments):
+    print("ok")
+    raise ValueError("it broke")
+
+def elsewhere(arguments):
+    ours, theirs = socket.socketpair()
+    theirs.close()
+    ours.send(b"x")
+
+doctor.run = {run}
+sys.exit(cli.main(["doctor"]))
+"""
+"""A command that prints, one that fails, and one that is cut off from something else than its reader."""
+
+
+def unread(words: list[str], unbuffered: str) -> tuple[int, str]:
+    """Return exit status and standard error of what is run while nobody reads its standard output."""
     reads, writes = os.pipe()
     os.close(reads)
     done = subprocess.run(
-        [sys.executable, "-m", "eitskin_tools.cli", "--help"], stdout=writes, stderr=subprocess.PIPE, text=True,
-        timeout=120, check=False, env={**os.environ, "PYTHONUNBUFFERED": ""},
+        [sys.executable, *words], stdout=writes, stderr=subprocess.PIPE, text=True,
+        timeout=120, check=False, env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
     )  # fmt: skip
     os.close(writes)
-    assert (done.returncode, done.stderr) == (1, "")
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+@pytest.mark.parametrize("words", [["-m", "eitskin_tools.cli", "--help"], ["-c", STUBBED.replace("{run}", "run")]])
+def test_a_standard_output_that_nobody_reads_ends_well_without_a_word(words: list[str], unbuffered: str) -> None:
+    assert unread(words, unbuffered) == (0, "")
+
+
+def test_a_failure_stays_one_where_nobody_reads_the_rest() -> None:
+    assert unread(["-c", STUBBED.replace("{run}", "failed")], "") == (1, "eitskin doctor: it broke\n")
+
+
+def test_a_pipe_to_something_else_that_broke_is_a_failure_in_a_line() -> None:
+    done = shell(f"-c '{STUBBED.replace('{run}', 'elsewhere')}'", "")
+    assert (done.returncode, done.stderr.count("\n")) == (1, 1)
+    assert "Broken pipe" in done.stderr
+
+
+@pytest.mark.parametrize("encoding", ["latin-1", "ascii:surrogateescape", "utf-8"])
+def test_what_a_terminal_cannot_show_is_escaped(encoding: str) -> None:
+    code = STUBBED.replace("{run}", 'lambda arguments: print("a \\u2580 b") or 0')
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, timeout=120, check=False,
+        env={**os.environ, "PYTHONIOENCODING": encoding, "PYTHONUTF8": "0"},
+    )  # fmt: skip
+    assert done.stdout == ("a \u2580 b\n".encode() if encoding == "utf-8" else b"a \\u2580 b\n")
+    assert done.stderr == b""
 
 
 def test_a_log_on_a_full_disk_ends_no_command_and_changes_no_result() -> None:

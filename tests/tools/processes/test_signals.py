@@ -3,6 +3,7 @@
 import signal
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
@@ -44,7 +45,7 @@ def test_a_closed_terminal_asks_for_an_end_unless_whoever_started_us_said_that_i
 def ended(path: Path, number: int, times: int, *before: str) -> tuple[int, str]:
     """Run the writer, and return its status and what it printed."""
     command = [*before, sys.executable, "-c", WRITER, str(path), str(number), str(times)]
-    with met_by(signal.SIG_DFL, signal.SIGHUP):  # these tests may run under nohup themselves
+    with met_by(signal.SIG_DFL, signal.SIGHUP, signal.SIGINT):  # these tests may run under nohup themselves, or by "&"
         done = subprocess.run(
             command, capture_output=True, text=True, timeout=120, check=False, stdin=subprocess.DEVNULL
         )
@@ -60,8 +61,50 @@ def test_what_ends_a_command_while_it_writes_leaves_nothing_half_written(tmp_pat
 
 
 @pytest.mark.process
-def test_the_second_signal_ends_it_at_once(tmp_path: Path) -> None:
-    assert ended(tmp_path / "a.json", signal.SIGTERM, 2) == (-signal.SIGTERM, "met\n")
+def test_ctrl_c_while_it_writes_leaves_nothing_half_written(tmp_path: Path) -> None:
+    assert ended(tmp_path / "a.json", signal.SIGINT, 1) == (130, "met\n")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_second_signal_ends_it_at_once(tmp_path: Path, number: int) -> None:
+    assert ended(tmp_path / "a.json", number, 2) == (-number, "met\n")
+
+
+AT_THE_EDGES = """
+import atexit, signal, sys
+
+when = sys.argv.pop()
+
+class Finder:
+    def find_spec(self, name, path=None, target=None):
+        if name == when:
+            signal.raise_signal(signal.SIGINT)
+
+sys.meta_path.insert(0, Finder())
+if when == "the end":
+    atexit.register(signal.raise_signal, signal.SIGINT)
+from eitskin_tools.entry import main
+sys.exit(main())
+"""
+"""The command, with Ctrl-C when it imports something, or when the interpreter ends."""
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("when", ["eitskin_tools.cli", "eitskin_tools.command_line.files", "the end"])
+def test_ctrl_c_before_and_behind_a_command_is_no_traceback(when: str) -> None:
+    with met_by(signal.SIG_DFL, signal.SIGINT):
+        done = subprocess.run(
+            [sys.executable, "-c", AT_THE_EDGES, "--version", when],
+            capture_output=True, text=True, timeout=120, check=False,
+        )  # fmt: skip
+    assert (done.returncode, done.stderr) == (-signal.SIGINT, "")
+
+
+def test_the_command_that_is_installed_is_this_one() -> None:
+    pyproject = tomllib.loads((Path(__file__).parents[3] / "pyproject.toml").read_text())
+    assert pyproject["project"]["scripts"] == {"eitskin": "eitskin_tools.entry:main"}
 
 
 @pytest.mark.process

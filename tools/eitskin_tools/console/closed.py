@@ -1,14 +1,19 @@
-"""Standard streams that whoever started us had closed, as ``eitskin run ... 2>&-`` does, or that take no more.
+"""Standard streams that were closed, as by ``eitskin run ... 2>&-``, that take no more, or not every character.
 
 Python has None in place of a closed one, and what is opened next gets its number: a library's warning would go down the
 line to a device. So /dev/null takes the place of each before anything else is opened; and that of one that is on a full
 disk, or that nobody reads any more, before the interpreter ends: it would end with a status and words of its own.
+
+Where standard output is not UTF-8, a character that it does not have is written as an escape, as standard error does by
+itself: no command ends for a file's name.
 """
 
+import io
 import os
+import select
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import Final, TextIO
 
 STREAMS: Final = {0: ("stdin", "r"), 1: ("stdout", "w"), 2: ("stderr", "w")}
@@ -26,6 +31,22 @@ def replace_closed() -> None:
             os.close(handle)
             handle = number
         setattr(sys, name, open(handle, mode, encoding="utf-8", closefd=False))  # noqa: SIM115 -- as long as we run
+
+
+def escape_unwritable() -> None:
+    """Have characters that standard output cannot encode written as escapes, as standard error does by itself."""
+    stream = sys.stdout
+    if isinstance(stream, io.TextIOWrapper) and (stream.errors == "strict" or stream.encoding.lower() != "utf-8"):
+        stream.reconfigure(errors="backslashreplace")
+
+
+def unread() -> bool:
+    """Return whether nobody reads standard output or standard error any more, as behind ``| head -1``."""
+    poller = select.poll()
+    for stream in (sys.stdout, sys.stderr):
+        with suppress(OSError, ValueError):  # a test's has no file
+            poller.register(stream.fileno(), 0)
+    return any(found & (select.POLLERR | select.POLLHUP) for _, found in poller.poll(0))
 
 
 @contextmanager

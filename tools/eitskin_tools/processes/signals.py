@@ -31,18 +31,20 @@ class Told(KeyboardInterrupt):
 
 @contextmanager
 def told_as_by_ctrl_c() -> Iterator[None]:
-    """Let SIGTERM and SIGHUP raise :class:`Told` while the block lasts, each once; the second one ends the process.
+    """Let SIGTERM and SIGHUP raise :class:`Told` while the block lasts, and Ctrl-C a plain KeyboardInterrupt.
 
-    One for which somebody else has a handler, or that is ignored, stays as it is.
+    Each once: the second one ends the process, where Python would raise amid what the first one's cleans up. One for
+    which somebody else has a handler, or that is ignored, stays as it is.
     """
-    ours = [number for number in (signal.SIGTERM, signal.SIGHUP) if signal.getsignal(number) is signal.SIG_DFL]
+    unmet = (signal.SIG_DFL, signal.default_int_handler)
+    ours = [one for one in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP) if signal.getsignal(one) in unmet]
     with met_by(_told, *ours):
         yield
 
 
 def _told(number: int, frame: FrameType | None) -> None:
     signal.signal(number, signal.SIG_DFL)
-    raise Told(number)
+    raise KeyboardInterrupt if number == signal.SIGINT else Told(number)
 
 
 class Stopped(BaseException):
