@@ -105,12 +105,12 @@ def parent(path: str | Path) -> Path:
     return found
 
 
-def writable(path: str | Path, written: kinds.Known) -> Path:
+def writable(path: str | Path, written: kinds.Known | None) -> Path:
     """Return the path of a file that is to be written, before the work that fills it.
 
     Args:
         path: Of the file.
-        written: What is written there.
+        written: What is written there, and may be replaced; None where nothing ever is.
 
     Raises:
         MissingFileError: Its folder is not there.
@@ -119,7 +119,8 @@ def writable(path: str | Path, written: kinds.Known) -> Path:
         OSError: It is there and cannot be read.
     """
     found = check_target(parent(path))
-    kinds.check_replaced(found, written)
+    if written is not None:
+        kinds.check_replaced(found, written)
     return found
 
 

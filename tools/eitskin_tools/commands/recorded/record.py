@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from eitskin.errors import NoFrame
-from eitskin_tools.command_line import files, kinds
+from eitskin_tools.command_line import files
 from eitskin_tools.errors import UsageError
 from eitskin_tools.processes.signals import endings
 
@@ -209,6 +209,6 @@ def _check(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected more than 0")
     if arguments.pictures_hz is not None and not 0.0 <= arguments.pictures_hz <= 1000.0:
         raise UsageError(f"--pictures-hz is {arguments.pictures_hz:g}, expected 0 to 1000")
-    files.writable(arguments.out, kinds.RECORDING)
+    files.writable(arguments.out, None)
     if arguments.out.exists():
         raise UsageError(f"--out {arguments.out} exists already; name another file, or move it away")
