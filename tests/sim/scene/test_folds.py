@@ -3,13 +3,16 @@
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene import folds
 from eitskin_sim.scene.bend import frame_at
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.nominal import nominal_sheet
-from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.parts import Bend, Touch
+from eitskin_sim.scene.scene import parse_scene
+from eitskin_sim.scene.shapes import Disc
 from eitskin_sim.scene.strict_json import SceneError
 
 SHEET = nominal_sheet(PAPER)
@@ -43,3 +46,36 @@ def test_half_a_turn_does_not_run_ahead_and_most_of_family_a_does() -> None:
     assert not runs_ahead(Bend(angle_deg=180.0))
     assert runs_ahead(Bend(angle_deg=140.0))
     assert np.mean([runs_ahead(bend) for bend in draw("A", 100, 12)]) > 0.6
+
+
+TIGHT = Bend(angle_deg=359.0, skew=1.0)
+
+
+def dent(depth_mm: float) -> Touch:
+    return Touch((Disc(135.0, 50.0, 9.0),), contrast=0.4, dent_mm=depth_mm)
+
+
+def test_dents_fold_a_sheet_as_bumps_do_and_add_up() -> None:
+    folds.check_bend(TIGHT, SHEET)
+    folds.check_bend(TIGHT, SHEET, [dent(5.0), Touch((Disc(135.0, 50.0, 9.0),))])
+    folds.check_bend(Bend(), SHEET, [dent(10.0)] * 3)  # the flat sheet has nothing to fold into
+    says = r"dent_mm of scene.touches folds the sheet through itself: height times curvature reaches 2\.\d+; it must be"
+    with pytest.raises(SceneError, match=says):
+        folds.check_bend(TIGHT, SHEET, [dent(10.0)] * 3)
+    bumped = replace(TIGHT, bumps_mm=((135.0, 50.0, 6.0, 10.0),))
+    folds.check_bend(bumped, SHEET)
+    with pytest.raises(SceneError, match=r"scene\.bend\.bumps_mm with dent_mm .* lower the dent or angle_deg"):
+        folds.check_bend(bumped, SHEET, [dent(10.0)])
+
+
+def test_a_scene_of_dents_that_fold_it_is_refused() -> None:
+    press = {"disc_mm": [135, 50, 9], "contrast": 0.4, "dent_mm": 10}
+    with pytest.raises(SceneError, match="height times curvature"):
+        parse_scene({"bend": {"angle_deg": 359, "skew": 1}, "touches": [press] * 3})
+
+
+@pytest.mark.parametrize("radius_mm", [2.0, 6.0, 15.0])
+def test_a_deep_dent_in_a_bent_sheet_is_none_that_meets_itself(radius_mm: float) -> None:
+    for angle, x in ((90.0, 75.0), (180.0, 20.0), (300.0, 120.0)):
+        deep = Touch((Disc(x, 50.0, radius_mm),), contrast=0.4, dent_mm=10.0)
+        folds.check_bend(Bend(angle_deg=angle), SHEET, [deep])

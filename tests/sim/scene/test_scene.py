@@ -64,6 +64,8 @@ def test_scene_survives_its_own_json() -> None:
         ({"sheet": {"conductivity_S_per_m": 0}}, "is 0; it must be above 0"),
         ({"sheet": {"size_mm": [150]}}, "has 1 numbers; it must have 2"),
         ({"sheet": {"thickness_mm": True}}, "expected a number"),
+        ({"sheet": {"thickness_mm": 0.001}}, "thickness_mm is 0.001; it must be at least 0.05"),
+        ({"sheet": {"thickness_mm": 1000}}, "thickness_mm is 1000; it must be at most 20"),
         ({"electrodes": {"contact": "pin"}}, "must be 'patch' or 'edge'"),
         ({"electrodes": {"size_mm": 32}}, "overlap: their centres are 31.25 mm apart; they must be at least 32"),
         (

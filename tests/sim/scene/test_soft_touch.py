@@ -152,3 +152,44 @@ def test_a_dent_is_as_deep_as_it_says_and_stretches_its_wall() -> None:
     E, F, G = metric(Bend(), Sheet(), points, (dent,)).T
     assert E[1] == pytest.approx(1.0 + steepest**2)
     assert (F[1], G[1], E[2]) == pytest.approx((0.0, 1.0, 1.0), abs=1e-9)
+
+
+RING = [{"disc_mm": [75, 50, 20], "contrast": 0.4}, {"disc_mm": [75, 50, 10], "contrast": 1.0}]
+
+
+def test_a_hole_in_a_touch_is_one_and_says_nothing_of_its_kind() -> None:
+    ring = parse_scene({"touches": RING})
+    assert ring.touch_kind == "lowering"
+    assert parse_scene(json.loads(scene_json(ring))) == ring
+
+
+@pytest.mark.parametrize(
+    "touches",
+    [
+        RING[::-1],  # the hole is covered
+        [RING[0], {"disc_mm": [20, 20, 5], "contrast": 1.0}],  # beside it
+        [RING[0], {"disc_mm": [90, 65, 1], "contrast": 1.0}],  # in a corner of its box
+        [RING[0], {**RING[1], "border_mm": 2}],  # what is graded multiplies
+        [{**RING[0], "border_mm": 2}, RING[1]],  # what is graded comes last
+    ],
+)
+def test_a_hole_in_nothing_is_refused_with_what_one_is(touches: list[dict[str, Any]]) -> None:
+    with pytest.raises(SceneError, match=r"its contrast is 1; .* or be a hole: both sharp, over a touch that stands"):
+        parse_scene({"touches": touches})
+
+
+def test_a_hole_is_the_limit_of_a_touch_that_hardly_changes_anything() -> None:
+    def change(*touches: dict[str, Any]) -> np.ndarray:
+        scene = parse_scene({"touches": list(touches), "element_size_mm": 6.0})
+        return solve_scene(scene).voltages / flat - 1.0
+
+    flat = solve_scene(Scene(element_size_mm=6.0)).voltages
+    outer, hole = {"rect_mm": [55, 30, 95, 70], "contrast": 0.3}, {"rect_mm": [65, 40, 85, 60], "contrast": 1.0}
+    bars = [[55, 30, 95, 40], [55, 60, 95, 70], [55, 40, 65, 60], [85, 40, 95, 60]]
+    found = change(outer, hole)
+    near = change(outer, {**hole, "contrast": 1.0001})
+    frame = change(*({"rect_mm": bar, "contrast": 0.3} for bar in bars))  # what is left, and nothing over it
+    size = np.linalg.norm(found)
+    assert np.linalg.norm(near - found) < 1e-4 * size
+    assert np.linalg.norm(frame - found) < 1e-6 * size
+    assert np.linalg.norm(change(outer) - found) > 0.1 * size

@@ -53,7 +53,9 @@ class Script:
 
     def truth_at(self, time_s: float) -> npt.NDArray[np.float32]:
         """Return the (rows, columns) map of how much of each pixel is touched, 0 to 1."""
-        return np.asarray(area_map(self.scene_at(time_s).touches, self.skin.grid), dtype=np.float32)
+        scene = self.scene_at(time_s)
+        area = area_map(scene.touches, self.skin.grid, scene.sheet.conductivity_S_per_m)
+        return np.asarray(area, dtype=np.float32)
 
     def cloud_at(self, time_s: float, rng: np.random.Generator | None = None) -> npt.NDArray[np.float64]:
         """Return the (3, rows, columns) mm cloud that a scanner gives at a time.

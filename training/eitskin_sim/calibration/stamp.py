@@ -18,9 +18,9 @@ import numpy.typing as npt
 
 from eitskin_proto.skin.parts import Touches
 from eitskin_sim.calibration.parameters import Group, Parameters
-from eitskin_sim.scene.parts import Touch
+from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Touch
 from eitskin_sim.scene.shapes import Disc, Rect, Shape
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM, LEAST_LOG_CONTRAST
+from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 
 Array = npt.NDArray[np.float64]
 

@@ -6,7 +6,7 @@ For one shape let A(x, y) be its area to the lower left of a point. A pixel's sh
 
 Along a vertical line the part below y of a shape between bottom(u) and top(u) is min(top, y) - min(bottom, y);
 integrated over u < x this is elementary for a circle and for straight sides. Shapes whose boxes overlap are sampled
-instead, so that what two of them cover counts once.
+instead, so that what two of them cover counts once, and a hole in one of them does not.
 """
 
 import itertools
@@ -28,16 +28,28 @@ SAMPLES: Final = 24
 """Samples a side of a pixel where shapes overlap: a straight border is then off by at most 1/24 of a pixel."""
 
 
-def area_map(touches: Sequence[Touch], grid: Grid = PAPER.grid) -> Array:
-    """Return the (rows, columns) share of each pixel, 0 to 1, that is covered by at least one touch."""
-    shapes = [shape for touch in touches for shape in touch.shapes]
-    apart = [s for s in shapes if not any(_overlap(s, other) for other in shapes if other is not s)]
-    crowded = [s for s in shapes if not any(s is other for other in apart)]
+def area_map(touches: Sequence[Touch], grid: Grid = PAPER.grid, sheet_S_per_m: float | None = None) -> Array:
+    """Return the (rows, columns) share of each pixel, 0 to 1, that is covered by at least one touch.
+
+    Args:
+        touches: In the order of the scene.
+        grid: Whose pixels.
+        sheet_S_per_m: Conductivity of the sheet: a touch of the same is a hole in the sharp ones before it; None knows
+            no holes.
+    """
+    # Touches with graded borders come last, as in the forward model.
+    ordered = sorted(touches, key=lambda one: one.border_mm > 0.0)
+    layers = [(touch, shape) for touch in ordered for shape in touch.shapes]
+    shapes = [shape for _, shape in layers]
+    holes = [sheet_S_per_m is not None and touch.is_hole(sheet_S_per_m) for touch, _ in layers]
+    crowded = [any(_overlap(s, other) for other in shapes if other is not s) for s in shapes]
     found = np.zeros(grid.shape)
-    for shape in apart:
-        found += shape_map(shape, grid)
-    if crowded:
-        found += _sampled(crowded, grid)
+    for shape, hole, overlaps in zip(shapes, holes, crowded, strict=True):
+        if not (hole or overlaps):
+            found += shape_map(shape, grid)
+    if any(crowded):
+        which = [number for number, overlaps in enumerate(crowded) if overlaps]
+        found += _sampled([shapes[one] for one in which], grid, [holes[one] for one in which])
     return np.asarray(np.clip(found, 0.0, 1.0), dtype=np.float64)
 
 
@@ -114,7 +126,8 @@ def _overlap(a: Shape, b: Shape) -> bool:
     return min(ax1, bx1) - max(ax0, bx0) > rounding and min(ay1, by1) - max(ay0, by0) > rounding
 
 
-def _sampled(shapes: Sequence[Shape], grid: Grid) -> Array:
+def _sampled(shapes: Sequence[Shape], grid: Grid, holes: Sequence[bool] | None = None) -> Array:
+    """Return the share of each pixel inside shapes, of which each hole takes out what it covers of those before it."""
     rows, columns = grid.shape
     dx, dy = grid.pixel_mm
     offsets = (np.arange(SAMPLES) + 0.5) / SAMPLES
@@ -122,6 +135,7 @@ def _sampled(shapes: Sequence[Shape], grid: Grid) -> Array:
     y = (np.arange(rows) * dy)[:, None] + offsets * dy
     points = np.stack(np.meshgrid(x.ravel(), y.ravel()), axis=-1)
     inside = np.zeros(points.shape[:2], dtype=bool)
-    for shape in shapes:
-        inside |= shape.distance_mm(points)[0] <= 0.0
+    for shape, hole in zip(shapes, holes or [False] * len(shapes), strict=True):
+        own = shape.distance_mm(points)[0] <= 0.0
+        inside = inside & ~own if hole else inside | own
     return np.asarray(inside.reshape(rows, SAMPLES, columns, SAMPLES).mean(axis=(1, 3)), dtype=np.float64)

@@ -40,11 +40,11 @@ class RollFrame:
     """(n, 2, 2) d(s, w) / d(x, y)."""
 
 
-def surface(bend: Bend, sheet: Sheet, xy_mm: Array) -> Array:
+def surface(bend: Bend, sheet: Sheet, xy_mm: Array, dents: Sequence[Touch] = ()) -> Array:
     """Return the (n, 3) mm positions of flat points (n, 2); a flat scene gives (x, y, 0)."""
     xy = np.asarray(xy_mm, dtype=np.float64)
     frame = frame_at(bend, sheet, xy)
-    height, _ = bump_heights(bend, xy)
+    height, _ = heights(bend, xy, dents)
     return frame.position + height[:, None] * frame.normal
 
 
@@ -57,10 +57,7 @@ def metric(bend: Bend, sheet: Sheet, xy_mm: Array, dents: Sequence[Touch] = ()) 
         found[:, 2] = bend.stretch_across**2
         return found
     frame = frame_at(bend, sheet, xy, placed=False)
-    height, slope = bump_heights(bend, xy)
-    if dents:
-        deep, steep = dent_heights(dents, xy)
-        height, slope = height + deep, slope + steep
+    height, slope = heights(bend, xy, dents)
     first = first_form(frame, frame.d_s, frame.d_w)
     if bend.bumps_mm or dents:
         second = second_form(frame)
@@ -82,6 +79,15 @@ def _stretch_x(bend: Bend, sheet: Sheet, x_mm: Array) -> tuple[Array, Array]:
     phase = 2.0 * np.pi * x_mm / length
     xi = bend.stretch_along * (x_mm - length / 2) + bend.nonuniformity * length / (2.0 * np.pi) * np.sin(phase)
     return xi, bend.stretch_along + bend.nonuniformity * np.cos(phase)
+
+
+def heights(bend: Bend, xy_mm: Array, dents: Sequence[Touch] = ()) -> tuple[Array, Array]:
+    """Return the height (n,) of bumps and dents together, along the normal, and its gradient (n, 2)."""
+    height, slope = bump_heights(bend, xy_mm)
+    if not dents:
+        return height, slope
+    deep, steep = dent_heights(dents, xy_mm)
+    return height + deep, slope + steep
 
 
 def bump_heights(bend: Bend, xy_mm: Array) -> tuple[Array, Array]:

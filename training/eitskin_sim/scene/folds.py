@@ -12,14 +12,16 @@ gives ::
 so points farther than 2 pi t come no nearer than t wherever m > 1 / (2 pi). u is the mean of dx/dd over the sheet.
 """
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 import numpy.typing as npt
 from scipy.spatial import cKDTree
 
-from eitskin_sim.scene.bend import RollFrame, bump_heights, first_form, frame_at, second_form, surface
-from eitskin_sim.scene.parts import Bend, Sheet
+from eitskin_sim.scene.bend import RollFrame, first_form, frame_at, heights, second_form, surface
+from eitskin_sim.scene.parts import Bend, Sheet, Touch
+from eitskin_sim.scene.soft_touch import dents_of
 from eitskin_sim.scene.strict_json import SceneError
 
 Array = npt.NDArray[np.float64]
@@ -31,8 +33,14 @@ DIRECTIONS: Final = 64
 """How many directions of the plane are looked at."""
 
 
-def check_bend(bend: Bend, sheet: Sheet) -> None:
-    """Raise SceneError where a bend cannot be: it turns the sheet inside out, or folds the sheet through itself."""
+def check_bend(bend: Bend, sheet: Sheet, touches: Sequence[Touch] = ()) -> None:
+    """Raise SceneError where a bend cannot be: it turns the sheet inside out, or folds the sheet through itself.
+
+    Args:
+        bend: The bend.
+        sheet: What is bent.
+        touches: Whose dents press it in.
+    """
     least = bend.stretch_along - abs(bend.nonuniformity)
     if least <= 0.0:
         raise SceneError(
@@ -41,9 +49,10 @@ def check_bend(bend: Bend, sheet: Sheet) -> None:
         )
     if not bend.angle_deg and not bend.twist_deg and not bend.bumps_mm:
         return
-    frame = _check_curvature(bend, sheet)
-    if bend.bumps_mm or not _runs_ahead(frame):
-        _check_apart(bend, sheet)
+    dents = dents_of(touches)
+    frame = _check_curvature(bend, sheet, dents)
+    if bend.bumps_mm or dents or not _runs_ahead(frame):
+        _check_apart(bend, sheet, dents)
 
 
 def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
@@ -54,8 +63,8 @@ def _samples(sheet: Sheet, pitch_mm: float) -> tuple[Array, float]:
     return np.stack([x.ravel(), y.ravel()], axis=-1), pitch
 
 
-def _check_curvature(bend: Bend, sheet: Sheet) -> RollFrame:
-    """Return the sheet's frame, without its bumps, at the points that were looked at."""
+def _check_curvature(bend: Bend, sheet: Sheet, dents: Sequence[Touch]) -> RollFrame:
+    """Return the sheet's frame, without its bumps and dents, at the points that were looked at."""
     xy, _ = _samples(sheet, min(sheet.size_mm) / 50)
     frame = frame_at(bend, sheet, xy)
     first = first_form(frame, frame.d_s, frame.d_w)
@@ -66,15 +75,15 @@ def _check_curvature(bend: Bend, sheet: Sheet) -> RollFrame:
     shape = np.linalg.solve(first, second_form(frame))
     mean, gauss = np.trace(shape, axis1=1, axis2=2) / 2, np.linalg.det(shape)
     spread = np.sqrt(np.maximum(mean**2 - gauss, 0.0))
-    height, _ = bump_heights(bend, xy)
+    height, _ = heights(bend, xy, dents)
     offset = 1.0 - np.maximum(height * (mean + spread), height * (mean - spread))
     if offset.min() <= 0.0:
         raise SceneError(
-            "scene.bend.bumps_mm folds the sheet through itself: height times curvature reaches "
-            f"{1.0 - offset.min():.3g}; it must be below 1: lower the bump or angle_deg"
+            f"{_raised(bend, dents)} folds the sheet through itself: height times curvature reaches "
+            f"{1.0 - offset.min():.3g}; it must be below 1: lower the {'dent' if dents else 'bump'} or angle_deg"
         )
-    dent = max((abs(height) / sigma**2 for _, _, height, sigma in bend.bumps_mm), default=0.0)
-    curvature = float(np.max(np.abs(mean) + spread)) + dent
+    bump = max((abs(height) / sigma**2 for _, _, height, sigma in bend.bumps_mm), default=0.0)
+    curvature = float(np.max(np.abs(mean) + spread)) + bump
     half = sheet.thickness_mm / 2
     if curvature * half >= 1.0:
         raise SceneError(
@@ -82,6 +91,12 @@ def _check_curvature(bend: Bend, sheet: Sheet) -> RollFrame:
             f"half the thickness, {half:g} mm"
         )
     return frame
+
+
+def _raised(bend: Bend, dents: Sequence[Touch]) -> str:
+    """Return what of a scene raises its surface along the normal."""
+    keys = ["scene.bend.bumps_mm"] * bool(bend.bumps_mm) + ["dent_mm of scene.touches"] * bool(dents)
+    return " with ".join(keys)
 
 
 def _runs_ahead(frame: RollFrame) -> bool:
@@ -96,10 +111,10 @@ def _runs_ahead(frame: RollFrame) -> bool:
     return bool((frame.d_s @ ahead.T * cos + frame.d_w @ ahead.T * sin).min() >= AHEAD)
 
 
-def _check_apart(bend: Bend, sheet: Sheet) -> None:
+def _check_apart(bend: Bend, sheet: Sheet, dents: Sequence[Touch] = ()) -> None:
     """Compare distances in space with distances along the sheet, on samples half a thickness apart."""
     xy, pitch = _samples(sheet, sheet.thickness_mm / 2)
-    points = surface(bend, sheet, xy)
+    points = surface(bend, sheet, xy, dents)
     near = max(sheet.thickness_mm, pitch)
     stretch = min(1.0, bend.stretch_across, bend.stretch_along - abs(bend.nonuniformity))
     far = 2.0 * np.pi * near / stretch
@@ -114,5 +129,5 @@ def _check_apart(bend: Bend, sheet: Sheet) -> None:
     raise SceneError(
         f"scene.bend folds the sheet through itself: flat points ({xa:.0f}, {ya:.0f}) and ({xb:.0f}, {yb:.0f}) come "
         f"within {gap:.2g} mm; they must stay more than {near:g} mm apart: lower angle_deg (it is {bend.angle_deg:g}), "
-        "skew, twist_deg or the bumps"
+        f"skew, twist_deg{', dent_mm' if dents else ''} or the bumps"
     )

@@ -18,6 +18,11 @@ MOST_BUMPS: Final = 100
 MOST_PHANTOMS: Final = 1000
 MOST_ASPECT: Final = 20.0
 MOST_TURN_DEG: Final = 36_000.0
+LEAST_THICKNESS_MM: Final = 0.05
+MOST_THICKNESS_MM: Final = 20.0
+"""As in a skin's file. The modes of depth under the contacts end within 2.5 thicknesses, and their mesh goes with the
+thickness: from here to there it is solved within a minute."""
+
 FARTHEST: Final = 1e5
 """mm; of what lies beside the sheet."""
 

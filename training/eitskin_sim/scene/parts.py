@@ -5,8 +5,9 @@ degrees. Names and units are those of the scene's JSON, which :mod:`eitskin_sim.
 skin's sheet and electrodes come from :mod:`eitskin_sim.scene.nominal`.
 """
 
+import math
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Final, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -17,6 +18,9 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.shapes import Shape
 
 Array = npt.NDArray[np.float64]
+
+LEAST_LOG_CONTRAST: Final = 1e-6
+"""A touch whose contrast is nearer to 1 than this changes nothing of the sheet that anybody could measure."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,6 +132,11 @@ class Touch:
         """Return the conductivity inside."""
         return self.conductivity_S_per_m if self.contrast is None else self.contrast * sheet_S_per_m
 
+    def is_hole(self, sheet_S_per_m: float) -> bool:
+        """Return whether the sheet is as untouched here: of sharp touches under it, this one takes a piece out."""
+        alike = abs(math.log(self.factor(sheet_S_per_m))) < LEAST_LOG_CONTRAST
+        return alike and not self.border_mm and not self.dent_mm
+
 
 @dataclass(frozen=True, slots=True)
 class Scene:
@@ -146,8 +155,9 @@ class Scene:
 
     @property
     def touch_kind(self) -> TouchKind:
-        """Which way the touches change conductance; without any, as the paper's do."""
-        lower = {touch.factor(self.sheet.conductivity_S_per_m) < 1.0 for touch in self.touches}
+        """Which way the touches change conductance, holes in them aside; without any, as the paper's do."""
+        sheet = self.sheet.conductivity_S_per_m
+        lower = {touch.factor(sheet) < 1.0 for touch in self.touches if not touch.is_hole(sheet)}
         return "both" if len(lower) == 2 else "lowering" if lower == {True} else "raising"
 
     def reference(self) -> "Scene":

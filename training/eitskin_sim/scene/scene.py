@@ -133,10 +133,10 @@ def check_scene(scene: Scene) -> None:
     number(scene.element_size_mm, "scene.element_size_mm", low=min(length, width) / 1000, high=min(length, width) / 8)
     place(scene.sheet, scene.electrodes)
     for index, touch in enumerate(scene.touches):
-        check_touch(touch, scene.sheet, f"scene.touches[{index}]")
+        check_touch(touch, scene.sheet, f"scene.touches[{index}]", scene.touches[:index])
         for shape in touch.shapes:
             _check_shape(shape, scene, f"scene.touches[{index}]")
-    check_bend(scene.bend, scene.sheet)
+    check_bend(scene.bend, scene.sheet, scene.touches)
 
 
 def _check_shape(shape: Shape, scene: Scene, where: str) -> None:

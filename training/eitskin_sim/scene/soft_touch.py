@@ -6,10 +6,10 @@
     border_mm    log conductivity runs linearly over this width about the outline
     dent_mm      depth; the sheet is pressed in along its normal by dent * Phi(-d / 4 mm), d the distance outside
 
-A scene whose touch would change nothing, or cannot be represented, is an error and not an untouched sheet.
+A scene whose touch would change nothing, or cannot be represented, is an error and not an untouched sheet. A sharp
+touch of contrast 1 over an earlier sharp one is a hole in that: the later holds.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Any, Final
 
@@ -17,14 +17,11 @@ import numpy as np
 import numpy.typing as npt
 from scipy.special import ndtr
 
-from eitskin_sim.scene.parts import Scene, Sheet, Touch
+from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST, Scene, Sheet, Touch
 from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect, Shape
 from eitskin_sim.scene.strict_json import Fields, SceneError, number, numbers
 
 Array = npt.NDArray[np.float64]
-
-LEAST_LOG_CONTRAST: Final = 1e-6
-"""A touch whose contrast is nearer to 1 than this changes nothing that anybody could measure."""
 
 LEAST_BORDER_MM: Final = 0.5
 """The narrowest graded border that a mesh represents; below it a border is sharp."""
@@ -34,6 +31,9 @@ DENT_WALL_MM: Final = 4.0
 
 DEEPEST_MM: Final = 10.0
 """The deepest dent: its wall is then as steep as 45 degrees."""
+
+OVERLAP_POINTS: Final = 64
+"""Points a side of the box in which it is looked whether two shapes overlap."""
 
 
 def soft_fields(fields: Fields, shapes: int) -> dict[str, Any]:
@@ -61,13 +61,21 @@ def soft_fields(fields: Fields, shapes: int) -> dict[str, Any]:
     return {"contrast": contrast, "border_mm": border, "dent_mm": dent}
 
 
-def check_touch(touch: Touch, sheet: Sheet, where: str) -> None:
-    """Raise SceneError if a touch would change nothing, or has a border that cannot be represented."""
+def check_touch(touch: Touch, sheet: Sheet, where: str, earlier: Sequence[Touch] = ()) -> None:
+    """Raise SceneError if a touch would change nothing, or has a border that cannot be represented.
+
+    Args:
+        touch: The touch.
+        sheet: What it touches.
+        where: Its path, for messages.
+        earlier: The touches before it.
+    """
     factor = touch.factor(sheet.conductivity_S_per_m)
-    if abs(math.log(factor)) < LEAST_LOG_CONTRAST and not touch.dent_mm:
+    alike = abs(np.log(factor)) < LEAST_LOG_CONTRAST and not touch.dent_mm
+    if alike and not _takes_out(touch, sheet, earlier):
         raise SceneError(
             f"{where} changes nothing: its contrast is {factor:.6g}; it must be below or above 1 by at least "
-            f"{LEAST_LOG_CONTRAST:g}, or have a dent_mm"
+            f"{LEAST_LOG_CONTRAST:g}, have a dent_mm, or be a hole: both sharp, over a touch that stands before it"
         )
     if 0.0 < touch.border_mm < LEAST_BORDER_MM:
         raise SceneError(
@@ -81,12 +89,31 @@ def check_touch(touch: Touch, sheet: Sheet, where: str) -> None:
         )
 
 
+def _takes_out(touch: Touch, sheet: Sheet, earlier: Sequence[Touch]) -> bool:
+    """Return whether a touch is a hole in one of those before it; graded ones come last and are not covered."""
+    below = [other for other in earlier if not other.border_mm]
+    return touch.is_hole(sheet.conductivity_S_per_m) and any(
+        _overlap(shape, other) for shape in touch.shapes for one in below for other in one.shapes
+    )
+
+
+def _overlap(one: Shape, other: Shape) -> bool:
+    """Return whether two shapes have a place in common, looked at point by point."""
+    (ax0, ay0, ax1, ay1), (bx0, by0, bx1, by1) = one.bounds_mm, other.bounds_mm
+    x0, y0, x1, y1 = max(ax0, bx0), max(ay0, by0), min(ax1, bx1), min(ay1, by1)
+    if x1 <= x0 or y1 <= y0:
+        return False
+    step = (np.arange(OVERLAP_POINTS) + 0.5) / OVERLAP_POINTS
+    points = np.stack(np.meshgrid(x0 + (x1 - x0) * step, y0 + (y1 - y0) * step), axis=-1)
+    return bool(np.any((one.distance_mm(points)[0] < 0.0) & (other.distance_mm(points)[0] < 0.0)))
+
+
 def check_touches(scene: Scene) -> None:
     """Raise SceneError if a touch of a scene changes nothing: no contrast, no place on the sheet, no such border."""
     length, width = scene.sheet.size_mm
     for index, touch in enumerate(scene.touches):
         where = f"scene.touches[{index}]"
-        check_touch(touch, scene.sheet, where)
+        check_touch(touch, scene.sheet, where, scene.touches[:index])
         for shape in touch.shapes:
             x0, y0, x1, y1 = shape.bounds_mm
             if x0 >= length or y0 >= width or x1 <= 0.0 or y1 <= 0.0:

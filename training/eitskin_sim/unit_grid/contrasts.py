@@ -26,7 +26,7 @@ from scipy.linalg import blas, lapack
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_sim.fem.forward import System
 from eitskin_sim.fem.mesh import Array, Index
-from eitskin_sim.scene.soft_touch import LEAST_LOG_CONTRAST
+from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST
 from eitskin_sim.unit_grid.skeleton import Condensed, condense_at, square_root
 from eitskin_sim.unit_grid.unit_mesh import UnitMesh
 

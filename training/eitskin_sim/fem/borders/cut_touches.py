@@ -17,8 +17,9 @@ from eitskin_sim.fem.borders.enrichment import POINTS, UNIT_POINTS
 from eitskin_sim.fem.borders.graded_blocks import CELL, GradedIntegrals, integrate_graded
 from eitskin_sim.fem.mesh import Index, TensorMesh
 from eitskin_sim.scene.gap import half_extents_mm
+from eitskin_sim.scene.parts import LEAST_LOG_CONTRAST
 from eitskin_sim.scene.shapes import ellipse_distance, length_of
-from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM, LEAST_LOG_CONTRAST
+from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import DISC, ELLIPSE, Array, TouchTable, borders_mm
 
 UNIT: Final = np.concatenate([UNIT_POINTS, UNIT_NODES, [[0.5, 0.5]]])

@@ -35,7 +35,9 @@ def read_sheet(value: object, skin: Skin) -> Sheet:
         )
     sheet = Sheet(
         size_mm=(size[0], size[1]),
-        thickness_mm=fields.number("thickness_mm", stated.thickness_mm, above=0.0, low=1e-3, high=1e3),
+        thickness_mm=fields.number(
+            "thickness_mm", stated.thickness_mm, low=limits.LEAST_THICKNESS_MM, high=limits.MOST_THICKNESS_MM
+        ),
         conductivity_S_per_m=fields.number(
             "conductivity_S_per_m", stated.conductivity_S_per_m, above=0.0, low=1e-6, high=1e8
         ),
