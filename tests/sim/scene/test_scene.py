@@ -5,7 +5,7 @@ from typing import Any
 import pytest
 
 from eitskin_sim.fem.meshing import scene_mesh
-from eitskin_sim.scene.scene import SceneError, load_scene, parse_phantoms, parse_scene, scene_json
+from eitskin_sim.scene.scene import SceneError, load_phantoms, load_scene, parse_phantoms, parse_scene, scene_json
 from eitskin_sim.scene.shapes import Disc, Polygon, Rect
 
 
@@ -153,3 +153,29 @@ def test_a_scene_without_bound_is_refused(scene: Any, text: str) -> None:
 def test_a_mesh_without_bound_is_refused() -> None:
     with pytest.raises(SceneError, match="expected at most 120000"):
         scene_mesh(parse_scene({"element_size_mm": 0.2}))
+
+
+OUTSIDE = {"touches": [{"disc_mm": [0, 45, 8]}]}
+
+
+def test_an_error_names_the_file_and_the_phantom(tmp_path: Path) -> None:
+    path = tmp_path / "phantoms.json"
+    path.write_text(json.dumps([{"name": "ok", "scene": {}}, {"name": "seventeen", "scene": OUTSIDE}]))
+    with pytest.raises(SceneError) as raised:
+        load_phantoms(path)
+    assert str(raised.value).startswith(
+        f"{path}: phantoms[1] 'seventeen': touches[0] reaches outside the sheet: x = -8"
+    )
+    with pytest.raises(SceneError, match=r"^phantoms\[0\] '1': scene: unknown key 'bends'"):
+        parse_phantoms([{"scene": {"bends": {}}}])
+
+
+def test_an_error_names_the_scenes_file_and_a_list_is_for_another_command(tmp_path: Path) -> None:
+    path = tmp_path / "scene.json"
+    path.write_text(json.dumps(OUTSIDE))
+    with pytest.raises(SceneError) as raised:
+        load_scene(path)
+    assert str(raised.value).startswith(f"{path}: scene.touches[0] reaches outside the sheet")
+    path.write_text(json.dumps([{"scene": {}}]))
+    with pytest.raises(SceneError, match=r"is a list, expected one scene; .* 'eitskin evaluate --phantoms'"):
+        load_scene(path)

@@ -169,6 +169,11 @@ def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
         (["--measured", "x.npz", "--noise", "N1"], "--noise does nothing with --measured"),
         (["--tank", "x.npz", "--solver", "sbl"], "--solver does nothing with --tank"),
         (["--single", "10", "--snr-db", "nan"], "--snr-db is nan, expected 0 to 200"),
+        (
+            ["--devices", "lab", "--trials", "foo"],
+            "--trials is 'foo', expected one of mm, units, single, press04, press06",
+        ),
+        (["--devices", "lab", "--trials", "mm,"], "--trials is '', expected one of mm"),
     ],
 )
 def test_trials_that_cannot_be_are_bad_usage(capsys, words, text):

@@ -77,7 +77,7 @@ def test_what_goes_by_a_bundle_wants_one_of_the_sheet(tmp_path, capsys, more, ex
 def test_a_length_of_another_sheet_is_refused(tmp_path, capsys):
     (tmp_path / "long.json").write_text(json.dumps([{"name": "none"}, {"name": "long", "length_mm": 220}]))
     assert cli.main(["evaluate", "--devices", str(tmp_path / "long.json"), "--trials", "single"]) != 0
-    assert "length_mm is 220, expected 140 to 160: skin 'paper' is 150 mm long" in capsys.readouterr().err
+    assert "'long': length_mm is 220, expected 140 to 160: skin 'paper' is 150 mm long" in capsys.readouterr().err
 
 
 def test_a_calibrated_device_of_another_sheet_is_no_sheet_to_draw_around():
@@ -147,7 +147,7 @@ def test_the_shipped_list_is_one():
 @pytest.mark.parametrize(
     ("more", "status", "said"),
     [
-        (["--trials", "double"], 1, "press06"),
+        (["--trials", "double"], 2, "press06"),
         (["--draws", "0"], 2, "at least 1"),
         (["--seed", "-1"], 2, "at least 0"),
         (["--reference", "post"], 1, "--reference post"),

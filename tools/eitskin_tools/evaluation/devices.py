@@ -6,12 +6,13 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from eitskin.model.bundle import Bundle
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.evaluation.devices.mismatch import Row, lab_rows, load_rows, random_rows
 from eitskin_sim.evaluation.devices.runs import Plan, Trial, drawn_trials, run_rows, sets_of_touches
 from eitskin_sim.evaluation.harness import SOLVERS, Conditions
-from eitskin_sim.scene.scene import load_phantoms
+from eitskin_sim.scene.scene import SceneError, load_phantoms
 from eitskin_tools.command_line import files
 from eitskin_tools.evaluation.drift_removed import DriftRemoved
 from eitskin_tools.evaluation.gate_judge import judge_of
@@ -92,9 +93,12 @@ def evaluate_devices(
     """
     if request.reference == "post" or request.prediction == "true":
         raise ValueError("--devices knows no untouched voltages of a bent device; leave --reference post and true out")
-    for _, mismatch in rows:
-        if mismatch is not None:
-            mismatch.require(plan.meant)
+    for name, mismatch in rows:
+        try:
+            if mismatch is not None:
+                mismatch.require(plan.meant)
+        except SceneError as error:
+            raise SceneError(f"mismatch {quoted(name)}: {error}") from error
     reference = request.reference or ("predicted" if request.name in SOLVERS else "pre")
     solvers: dict[str, Named] = {}
     judges, bundles = {}, {}

@@ -52,7 +52,16 @@ def load_scene(path: str | Path, skin: Skin = PAPER) -> Scene:
         SceneError: The file is no valid scene.
         OSError: The file cannot be read.
     """
-    return parse_scene(_read(path), skin)
+    value = _read(path)
+    if isinstance(value, list):
+        raise SceneError(
+            f"{path} is a list, expected one scene; a list of phantoms is for 'eitskin evaluate --phantoms', "
+            "the 'scene' of one of them is for this"
+        )
+    try:
+        return parse_scene(value, skin)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
 
 
 def load_phantoms(path: str | Path, skin: Skin = PAPER) -> tuple[Phantom, ...]:
@@ -66,7 +75,11 @@ def load_phantoms(path: str | Path, skin: Skin = PAPER) -> tuple[Phantom, ...]:
         SceneError: The file is no list of phantoms.
         OSError: The file cannot be read.
     """
-    return parse_phantoms(_read(path), skin)
+    value = _read(path)
+    try:
+        return parse_phantoms(value, skin)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
 
 
 def _read(path: str | Path) -> object:
@@ -94,7 +107,11 @@ def parse_phantoms(value: object, skin: Skin = PAPER) -> tuple[Phantom, ...]:
                 f"phantoms[{index}]: found name {quoted(name)}, truth {quoted(truth)}; expected a string, and "
                 "'units' or 'area'"
             )
-        found.append(Phantom(name, parse_scene(scene, skin), cast(Literal["units", "area"], truth)))
+        try:
+            parsed = parse_scene(scene, skin)
+        except SceneError as error:
+            raise SceneError(f"phantoms[{index}] {quoted(name)}: {str(error).removeprefix('scene.')}") from error
+        found.append(Phantom(name, parsed, cast(Literal["units", "area"], truth)))
     return tuple(found)
 
 

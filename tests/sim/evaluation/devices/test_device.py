@@ -175,6 +175,8 @@ def test_rows_come_from_json(tmp_path):
     ],
 )
 def test_rows_that_cannot_be_are_refused(tmp_path, value, said):
+    path = written(tmp_path, value)
     with pytest.raises(SceneError) as caught:
-        load_rows(written(tmp_path, value))
+        load_rows(path)
     assert said in str(caught.value)
+    assert str(caught.value).startswith(str(path))

@@ -67,16 +67,19 @@ def _measured(arguments: argparse.Namespace, request: Any) -> int:
 
 def _devices(arguments: argparse.Namespace, request: Any) -> int:
     from eitskin_sim.evaluation.devices import runs
-    from eitskin_tools.evaluation.devices import evaluate_devices, meant, rows_of, table, trials_of
+    from eitskin_tools.evaluation.devices import KINDS, evaluate_devices, meant, rows_of, table, trials_of
 
     if arguments.draws < 1 or arguments.seed < 0:
         raise UsageError(f"--draws {arguments.draws} --seed {arguments.seed}: expected at least 1, and at least 0")
+    kinds = arguments.trials.split(",")
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
+        raise UsageError(expected_one_of("--trials", unknown[0], KINDS))
     rows = rows_of(arguments.devices)
     skin = skins.chosen(arguments)
     drawn = meant(skin)
-    kinds = trials_of(arguments.trials.split(","), arguments.deformations, arguments.each, drawn)
+    trials = trials_of(kinds, arguments.deformations, arguments.each, drawn)
     plan = runs.Plan(arguments.draws, 0, arguments.seed, arguments.noise, arguments.snr_db, skin, drawn)
-    found = evaluate_devices(rows, kinds, request, plan, _progress(), arguments.drift)
+    found = evaluate_devices(rows, trials, request, plan, _progress(), arguments.drift)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 

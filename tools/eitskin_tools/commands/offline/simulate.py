@@ -50,7 +50,7 @@ def run(arguments: argparse.Namespace) -> int:
         scene = replace(scene, element_size_mm=arguments.element_size_mm)
         check_scene(scene)
     if sys.stderr.isatty():
-        print("eitskin simulate: solving, a minute at most", file=sys.stderr)
+        print("eitskin simulate: solving, a minute or so; longer with elements below 1.5 mm", file=sys.stderr)
     start = perf_counter()
     solution = solve_scene(scene, arguments.contact_law)
     seconds = perf_counter() - start

@@ -188,7 +188,10 @@ def load_rows(path: str | Path) -> list[Row]:
         value = read_json(path, LARGEST_FILE)
     except FileError as error:
         raise SceneError(str(error)) from error
-    found = [_row(item, f"devices[{index}]") for index, item in enumerate(sequence(value, "devices", MOST_ROWS))]
+    try:
+        found = [_row(item, f"devices[{index}]") for index, item in enumerate(sequence(value, "devices", MOST_ROWS))]
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
     if not found:
         raise SceneError(f"{path} holds no mismatch; expected a list of at least one")
     return found
