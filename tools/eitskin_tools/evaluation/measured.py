@@ -10,8 +10,8 @@ and stands for the reference: both inputs of a network are shifted by it.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,9 @@ from eitskin_tools.evaluation.gate_judge import judge_of
 from eitskin_tools.evaluation.measured_file import Measured
 from eitskin_tools.evaluation.printed import cell
 from eitskin_tools.evaluation.solvers import Progress, Request, bundle_on, named
+
+if TYPE_CHECKING:
+    from eitskin_tools.evaluation.verified.units import Checked
 
 Array = npt.NDArray[np.float64]
 
@@ -47,6 +50,8 @@ class SampleScore:
     """Between true and found touches, both ways."""
     distances_mm: tuple[float, ...] = ()
     """From every true touch to the nearest found one; infinite where there is none."""
+    checked: "Checked[Any] | None" = None
+    """What physics says of it; None where the solver does not ask."""
 
 
 def evaluate_measured(measured: Measured, request: Request, progress: Progress | None = None) -> dict[str, Any]:
@@ -83,7 +88,8 @@ def evaluate_measured(measured: Measured, request: Request, progress: Progress |
         held = sheet.predicted() * flat / flat_voltages(skin) if reference == "predicted" else flat
         case = Case(volts, held, flat, sheet, labels, lowering=measured.touch_kind == "lowering")
         truth = None if measured.truth is None else measured.truth[number]
-        scores.append(_score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin))
+        own = _score(solver.run.solver(case), truth, measured.kinds[number], judge(volts, flat), skin)
+        scores.append(own if solver.verified is None else replace(own, checked=solver.verified.checked[-1]))
         if last[scan] == number:
             del sheets[scan]
         if progress is not None:
@@ -128,13 +134,17 @@ def _score(image: Array, truth: Array | None, kind: str, touched: bool, skin: Sk
 
 
 def _sample(one: SampleScore) -> dict[str, Any]:
-    return {
+    found = {
         "kind": one.kind,
         "cc": one.cc,
         "localisation_mm": one.localisation_mm,
         "touched": one.touched,
         "peak": one.peak,
     }
+    if one.checked is not None:
+        verdict = one.checked.verdict
+        found |= {"p_value": float(verdict.p_value), "flagged": bool(verdict.flagged), "extra_ms": one.checked.extra_ms}
+    return found
 
 
 def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
@@ -148,7 +158,7 @@ def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
     cc = [one.cc for one in with_touches if one.cc is not None]
     distance = np.array([each for one in with_touches for each in one.distances_mm])
     missed, rms = missed_and_rms(distance)
-    return {
+    found = {
         "samples": len(scores),
         "cc": float(np.mean(cc)) if cc else None,
         "cc_worst": min(cc) if cc else None,
@@ -157,18 +167,34 @@ def summary(scores: Sequence[SampleScore]) -> dict[str, Any]:
         "gate_missed": float(np.mean([not one.touched for one in with_touches])) if with_touches else None,
         "false_touch": float(np.mean([one.touched for one in bare])) if bare else None,
     }
+    return found | _verdicts([one.checked for one in scores if one.checked is not None])
+
+
+def _verdicts(checked: "Sequence[Checked[Any]]") -> dict[str, float]:
+    """Return what physics says of the samples of one kind: as of a phantom's draws, or nothing."""
+    if not checked:
+        return {}
+    return {
+        "p_value": float(np.median([one.verdict.p_value for one in checked])),
+        "flagged": float(np.mean([one.verdict.flagged for one in checked])),
+        "extra_ms": float(np.median([one.extra_ms for one in checked])),
+    }
 
 
 def table(found: dict[str, Any]) -> str:
     """Return the figures by kind as people read them."""
+    verified = any("p_value" in row for row in found["by_kind"].values())
     lines = [
         f"{found['solver']}, reference: {found['reference']}, {len(found['samples'])} samples",
-        "kind            samples      CC   worst  rms mm  missed  gate missed  false touch",
+        "kind            samples      CC   worst  rms mm  missed  gate missed  false touch"
+        + ("       p  flagged      ms" if verified else ""),
     ]
     for kind, row in found["by_kind"].items():
         cells = [cell(row["cc"], 8, ".3f"), cell(row["cc_worst"], 8, ".3f")]
         cells += [cell(row["localisation_rms_mm"], 8, ".2f"), cell(row["missed"], 8, ".1%")]
         cells += [cell(row["gate_missed"], 13, ".1%"), cell(row["false_touch"], 13, ".1%")]
+        if verified:
+            cells += [cell(row["p_value"], 8, ".2g"), cell(row["flagged"], 9, ".1%"), cell(row["extra_ms"], 8, ".1f")]
         lines.append(f"{plain(kind):16}{row['samples']:7d}{''.join(cells)}")
     if found["ignored"]:
         lines.append(f"not read: {plain(', '.join(found['ignored']))}")
