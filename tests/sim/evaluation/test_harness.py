@@ -153,3 +153,19 @@ def test_bad_arguments_are_refused(phantoms):
         harness.evaluate(phantoms, solver, reference="later")
     with pytest.raises(ValueError, match="'N9'"):
         harness.evaluate(phantoms, solver, noise="N9")
+
+
+def test_an_untouched_sheet_has_no_cc_and_is_left_out_of_the_mean(monkeypatch):
+    touched = {"name": "touched", "scene": {"touches": [{"disc_mm": [70, 45, 6]}]}}
+    phantoms = parse_phantoms([touched, {"name": "bare", "scene": {}}])
+    monkeypatch.setattr(harness, "voltages_of", lambda scene: np.ones(104))  # nothing here looks at voltages
+    results = harness.evaluate(phantoms, lambda _: harness.truth_map(phantoms[0]), noise="none")
+    found = reports.report("cheat", "none", results)
+    one, bare = found["phantoms"]
+    assert (bare["cc"], bare["rie"], bare["true_touches"], bare["touches"]) == (None, None, 0.0, 1.0)
+    assert bare["psnr_db"] > 10.0, "how far a map is from nothing is defined"
+    assert (found["mean"]["cc"], found["mean"]["rie"]) == (one["cc"], one["rie"]) == (pytest.approx(1.0), 0.0)
+    summed = reports.summary(results, 1)
+    assert (summed["cc"], summed["worst_deformation"]) == (pytest.approx(1.0), 0)
+    assert summed["deformations"][1]["cc"] is None
+    json.dumps([found, summed, reports.report("cheat", "none", results[1:])], allow_nan=False)

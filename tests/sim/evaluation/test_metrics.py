@@ -12,7 +12,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.evaluation import metrics
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Touch
-from eitskin_sim.scene.shapes import Rect
+from eitskin_sim.scene.shapes import Disc, Rect
 
 GRID = PAPER.grid
 
@@ -201,3 +201,22 @@ def test_unknown_labels_and_distances_are_refused_with_their_value():
         metrics.is_exact(units(1), units(1), labels="pixels")
     with pytest.raises(ValueError, match=r"-3\.0 mm"):
         metrics.distance_error(units(1), -3.0)
+
+
+def test_a_touch_smaller_than_a_pixel_is_one_where_its_truth_is_highest():
+    truth = area_map([Touch((Disc(40.0, 10.0, 1.5),))])  # on a corner of four pixels, 0.16 of each
+    assert 0.0 < truth.max() < 0.2
+    seen, blind = block(slice(2, 4), slice(11, 13)), np.zeros(GRID.shape)
+    found, missed = (metrics.score(one, truth, labels="area") for one in (seen, blind))
+    assert (found.true_touches, found.exact, found.localisation_mm) == (1, 1.0, pytest.approx(0.0, abs=1e-9))
+    assert (missed.true_touches, missed.exact, missed.localisation_mm) == (1, 0.0, metrics.lost_mm(GRID))
+    both = area_map([Touch((Disc(40.0, 10.0, 1.5),)), Touch((Disc(100.0, 50.0, 1.5),))])
+    assert metrics.score(blind, both).true_touches == 2
+    assert metrics.score(blind, both).distance_error == 1.0
+
+
+@given(maps)
+@settings(max_examples=50, deadline=None)
+def test_a_truth_that_reaches_one_half_is_judged_at_one_half(truth):
+    assert metrics.truth_level(truth) == 0.5 or truth.max() < 0.5
+    assert metrics.truth_level(np.zeros(GRID.shape)) == 0.5

@@ -26,3 +26,11 @@ def test_without_a_verifier_nothing_is_said_of_p(capsys):
     head, row, _ = capsys.readouterr().out.splitlines()[1:]
     assert head.endswith("DE")
     assert len(row) == len(head)
+
+
+def test_an_untouched_phantom_has_dashes(capsys):
+    bare = {"name": "bare", **SCORES, "cc": None, "rie": None}
+    print_report({**REPORT, "solver": "vd2t", "phantoms": [bare], "mean": bare})
+    head, row, mean = capsys.readouterr().out.splitlines()[1:]
+    assert row.split()[:4] == ["bare", "-", "120.00", "-"]
+    assert len(row) == len(mean) == len(head)

@@ -8,8 +8,9 @@ from typing import Any, Final
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all, truth_map
+from eitskin_sim.evaluation.harness import Case, Conditions, Run, Solver, evaluate_all
 from eitskin_sim.evaluation.metrics import correlation
+from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.scene.bend import surface
 from eitskin_sim.scene.parts import Phantom
 from eitskin_tools.evaluation.solvers import Request, named
@@ -92,13 +93,18 @@ def draw(rows: Sequence[Row], path: str | Path) -> None:
             axes.set_axis_off()
             title = ("truth", *SOLVERS)[column] if index == 0 else ""
             axes.set_title(title, fontsize=10, pad=0)
-            note = f"phantom {row.phantom.name}" if column == 0 else f"CC {correlation(image, row.truth):.3f}"
+            note = f"phantom {row.phantom.name}" if column == 0 else f"CC {_alike(image, row.truth)}"
             axes.text2D(0.5, 0.02, note, transform=axes.transAxes, ha="center", fontsize=8)
     figure.subplots_adjust(left=0.0, right=1.0, bottom=0.01, top=0.97, wspace=0.0, hspace=0.0)
     try:
         save(figure, path)
     finally:
         pyplot.close(figure)
+
+
+def _alike(image: Array, truth: Array) -> str:
+    """Return the CC of a map in words; a sheet that nothing touches has none."""
+    return f"{correlation(image, truth):.3f}" if truth.any() else "-"
 
 
 def _keep(solver: Solver, maps: list[Array]) -> Solver:

@@ -19,12 +19,11 @@ from typing import Final, Literal, get_args
 import numpy as np
 import numpy.typing as npt
 
-from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER, Skin
-from eitskin_sim.evaluation.metrics import Score, scaled, score, touched_units
+from eitskin_sim.evaluation.metrics import Score, scaled, score
+from eitskin_sim.evaluation.truth import check_truths, truth_map
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.measurement.noise import Kind, add_noise
-from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.family import draw
 from eitskin_sim.scene.parts import Bend, Phantom, Scene
 from eitskin_sim.scene.phantoms.shift import shifted
@@ -190,14 +189,6 @@ SOLVERS: Final[Mapping[str, Solver]] = _registry()
 """Every classical solver by name; "-pixels" and "-units" fix the grid that the plain name takes from the labels."""
 
 
-def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
-    """Return the truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
-    area = area_map(phantom.scene.touches, grid)
-    if phantom.truth == "area":
-        return area
-    return np.asarray(grid.map_from_units(touched_units(area, grid).astype(np.float64)))
-
-
 def evaluate(
     phantoms: Sequence[Phantom],
     solver: Solver,
@@ -229,7 +220,7 @@ def evaluate_all(
         progress: Called with the phantoms done and all phantoms.
 
     Raises:
-        ValueError: No phantoms, no seeds, an unknown reference or noise.
+        ValueError: No phantoms, no seeds, an unknown reference or noise, or touches that the map does not show.
     """
     if not phantoms or conditions.seeds < 1:
         raise ValueError(f"at least one phantom and one seed are needed, found {len(phantoms)} and {conditions.seeds}")
@@ -238,6 +229,7 @@ def evaluate_all(
             raise ValueError(f"reference {run.reference!r} is unknown; expected one of {', '.join(REFERENCES)}")
     results: list[Results] = [[] for _ in runs]
     skin, grid = conditions.skin, conditions.skin.grid
+    check_truths(phantoms, skin)
     for index, phantom in enumerate(phantoms):
         bare = phantom.scene.untouched()
         flat = voltages_of(phantom.scene.reference())

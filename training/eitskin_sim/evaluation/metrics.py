@@ -8,10 +8,12 @@ One implementation for every solver, with these conventions:
   else 0.
 * PSNR has the peak 1 (the truth's), and stops at ``PSNR_CAP_DB``: a perfect map has no finite one.
 * RIE is the Euclidean norm of the error over that of the truth; with an untouched truth it is 0 for an empty map, else
-  infinite.
+  infinite. Reports leave CC and RIE of an untouched sheet out.
 * A *touch* is a connected region (edges, not corners, connect) of at least half the full value. Its place is the
   centroid of the map over the region and the pixels right around it: of a pixel that a border cuts, the covered share
-  then counts, whichever side of one half it lies on, and an exact area map has exact places. The localisation error
+  then counts, whichever side of one half it lies on, and an exact area map has exact places. A truth none of whose
+  pixels reaches one half, of touches smaller than a pixel, has its touches where it reaches half of its highest pixel;
+  what a map has to reach to show them stays one half. The localisation error
   averages the distance from each true touch to the nearest found one with that from each found touch to the nearest
   true one, so that misses and ghosts both cost.
 * ``exact`` is 1 when a unit map decodes to exactly the true set of units (mean of each unit's pixels at least half),
@@ -119,10 +121,16 @@ def touched_units(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> n
     return np.asarray((pixels > 0) & (sums / np.maximum(pixels, 1) >= TOUCHED))
 
 
-def touch_centres_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> Array:
-    """Return (touches, 2) x and y of every touch of a map (rows, columns)."""
+def truth_level(truth: npt.NDArray[np.floating]) -> float:
+    """Return what a pixel of a truth has to reach to be of a touch: one half, or half of the highest below that."""
+    highest = float(np.max(truth, initial=0.0))
+    return highest / 2 if 0.0 < highest < TOUCHED else TOUCHED
+
+
+def touch_centres_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid, level: float = TOUCHED) -> Array:
+    """Return (touches, 2) x and y of every touch of a map (rows, columns): of what reaches a level."""
     values = np.asarray(image, dtype=np.float64)
-    labels, count = _touches(values)
+    labels, count = _touches(values, level)
     if count == 0:
         return np.zeros((0, 2))
     labels, values = _with_rim(labels), np.maximum(values, 0.0)
@@ -134,16 +142,16 @@ def touch_centres_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -
     return np.asarray(np.stack(moments, axis=-1) / weight[:, None])
 
 
-def count_touches(image: npt.NDArray[np.floating]) -> int:
+def count_touches(image: npt.NDArray[np.floating], level: float = TOUCHED) -> int:
     """Return the number of touches in a map (rows, columns)."""
-    return _touches(np.asarray(image, dtype=np.float64))[1]
+    return _touches(np.asarray(image, dtype=np.float64), level)[1]
 
 
 def localisation_error_mm(
     image: npt.NDArray[np.floating], truth: npt.NDArray[np.floating], grid: Grid = PAPER.grid
 ) -> float:
     """Return how far found touches lie from true ones, averaged both ways; 0 if both maps are empty."""
-    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid)
+    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid, truth_level(truth))
     if len(found) == 0 and len(true) == 0:
         return 0.0
     if len(found) == 0 or len(true) == 0:
@@ -174,18 +182,18 @@ def is_exact(
         return bool(np.array_equal(touched_units(image, grid), touched_units(truth, grid)))
     if labels != "area":
         raise ValueError(f"labels are 'units' or 'area', found {labels!r}")
-    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid)
+    found, true = touch_centres_mm(image, grid), touch_centres_mm(truth, grid, truth_level(truth))
     if len(found) != len(true):
         return False
     distance = cdist(true, found)
     return bool(np.all(distance[linear_sum_assignment(distance)] <= grid.pitch_mm))
 
 
-def two_point_distance_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid) -> float:
+def two_point_distance_mm(image: npt.NDArray[np.floating], grid: Grid = PAPER.grid, level: float = TOUCHED) -> float:
     """Return the distance between the borders of the two closest touches of a map (rows, columns); NaN below two."""
     values = np.asarray(image, dtype=np.float64)
-    labels, count = _touches(values)
-    borders = [_border_mm(values, labels == touch + 1, grid) for touch in range(count)]
+    labels, count = _touches(values, level)
+    borders = [_border_mm(values, labels == touch + 1, grid, level) for touch in range(count)]
     gaps = [float(cdist(a, b).min()) for index, a in enumerate(borders) for b in borders[:index]]
     return min(gaps, default=math.nan)
 
@@ -220,7 +228,8 @@ def score(
     for name, candidate in (("map", image), ("truth", truth)):
         if np.shape(candidate) != grid.shape:
             raise ValueError(f"{name} has shape {np.shape(candidate)}, expected {grid.shape}")
-    found_mm, true_mm = two_point_distance_mm(image, grid), two_point_distance_mm(truth, grid)
+    level = truth_level(truth)
+    found_mm, true_mm = two_point_distance_mm(image, grid), two_point_distance_mm(truth, grid, level)
     return Score(
         cc=correlation(image, truth),
         psnr_db=psnr_db(image, truth),
@@ -228,7 +237,7 @@ def score(
         localisation_mm=localisation_error_mm(image, truth, grid),
         exact=float(is_exact(image, truth, labels=labels, grid=grid)),
         touches=count_touches(image),
-        true_touches=count_touches(truth),
+        true_touches=count_touches(truth, level),
         two_point_mm=found_mm,
         distance_error=math.nan if math.isnan(true_mm) else _relative(found_mm, true_mm),
     )
@@ -256,8 +265,8 @@ def _norm(values: Array) -> float:
     return largest * float(np.linalg.norm(values / largest)) if largest > 0.0 else 0.0
 
 
-def _touches(image: Array) -> tuple[npt.NDArray[np.intp], int]:
-    labels, count = ndimage.label(np.asarray(image) >= TOUCHED)
+def _touches(image: Array, level: float) -> tuple[npt.NDArray[np.intp], int]:
+    labels, count = ndimage.label(np.asarray(image) >= level)
     return np.asarray(labels, dtype=np.intp), int(count)
 
 
@@ -267,8 +276,8 @@ def _with_rim(labels: npt.NDArray[np.intp]) -> npt.NDArray[np.intp]:
     return np.asarray(np.where(distance < 1.5, labels[tuple(nearest)], 0), dtype=np.intp)
 
 
-def _border_mm(image: Array, inside: npt.NDArray[np.bool_], grid: Grid) -> Array:
-    """Points where the map crosses one half on the way out of a touch; on the sheet's border, the border itself."""
+def _border_mm(image: Array, inside: npt.NDArray[np.bool_], grid: Grid, level: float) -> Array:
+    """Points where the map crosses a level on the way out of a touch; on the sheet's border, the border itself."""
     centres, (height, width) = grid.pixel_centres_mm(), grid.shape
     points: list[Array] = []
     for step_row, step_column in ((0, 1), (0, -1), (1, 0), (-1, 0)):
@@ -278,8 +287,8 @@ def _border_mm(image: Array, inside: npt.NDArray[np.bool_], grid: Grid) -> Array
         step_mm = np.array(grid.pixel_mm) * (step_column, step_row)
         points.append(centres[rows[~on_sheet], columns[~on_sheet]] + 0.5 * step_mm)
         rows, columns, to_rows, to_columns = (a[on_sheet] for a in (rows, columns, to_rows, to_columns))
-        leaving = image[to_rows, to_columns] < TOUCHED
+        leaving = image[to_rows, to_columns] < level
         rows, columns, to_rows, to_columns = (a[leaving] for a in (rows, columns, to_rows, to_columns))
         here, there = image[rows, columns], image[to_rows, to_columns]
-        points.append(centres[rows, columns] + ((here - TOUCHED) / (here - there))[:, None] * step_mm)
+        points.append(centres[rows, columns] + ((here - level) / (here - there))[:, None] * step_mm)
     return np.concatenate(points)

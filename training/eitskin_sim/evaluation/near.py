@@ -8,7 +8,7 @@ from scipy.spatial.distance import cdist
 
 from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.metrics import touch_centres_mm
+from eitskin_sim.evaluation.metrics import touch_centres_mm, truth_level
 
 Array = npt.NDArray[np.float64]
 
@@ -17,11 +17,8 @@ NEAR_MM: Final = 15.0
 
 
 def true_centres_mm(truth: Array, grid: Grid = PAPER.grid) -> Array:
-    """Return the (touches, 2) places of a truth's touches; one that nowhere covers half a pixel is one all the same."""
-    found = touch_centres_mm(truth, grid)
-    if len(found) or not truth.any():
-        return found
-    return np.asarray((grid.pixel_centres_mm() * truth[..., None]).sum(axis=(0, 1)) / truth.sum())[None]
+    """Return the (touches, 2) places of a truth's touches, also of such as nowhere cover half a pixel."""
+    return touch_centres_mm(truth, grid, truth_level(truth))
 
 
 def distances_mm(image: Array, truth: Array, grid: Grid = PAPER.grid) -> Array:

@@ -1,8 +1,8 @@
 """Scores put together: means over noise draws, over phantoms, over deformations.
 
 A phantom's measure is its mean over the draws, the mean's is the mean over the phantoms that have it: DE and the
-two-point distance exist only where the truth has two touches or more. What is infinite or undefined becomes None, so
-that the report is JSON.
+two-point distance exist only where the truth has two touches or more, CC and RIE where it has one. What is infinite or
+undefined becomes None, so that the report is JSON.
 """
 
 import math
@@ -38,9 +38,11 @@ Row = dict[str, float | None]
 
 
 def measures_of(one: Score) -> dict[str, float]:
-    """Return the measures of one map."""
+    """Return the measures of one map; NaN for what it has none of: CC and RIE compare it with touches."""
     found = {name: float(getattr(one, name)) for name in MEASURES if name != "count_right"}
     found["count_right"] = float(one.touches == one.true_touches)
+    if not one.true_touches:
+        found["cc"] = found["rie"] = math.nan
     if math.isnan(one.distance_error):
         found["two_point_mm"] = math.nan
     return found
@@ -69,22 +71,24 @@ def summary(results: Results, each: int, grid: Grid = PAPER.grid) -> dict[str, A
         grid: The maps'.
     """
     groups = [results[start : start + each] for start in range(0, len(results), each)]
-    cc = [_mean([one.cc for _, scores in group for one in scores]) for group in groups]
+    cc = [mean_scores([one for _, scores in group for one in scores])["cc"] for group in groups]
     every = [one for _, scores in results for one in scores]
     distance = np.array([one.localisation_mm for one in every])
     right = np.array([one.touches == one.true_touches for one in every])
-    worst = int(np.argmin(cc))
+    worst = int(np.argmin(np.nan_to_num(cc, nan=np.inf)))
     return {
         "maps": len(every),
         **_finite(mean_scores(every)),
         "worst_deformation": worst,
-        "worst_deformation_cc": cc[worst],
+        "worst_deformation_cc": _finite({"cc": cc[worst]})["cc"],
         "localisation_rms_mm": float(np.sqrt(np.mean(distance**2))),
         "localisation_median_mm": float(np.median(distance)),
         "localisation_p95_mm": float(np.percentile(distance, 95)),
         "missed": float(np.mean(distance >= lost_mm(grid))),
         "told_apart": float(np.mean(right & (distance <= NEAR_MM))),
-        "deformations": [{"bend": _bend(group[0][0]), "cc": mean} for group, mean in zip(groups, cc, strict=True)],
+        "deformations": [
+            {"bend": _bend(group[0][0]), **_finite({"cc": mean})} for group, mean in zip(groups, cc, strict=True)
+        ],
     }
 
 

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 
 from eitskin_proto.skin.skin import PAPER
-from eitskin_sim.evaluation.harness import Case, Sheet, truth_map
+from eitskin_sim.evaluation.harness import Case, Sheet
 from eitskin_sim.evaluation.metrics import Score, lost_mm, score
 from eitskin_sim.evaluation.near import NEAR_MM
+from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.measurement.noise import add_noise
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise

@@ -94,14 +94,11 @@ def _tank(arguments: argparse.Namespace) -> int:
 
 
 def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:
-    from eitskin_sim.scene.scene import load_phantoms
     from eitskin_tools.evaluation.paper_tables import comparison
     from eitskin_tools.evaluation.printed import print_report
     from eitskin_tools.evaluation.solvers import evaluate_requests
 
-    phantoms = load_phantoms(files.find(arguments.phantoms, files.PHANTOMS), conditions.skin)
-    if not phantoms:
-        raise ValueError(f"{arguments.phantoms} holds no phantom; expected a list of at least one")
+    phantoms = _loaded(arguments.phantoms, conditions.skin)
     if arguments.all:
         table, reports = comparison(phantoms, conditions, _progress(), arguments.bundle)
         print(json.dumps({"table": table, "reports": reports}) if arguments.json else table)
@@ -121,6 +118,22 @@ def _phantoms(arguments: argparse.Namespace, request: Any, conditions: Any) -> i
     else:
         print_report(found)
     return 0
+
+
+def _loaded(name: str, skin: Any) -> Any:
+    """Return the phantoms of a file, each with a truth on the map of a skin."""
+    from eitskin_sim.evaluation.truth import check_truths
+    from eitskin_sim.scene.scene import SceneError, load_phantoms
+
+    path = files.find(name, files.PHANTOMS)
+    phantoms = load_phantoms(path, skin)
+    if not phantoms:
+        raise ValueError(f"{name} holds no phantom; expected a list of at least one")
+    try:
+        check_truths(phantoms, skin)
+    except SceneError as error:
+        raise SceneError(f"{path}: {error}") from error
+    return phantoms
 
 
 def _trial(arguments: argparse.Namespace, request: Any, conditions: Any) -> int:

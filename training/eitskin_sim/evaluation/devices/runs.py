@@ -25,9 +25,10 @@ from eitskin_proto.skin.skin import PAPER, Skin
 from eitskin_sim.evaluation import trials
 from eitskin_sim.evaluation.devices.device import DRAW_SEED, Device, draw_device
 from eitskin_sim.evaluation.devices.mismatch import Mismatch, Row, deviations, random_mismatch
-from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet, truth_map
+from eitskin_sim.evaluation.harness import Case, Reference, Run, Sheet
 from eitskin_sim.evaluation.metrics import correlation
 from eitskin_sim.evaluation.near import distances_mm, missed_and_rms
+from eitskin_sim.evaluation.truth import truth_map
 from eitskin_sim.fem.solve import factorise_scene, solve_scene
 from eitskin_sim.measurement.faults import response_of
 from eitskin_sim.measurement.front_end import IDEAL, FrontEnd

@@ -1,0 +1,68 @@
+"""The truth of a phantom: refused where it would be empty though something touches, and without its holes."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from tests.second_skin import SECOND
+
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.evaluation.harness import Conditions, Run, evaluate_all
+from eitskin_sim.evaluation.truth import check_truths, truth_map
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.scene.scene import parse_phantoms
+from eitskin_sim.scene.strict_json import SceneError
+
+
+def phantoms(scene: dict[str, Any], truth: str = "area") -> tuple[Phantom, ...]:
+    return parse_phantoms([{"name": "good", "scene": {}}, {"name": "a", "truth": truth, "scene": scene}])
+
+
+LONG = {"sheet": {"size_mm": [220, 90]}, "touches": [{"disc_mm": [160, 45, 8], "contrast": 20}]}
+COVERED = [{"disc_mm": [75, 50, 10], "contrast": 20}, {"rect_mm": [60, 30, 90, 70], "contrast": 1}]
+
+
+@pytest.mark.parametrize(
+    ("scene", "truth", "says"),
+    [
+        (
+            LONG,
+            "area",
+            r"touches\[0\] is off the map: its middle is \(160, 45\) mm, on a sheet of 220 x 90 mm",
+        ),
+        (LONG, "units", r"expected 150 x 100 mm, that of skin 'paper': give the skin of this sheet with --skin FILE"),
+        ({"touches": [{"disc_mm": [75, 50, 3]}]}, "units", "no unit is touched: its touches cover none by half"),
+        ({"touches": COVERED}, "area", "nothing is touched: holes take its touches out"),
+    ],
+)
+def test_a_truth_that_would_be_empty_is_refused(scene: dict[str, Any], truth: str, says: str) -> None:
+    for check in (check_truths, lambda of: evaluate_all(of, [Run(lambda case: case, "pre")], Conditions())):
+        with pytest.raises(SceneError, match=rf"^phantoms\[1\] 'a': .*{says}") as raised:
+            check(phantoms(scene, truth))
+        assert "\n" not in str(raised.value)
+
+
+def test_a_sheet_that_is_off_by_a_little_is_the_device_as_it_is() -> None:
+    longer = {"sheet": {"size_mm": [155, 100]}, "touches": [{"rect_mm": [143, 40, 155, 52]}]}
+    check_truths(phantoms(longer))
+    check_truths(phantoms({}, "units"))
+
+
+def test_a_touch_is_on_the_map_of_its_own_skin() -> None:
+    far = {"touches": [{"disc_mm": [180, 50, 8]}]}
+    own = parse_phantoms([{"scene": far}], SECOND)
+    check_truths(own, SECOND)
+    with pytest.raises(SceneError, match="off the map"):
+        check_truths(own, PAPER)
+
+
+@pytest.mark.parametrize("sheet", [1.0, 4.0])
+def test_a_hole_is_not_touched(sheet: float) -> None:
+    touches = [{"disc_mm": [75, 50, 20]}, {"disc_mm": [75, 50, 10], "conductivity_S_per_m": sheet}]
+    scene = {"sheet": {"conductivity_S_per_m": sheet}, "touches": touches}
+    (_, ring) = phantoms(scene)
+    truth = truth_map(ring)
+    assert truth.sum() * PAPER.grid.pixel_mm2 == pytest.approx(np.pi * 300, rel=2e-3)
+    assert truth[15, 22] == 0.0
+    (_, filled) = phantoms({**scene, "touches": [*touches, {"disc_mm": [75, 50, 5]}]})
+    assert truth_map(filled)[15, 22] == 1.0, "what comes later holds"

@@ -1,0 +1,63 @@
+"""The truth of a phantom, on the map of the skin in use; refused where it would be empty though something touches.
+
+A phantom's scene is the true device, whose sheet may be a little longer or shorter than the map. A touch whose middle
+lies beyond the map is of another sheet.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from eitskin_proto.files.plain import quoted
+from eitskin_proto.skin.grid import Grid
+from eitskin_proto.skin.skin import PAPER, Skin
+from eitskin_sim.evaluation.metrics import touched_units
+from eitskin_sim.scene.area import area_map
+from eitskin_sim.scene.parts import Phantom
+from eitskin_sim.scene.strict_json import SceneError
+
+Array = npt.NDArray[np.float64]
+
+
+def truth_map(phantom: Phantom, grid: Grid = PAPER.grid) -> Array:
+    """Return the truth of a phantom: hard labels of the touched units, or the touched share of each pixel."""
+    scene = phantom.scene
+    area = area_map(scene.touches, grid, scene.sheet.conductivity_S_per_m)
+    if phantom.truth == "area":
+        return area
+    return np.asarray(grid.map_from_units(touched_units(area, grid).astype(np.float64)))
+
+
+def check_truths(phantoms: Sequence[Phantom], skin: Skin = PAPER) -> None:
+    """Raise SceneError where a phantom's touches are not on the map, or leave its truth empty.
+
+    Args:
+        phantoms: What is to be evaluated.
+        skin: Whose map the truth is drawn on.
+    """
+    for index, phantom in enumerate(phantoms):
+        where = f"phantoms[{index}] {quoted(phantom.name)}"
+        _check_on_map(phantom, skin, where)
+        if not phantom.scene.touches or truth_map(phantom, skin.grid).any():
+            continue
+        if phantom.truth == "units":
+            raise SceneError(
+                f"{where}: no unit is touched: its touches cover none by half; touch 'units', or give the truth 'area'"
+            )
+        raise SceneError(f"{where}: nothing is touched: holes take its touches out; leave them or the touches out")
+
+
+def _check_on_map(phantom: Phantom, skin: Skin, where: str) -> None:
+    length, width = skin.grid.size_mm
+    for number, touch in enumerate(phantom.scene.touches):
+        for shape in touch.shapes:
+            x0, y0, x1, y1 = shape.bounds_mm
+            x, y = (x0 + x1) / 2, (y0 + y1) / 2
+            if x > length or y > width:
+                along, across = phantom.scene.sheet.size_mm
+                raise SceneError(
+                    f"{where}: touches[{number}] is off the map: its middle is ({x:g}, {y:g}) mm, on a sheet of "
+                    f"{along:g} x {across:g} mm; expected {length:g} x {width:g} mm, that of skin {quoted(skin.name)}: "
+                    "give the skin of this sheet with --skin FILE"
+                )
