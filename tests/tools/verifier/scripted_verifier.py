@@ -1,12 +1,14 @@
 """The real verifier's process around a checker without physics, told by files of the folder in VERIFIER_SCRIPT.
 
 ``die``: it ends at once. ``bad_model``: no model can be made. ``hold``: it waits in a frame until that file is gone.
-``cannot``: nothing can be said of frames. ``slipped``: untouched, the sheet is not that of its scan. Each frame that is
-taken is written down in ``taken``, and what the untouched sheet reads in ``rested``.
+``hang``: it never comes back from a frame. ``cannot``: nothing can be said of frames. ``slipped``: untouched, the sheet
+is not that of its scan. Each frame that is taken is written down in ``taken``, and what the untouched sheet reads in
+``rested``.
 """
 
 import os
 import sys
+import threading
 import time
 import types
 from pathlib import Path
@@ -30,6 +32,8 @@ class Checker:
     def check(self, frame):
         with (FOLDER / "taken").open("a") as file:
             print(frame.seq, frame.cloud, int(frame.missing.sum()), file=file)
+        if (FOLDER / "hang").exists():
+            threading.Event().wait()
         while (FOLDER / "hold").exists():
             time.sleep(0.01)
         if (FOLDER / "cannot").exists():

@@ -11,6 +11,7 @@ import pytest
 import eitskin
 from eitskin_tools import cli
 from eitskin_tools.evaluation.verified.resting import FRAMES
+from eitskin_tools.verifier.handover import LATE
 
 from .conftest import PATIENCE_S, TOUCHED, until
 
@@ -167,6 +168,21 @@ def test_a_verifier_that_dies_or_hangs_is_started_again_and_the_stream_goes_on(s
         assert first(frames, lambda frame: "verifier:ready" in frame.events).number > before
         assert frames.lost == 0
         assert stream.skin.status()["verifier"]["restarts"] >= 1
+
+
+def test_a_computation_that_hangs_is_said_and_ended_and_the_stream_goes_on(streaming):
+    with streaming(touches=MOVING) as stream, stream.subscribed() as verdicts:
+        first(verdicts, lambda one: one.verified)
+        stream.tell("hang")
+        late = first(verdicts, lambda one: not one.verified and one.why)
+        assert (late.state, late.why) == ("ready", LATE)
+        assert stream.skin.status()["verifier"]["why"] == LATE
+        stream.tell("hang", off=True)
+        stream.keeper.hangs_s = 0.0
+        assert "hung, and was ended" in first(verdicts, lambda one: one.state == "waiting").why
+        stream.keeper.hangs_s = PATIENCE_S
+        first(verdicts, lambda one: one.verified)
+        assert stream.keeper.restarts >= 1
 
 
 def test_an_end_is_said_although_another_one_runs_before_the_frame_loop_looks(streaming):

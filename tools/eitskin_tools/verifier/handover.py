@@ -35,6 +35,9 @@ HEAR_NS: Final = 50_000_000
 REMEMBERED: Final = 2000
 """Verdicts whose times are kept."""
 
+LATE: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
+"""Said meanwhile."""
+
 
 class Handover:
     """Hands frames to a verifier, and its verdicts to subscribers.
@@ -72,7 +75,9 @@ class Handover:
     def state(self) -> tuple[str, str]:
         """How the verifier is, and what is wrong."""
         keeper = self._keeper
-        return (keeper.state, keeper.why) if keeper.state in (WAITING, FAILED) else self._child
+        if keeper.state in (WAITING, FAILED):
+            return keeper.state, keeper.why
+        return (self._child[0], LATE) if keeper.is_late else self._child
 
     def behind(self, record: FrameRecord) -> None:
         """Take the frame that has just gone out."""

@@ -28,6 +28,13 @@ STILL_S: Final = 10.0
 IDLE_STILL_S: Final = 30.0
 """The same of one that runs only while nothing else wants the core."""
 
+HANGS_S: Final = 60.0
+"""So far beyond what it may take, in time that it had, what is computed hangs. Amid a frame the model of its surface
+may be made anew, which counts beside its budget, and a small computer takes many times as long as others."""
+
+LATE_S: Final = 1.0
+"""So far beyond it is said."""
+
 LEAVES_S: Final = 0.2
 """How long its end is waited for by who leaves. It needs a core to end as well, which one that runs at the lowest
 priority may not get for seconds; who is killed keeps nothing, and the kernel sees to the rest."""
@@ -60,14 +67,21 @@ class Keeper(Lookout):
         pauses: Between starts.
         still_s: Without a beat for so long it hangs.
         most_failures: In a row, after which it is given up.
+        hangs_s: So far beyond what it may take, what is computed hangs.
     """
 
     def __init__(
-        self, place: Place, pauses: Pauses | None = None, still_s: float = STILL_S, most_failures: int = MOST_FAILURES
+        self,
+        place: Place,
+        pauses: Pauses | None = None,
+        still_s: float = STILL_S,
+        most_failures: int = MOST_FAILURES,
+        hangs_s: float = HANGS_S,
     ) -> None:
         super().__init__("verifier-keeper", LOOK_S)
         self.place, self._pauses = place, pauses or Pauses()
         self._most_looks, self._most_failures = round(still_s / LOOK_S), most_failures
+        self.hangs_s = hangs_s
         self.mailbox = Mailbox.made()
         self.bell = os.eventfd(0, os.EFD_NONBLOCK)
         self.answers: socket.socket | None = None
@@ -81,6 +95,8 @@ class Keeper(Lookout):
         self._errors = -1
         self._failures = self._beat = self._still_looks = self._looks = self._wait_looks = 0
         self._hung = False
+        self.is_late = False
+        """Whether what it computes takes longer than it may."""
 
     @property
     def pid(self) -> int:
@@ -103,14 +119,16 @@ class Keeper(Lookout):
                     self.restarts += 1
                     self._start()
             return
-        self._looks += 1
         if process.poll() is not None:
             self._ended(process)
             return
+        late_s = self.mailbox.late_s
+        self.is_late = late_s > LATE_S
+        self._looks += not self.is_late  # who hangs again and again never settles
         beat = self.mailbox.beat
         self._still_looks = self._still_looks + 1 if beat == self._beat else 0
         self._beat = beat
-        if self._still_looks >= self._most_looks:
+        if self._still_looks >= self._most_looks or late_s > self.hangs_s:
             self._hung = True
             process.kill()  # a later look sees it ended: one that runs only while nothing else does may take a while
         elif self._looks * LOOK_S >= self._pauses.settled_s:
@@ -128,7 +146,8 @@ class Keeper(Lookout):
             "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
         }  # fmt: skip
         self._still_looks = self._looks = 0
-        self._hung = False
+        self._hung = self.is_late = False
+        self.mailbox.late_s = 0.0
         try:
             self._process = subprocess.Popen(
                 [*self.place.program, json.dumps(told)],

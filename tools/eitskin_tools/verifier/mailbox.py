@@ -3,7 +3,7 @@
 Each is overwritten by the next of its kind: who writes never waits, and who reads finds the newest, so nothing queues
 up. A letter that is overwritten while it is read does not have its checksum, and is read again when the bell rings. ::
 
-    beat | head of SETUP | SETUP ... | head of FRAME | FRAME ... | head of REST | REST ...
+    beat | late | head of SETUP | SETUP ... | head of FRAME | FRAME ... | head of REST | REST ...
 """
 
 import mmap
@@ -21,8 +21,11 @@ SIZES: Final = (1 << 18, 1 << 16, 1 << 10)
 _HEAD: Final = struct.Struct("<QII")
 """Number, length, checksum."""
 
-_WORD: Final = struct.Struct("<Q")
+_WORD: Final = struct.Struct("@Q")
+"""Native: written at once, so that the other side never reads half of it."""
+
 _BEAT: Final = 0
+_LATE: Final = 8
 _STARTS: Final = tuple(64 + which * _HEAD.size + sum(SIZES[:which]) for which in (SETUP, FRAME, REST))
 _BYTES: Final = _STARTS[REST] + _HEAD.size + SIZES[REST]
 
@@ -98,6 +101,15 @@ class Mailbox:
     def give_beat(self) -> None:
         """Change it."""
         _WORD.pack_into(self._memory, _BEAT, (self.beat + 1) & 0xFFFFFFFFFFFF)
+
+    @property
+    def late_s(self) -> float:
+        """Seconds that what is computed takes beyond what it may; 0 while it is in time."""
+        return 1e-3 * float(_WORD.unpack_from(self._memory, _LATE)[0])
+
+    @late_s.setter
+    def late_s(self, late_s: float) -> None:
+        _WORD.pack_into(self._memory, _LATE, round(1e3 * late_s))
 
     def close(self) -> None:
         """Let go of the memory; closing twice is fine."""

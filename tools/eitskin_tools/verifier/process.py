@@ -1,7 +1,7 @@
 """The verifier's process: waits for frames that have gone out, explains the newest, and answers; ends with the runtime.
 
 It is told by letters (:mod:`eitskin_tools.verifier.mailbox`) and answers over a socket. A thread beats, so that who
-started it sees a process that was stopped or hangs.
+started it sees a process that was stopped, and says how late the computing is, so that it sees one that hangs.
 """
 
 import ctypes
@@ -17,8 +17,7 @@ from contextlib import suppress
 from typing import Any, Final
 
 from eitskin_tools.verifier.mailbox import FRAME, REST, SETUP, Mailbox
-
-BEAT_S: Final = 0.1
+from eitskin_tools.verifier.work import BEAT_S, MODEL_S, TimeHad, Work
 
 PR_SET_PDEATHSIG: Final = 1
 """Option of prctl(2): the signal that a process gets when the thread that started it ends."""
@@ -58,12 +57,14 @@ class Worker:
         mailbox: With the letters.
         bell: An eventfd that is rung behind each letter.
         answers: Where answers go.
+        work: Is told what is computed.
     """
 
-    def __init__(self, mailbox: Mailbox, bell: int, answers: socket.socket) -> None:
-        self._mailbox, self._bell, self._answers = mailbox, bell, answers
+    def __init__(self, mailbox: Mailbox, bell: int, answers: socket.socket, work: Work) -> None:
+        self._mailbox, self._bell, self._answers, self._work = mailbox, bell, answers, work
         self._checker: Any = None
         self._setup = 0
+        self._budget_s = 0.0
 
     def run(self) -> None:
         """Answer until the other side is gone."""
@@ -102,7 +103,10 @@ class Worker:
         self._answers.send(state_answer(PREPARING, number))
         begin = time.perf_counter()
         try:
-            self._checker = checker_of(Setup.of(letter))
+            setup = Setup.of(letter)
+            self._budget_s = setup.budget_s
+            with self._work.within(MODEL_S):
+                self._checker = checker_of(setup)
         except Exception as error:  # of any cloud or skin: the stream goes on, and says why
             self._answers.send(state_answer(FAILED, number, reason(error)))
             return
@@ -122,7 +126,8 @@ class Worker:
         if not self._is_for(rest.setup):
             return
         try:
-            why = self._checker.rest(rest)
+            with self._work.within(MODEL_S):
+                why = self._checker.rest(rest)
         except Exception as error:  # what the untouched sheet reads helps, and is not needed
             why = reason(error)
         self._answers.send(state_answer(READY, self._setup, why))
@@ -140,7 +145,8 @@ class Worker:
         begin = time.perf_counter_ns()
         verdict, touches, why = None, (), ""
         try:
-            verdict, touches = self._checker.check(frame)
+            with self._work.within(self._budget_s):
+                verdict, touches = self._checker.check(frame)
         except Exception as error:  # a frame that nothing can be said of must not end the verifying of others
             why = reason(error)
         end = time.perf_counter_ns()
@@ -158,7 +164,8 @@ class Worker:
         if self._checker.improves:
             why = "the sheet is stretched otherwise than its scan"
             self._answers.send(state_answer(PREPARING, self._setup, why))
-            self._checker.improve()
+            with self._work.within(MODEL_S):
+                self._checker.improve()
             self._answers.send(state_answer(READY, self._setup, setup_ms=1e3 * (time.perf_counter() - begin)))
 
 
@@ -169,9 +176,10 @@ def reason(error: Exception) -> str:
     return text if known and text else f"{type(error).__name__}: {text}"
 
 
-def beat(mailbox: Mailbox) -> None:
-    """Beat for ever."""
+def beat(mailbox: Mailbox, work: Work) -> None:
+    """Beat for ever, and say how late the work is."""
     while True:
+        mailbox.late_s = work.late_s()
         mailbox.give_beat()
         time.sleep(BEAT_S)
 
@@ -185,9 +193,10 @@ def main() -> int:
         signal.signal(number, signal.SIG_DFL)
     mailbox = Mailbox(told["memory"])
     mailbox.skip(FRAME, told["skip"])
-    threading.Thread(target=beat, args=(mailbox,), name="beat", daemon=True).start()
+    work = Work(TimeHad())
+    threading.Thread(target=beat, args=(mailbox, work), name="beat", daemon=True).start()
     with socket.socket(fileno=told["answers"]) as answers:
-        Worker(mailbox, told["bell"], answers).run()
+        Worker(mailbox, told["bell"], answers, work).run()
     os._exit(0)  # nothing is worth tidying up for
 
 
