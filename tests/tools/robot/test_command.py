@@ -68,6 +68,8 @@ def test_a_file_that_is_missing_or_wrong_is_one_line(robot, capsys, tmp_path):
 
 def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
     assert "CPU [4000]" in refused(capsys, "run", "--config", robot("realtime.affinity = [4000]"))[1]
+    path = robot('verify.mode = "always"', "verify.affinity = [4000]")
+    assert "verify.affinity: CPU [4000], expected some of [" in refused(capsys, "run", "--config", path, "--check")[1]
 
 
 def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, capsys, tmp_path):

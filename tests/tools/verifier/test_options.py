@@ -14,7 +14,9 @@ NOWHERE = ["run", "--port", "/dev/ttyNONE9"]
 @pytest.mark.parametrize(("words", "says"), [
     (["--verify", "often"], "--verify is 'often', expected one of off, idle, always"),
     (["--verify", "alway"], "always"),
-    (["--verify", "always", "--verify-budget-ms", "0"], "--verify-budget-ms is 0, expected more than 0"),
+    (["--verify", "always", "--verify-budget-ms", "0"], "--verify-budget-ms is 0, expected more than 0 and at"),
+    (["--verify", "always", "--verify-budget-ms", "inf"], "-ms is inf, expected more than 0 and at most 1000000; "),
+    (["--verify", "always", "--verify-budget-ms", "1e7"], "expected more than 0 and at most 1000000"),
     (["--verify", "idle", "--verify-budget-ms", "-3"], "expected more than 0"),
     (["--verify", "idle", "--verify-budget-ms", "nan"], "expected more than 0"),
     (["--verify-budget-ms", "5"], "--verify-budget-ms goes with --verify idle or --verify always"),

@@ -20,8 +20,9 @@ def check(robot: Robot) -> None:
     for one in robot.skins:
         try:
             _check_files(one)
-            if missing := sorted(set(one.realtime.affinity) - available):
-                raise RobotError(f"affinity: CPU {missing}, expected some of {sorted(available)}")
+            for key, cpus in (("affinity", one.realtime.affinity), ("verify.affinity", one.verify.affinity)):
+                if missing := sorted(set(cpus) - available):
+                    raise RobotError(f"{key}: CPU {missing}, expected some of {sorted(available)}")
         except (SkinError, ValueError, OSError) as error:
             raise RobotError(f"skin {one.name}: {error}") from error
 

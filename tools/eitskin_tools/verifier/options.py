@@ -15,6 +15,9 @@ if TYPE_CHECKING:
 
 MODES: Final = ("off", "idle", "always")
 
+MOST_BUDGET_MS: Final = 1e6
+"""A quarter of an hour."""
+
 NICE: Final = 10
 """Unless told otherwise: a runtime on the same core comes first."""
 
@@ -58,8 +61,11 @@ def check(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--verify-{given[0].replace('_', '-')} goes with --verify idle or --verify always")
         return
     budget_ms, nice = arguments.verify_budget_ms, arguments.verify_nice
-    if budget_ms is not None and not 0 < budget_ms < 1e6:
-        raise UsageError(f"--verify-budget-ms is {budget_ms:g}, expected more than 0; --verify off verifies nothing")
+    if budget_ms is not None and not 0 < budget_ms <= MOST_BUDGET_MS:
+        raise UsageError(
+            f"--verify-budget-ms is {budget_ms:g}, expected more than 0 and at most {MOST_BUDGET_MS:.0f}; --verify off "
+            "verifies nothing"
+        )
     if nice is not None and not 0 <= nice <= 19:
         raise UsageError(f"--verify-nice is {nice}, expected 0 to 19")
     arguments.verify_cpus = cpus(arguments, os.sched_getaffinity(0))  # before the runtime takes its own
