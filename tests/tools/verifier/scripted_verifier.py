@@ -38,7 +38,7 @@ class Checker:
             time.sleep(0.01)
         if (FOLDER / "cannot").exists():
             raise ValueError("nothing can be said of it")
-        return (float(abs(frame.change).max()), 104, 0.25, False), ()
+        return (float(abs(frame.change).max()), 104, 0.25, False), (), ""
 
 
 if (FOLDER / "die").exists():

@@ -64,11 +64,11 @@ def test_units_that_a_network_missed_are_found_and_placed_on_the_surface(units):
     checker = checker_of(setup)
     assert isinstance(checker, UnitChecker)
     for missing in (NOTHING, rows_of_electrodes((3,))):
-        (chi_squared, degrees, p_value, flagged), touches = checker.check(
+        (chi_squared, degrees, p_value, flagged), touches, why = checker.check(
             FrameLetter.of(letter(np.where(missing, 9.0, change).astype("f4"), values, missing))
         )
         assert [one.unit for one in touches] == [5, 14]
-        assert (degrees, flagged) == (int((~missing).sum()), False)
+        assert (degrees, flagged, why) == (int((~missing).sum()), False, "")
         assert p_value > 1e-3
         assert chi_squared < 2.0 * degrees
         x0, y0, x1, y1 = SMALL.grid.unit_rect_mm(5, 0)
@@ -86,8 +86,15 @@ def test_shapes_are_found_with_their_errors_and_not_without_rows():
     values = map_of(PIECE).astype("f4").ravel()
     checker = checker_of(setup_of(PAPER, "area", 1e-3 * model.flat_V))
     assert isinstance(checker, FreeChecker)
-    (_, _, p_value, flagged), (touch,) = checker.check(FrameLetter.of(letter(change.astype("f4"), values)))
-    assert (touch.shape, touch.unit, flagged) == ("rectangle", None, False)
+    (_, _, p_value, flagged), (touch,), why = checker.check(FrameLetter.of(letter(change.astype("f4"), values)))
+    assert (touch.shape, touch.unit, flagged, why) == ("rectangle", None, False, "")
+    assert touch.area_range_mm2[0] < touch.area_mm2 < touch.area_range_mm2[1]
+    assert touch.contrast_range[0] < touch.contrast < touch.contrast_range[1]
+    assert -1.0 <= touch.size_contrast_correlation <= 1.0
+    assert touch.angle_error_rad is None
+    nothing = np.zeros_like(change).astype("f4")
+    (_, _, p_value, flagged), _, why = checker.check(FrameLetter.of(letter(nothing, np.zeros_like(values))))
+    assert (flagged, why) == (False, "")
     assert p_value > 1e-3
     assert touch.centre_mm == pytest.approx((60.0, 45.0), abs=1.0)
     assert touch.place_mm[2] == pytest.approx(7.0, abs=1e-3)

@@ -15,7 +15,7 @@ from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.units import UnitTouch, UnitVerifier
+from eitskin_sim.verification.units import BUDGET_S, FEW, HARD_BUDGET_S, UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.units import (
     REBUILT,
@@ -27,6 +27,7 @@ from eitskin_tools.evaluation.verified.units import (
     unit_heights,
     unit_starts,
 )
+from eitskin_tools.verifier import reasons
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
 
 FREE_BUDGET_S: Final = 0.2
@@ -42,8 +43,8 @@ UNLIKE_ITS_SCAN: Final = (
 UnitVerdict = Found[UnitTouch]
 Three = tuple[float, float, float]
 
-Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...]]
-"""chi-squared, degrees of freedom, p-value, flagged; and the touches."""
+Verdict = tuple[tuple[float, int, float, bool], tuple[VerifiedTouch, ...], str]
+"""chi-squared, degrees of freedom, p-value, flagged; the touches; and why it is flagged, or nothing."""
 
 
 class CannotVerifyError(Exception):
@@ -117,6 +118,7 @@ class UnitChecker:
         self._shown: Material | None = None
         self._last: tuple[FrameLetter, UnitVerdict] | None = None
         self._rebuilt = self._tried = 0
+        self._may_s = 0.0
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return the touched units that explain a frame best."""
@@ -125,18 +127,22 @@ class UnitChecker:
         may = self._rebuilt < REBUILT and self._tried < TRIED
         self._shown = material_shown(found, self._material) if may else None
         verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
-        return verdict, self._touches(found.touches)
+        return verdict, self._touches(found.touches), reasons.of_units(found, self._may_s)
 
     def _verified(self, verifier: UnitVerifier, frame: FrameLetter) -> UnitVerdict:
         shape = self._shape
         heights = unit_heights(frame.map.astype(np.float64), shape.grid)
+        rows, starts = shape.usable & ~frame.missing, unit_starts(heights)
+        counts = [len(self._before), *(int(one.sum()) for one in starts)]
+        hard = not rows.all() or max(counts) > FEW  # as the verifier takes it
+        self._may_s = self._budget_s or (HARD_BUDGET_S if hard else BUDGET_S)
         return verifier.verify(
             frame.change.astype(np.float64),
             shape.reference_V,
-            unit_starts(heights),
+            starts,
             shape.noise,
-            rows=shape.usable & ~frame.missing,
-            budget_s=self._budget_s,
+            rows=rows,
+            budget_s=self._may_s,
             before=self._before,
             heights=heights,
         )
@@ -217,7 +223,8 @@ class FreeChecker:
         self._last = verdict.pieces if len(verdict.pieces) else None
         placed = shape.placed([one.centre_mm for one in verdict.touches])
         touches = tuple(_free(one, *where) for one, where in zip(verdict.touches, placed, strict=True))
-        return (verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged), touches
+        why = reasons.of_shapes(verdict, shares, shape.skin, self._budget_s)
+        return (verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged), touches, why
 
     def rest(self, letter: RestLetter) -> str:
         """Learn how the untouched sheet differs from its scan."""
@@ -242,5 +249,7 @@ def _free(one: FreeTouch, place: Three, normal: Three) -> VerifiedTouch:
         size_error_mm=one.size_error_mm, angle_rad=float(np.radians(one.angle_deg)), area_mm2=one.area_mm2,
         area_error_mm2=one.area_error_mm2, contrast=one.contrast, strength_mm2=one.strength_mm2,
         strength_error_mm2=one.strength_error_mm2, border_mm=one.border_mm, place_mm=place,
-        normal=normal,
+        normal=normal, angle_error_rad=None if one.angle_error_deg is None else float(np.radians(one.angle_error_deg)),
+        area_range_mm2=one.area_range_mm2, contrast_range=one.contrast_range,
+        size_contrast_correlation=one.size_contrast_correlation,
     )  # fmt: skip

@@ -146,7 +146,7 @@ class Worker:
         verdict, touches, why = None, (), ""
         try:
             with self._work.within(self._budget_s):
-                verdict, touches = self._checker.check(frame)
+                verdict, touches, why = self._checker.check(frame)
         except Exception as error:  # a frame that nothing can be said of must not end the verifying of others
             why = reason(error)
         end = time.perf_counter_ns()

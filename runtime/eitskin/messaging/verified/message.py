@@ -6,11 +6,12 @@ fields)::
     8f | a8 "verified" | number | "v" 4 | "run" | "counts" |  "seq" ... what the verifier said
 
 Its head is the runtime's, which counts and knows whether the verifier lives; the rest is the verifier's, packed there.
-A message without a verdict says how the verifier is: ``state`` and ``why``. A subscriber trusts neither.
+A message without a verdict says how the verifier is: ``state`` and ``why``; with one that is flagged, ``why`` is the
+reason. A subscriber trusts neither.
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import msgpack  # type: ignore[import-untyped]
@@ -33,6 +34,11 @@ TOPIC: Final = FIRST_BYTE + bytes(msgpack.packb(NAME))
 STARTING, PREPARING, READY, WAITING, FAILED = STATES = ("starting", "preparing", "ready", "waiting", "failed")
 """Of a verifier: its process begins; it makes the model of the cloud in use; it verifies; it ended and will be started
 again; it will not verify, until the cloud or the reference changes or for good."""
+
+UNEXPLAINED, CONTESTED, TIME = FLAGS = ("unexplained", "contested", "time")
+"""Why a frame is flagged: p is below 0.01; the network plainly shows a touch that is not among these, or one of these
+is smaller than touches of the skin are; time ended the search before it had explained the frame or confirmed its
+touches."""
 
 COUNTS: Final = ("checked", "flagged", "skipped")
 """Totals of the run: frames that were verified; those of them that are flagged; changed frames that were not."""
@@ -80,7 +86,7 @@ def rest(
         device_us: Of the frame.
         cloud: Revision of the cloud that it was verified on.
         state: One of ``STATES``.
-        why: What is wrong, for people; empty where nothing is.
+        why: What is wrong, for people; of a flagged verdict one of ``FLAGS``; empty where nothing is.
         host_ns: In the order of ``STAMPS``.
         verdict: chi-squared, degrees of freedom, p-value, flagged; None where the frame was not verified.
         touches: That explain the frame best.
@@ -90,7 +96,7 @@ def rest(
         "seq": seq, "device_us": device_us, "cloud": cloud, "state": state, "why": why[:MOST_WHY],
         "host_ns": dict(zip(STAMPS, host_ns, strict=True)), "chi_squared": chi_squared, "degrees_of_freedom": degrees,
         "p_value": p_value, "flagged": flagged,
-        "touches": None if verdict is None else [asdict(touch) for touch in touches[:MOST_TOUCHES]],
+        "touches": None if verdict is None else [touch.fields() for touch in touches[:MOST_TOUCHES]],
     }  # fmt: skip
     return b"".join(msgpack.packb(name) + msgpack.packb(value) for name, value in fields.items())
 
@@ -102,12 +108,13 @@ class VerifiedFrame:
     Attributes:
         sequence: ``sequence`` of the frame; of a message without a verdict, the newest frame's.
         state: ``ready`` while frames are verified; else ``starting``, ``preparing``, ``waiting`` or ``failed``.
-        why: What is wrong; empty where nothing is.
+        why: What is wrong; empty where nothing is. Of a flagged verdict the reason: ``unexplained``, ``contested`` or
+            ``time``; empty from an older runtime.
         touches: That explain the frame best; None without a verdict.
         chi_squared: What they leave unexplained; None without a verdict.
         degrees_of_freedom: What right touches leave on the average; None without a verdict.
         p_value: Chance that right touches leave so much or more; None without a verdict.
-        flagged: Whether physics cannot explain the frame; None without a verdict.
+        flagged: Whether these touches are not to be trusted: ``why`` says why; None without a verdict.
         cloud: Revision of the cloud that it was verified on.
         counts: Totals of the run: ``checked``, ``flagged``, ``skipped``.
         host_ns: ``perf_counter_ns`` of the runtime's machine at ``read``, ``publish``, ``begin``, ``end``.
@@ -142,7 +149,7 @@ class VerifiedFrame:
 
     @property
     def trusted(self) -> bool:
-        """Whether there is a verdict, and physics explains the frame by its touches."""
+        """Whether there is a verdict, physics explains the frame by its touches, and nothing contradicts them."""
         return self.flagged is False
 
     @property

@@ -7,16 +7,16 @@ import pytest
 
 from eitskin.errors import FrameError
 from eitskin.messaging.verified.message import FIRST_BYTE, TOPIC, asked_for, head, rest, unpack_verified
-from eitskin.messaging.verified.touch import VerifiedTouch
+from eitskin.messaging.verified.touch import ADDED, UNKNOWABLE, VerifiedTouch
+from eitskin_tools.verifier.letters import LARGEST_ANSWER, verdict_answer
 
 TOUCH = VerifiedTouch(
     shape="rectangle", unit=None, centre_mm=(40.0, 30.0), centre_error_mm=(0.1, 0.2), size_mm=(12.0, 10.0),
     size_error_mm=(0.3, 0.4), angle_rad=0.5, area_mm2=120.0, area_error_mm2=4.0, contrast=50.0, strength_mm2=469.0,
-    strength_error_mm2=8.0, border_mm=0.0, place_mm=(40.0, 30.0, 5.0), normal=(0.0, 0.0, 1.0),
+    strength_error_mm2=8.0, border_mm=0.0, place_mm=(40.0, 30.0, 5.0), normal=(0.0, 0.0, 1.0), angle_error_rad=0.02,
+    area_range_mm2=(60.0, 140.0), contrast_range=(20.0, 90.0), size_contrast_correlation=-0.98,
 )  # fmt: skip
-UNIT = dataclasses.replace(
-    TOUCH, shape="unit", unit=63, centre_error_mm=None, size_error_mm=None, area_error_mm2=None, strength_error_mm2=None
-)
+UNIT = dataclasses.replace(TOUCH, shape="unit", unit=63, **dict.fromkeys(UNKNOWABLE))
 COUNTS = {"checked": 5, "flagged": 1, "skipped": 2}
 HEAD = head(9, "abcd1234", COUNTS)
 MESSAGE = HEAD + rest(7, 5000, 2, "ready", "", (10, 20, 30, 40_030), (104.5, 104, 0.47, False), (TOUCH, UNIT))
@@ -36,6 +36,29 @@ def test_a_verdict_comes_back_as_it_was():
     assert found.trusted
     assert found.spent_s == pytest.approx(40e-6)
     assert (dict(found.counts), found.received_ns, found.frame) == (COUNTS, 50, None)
+
+
+def test_a_touch_of_an_older_release_is_read_without_what_that_did_not_tell():
+    older = {name: value for name, value in TOUCH.fields().items() if name not in ADDED}
+    (found,) = unpack_verified(altered(touches=[older])).touches
+    assert found == dataclasses.replace(TOUCH, **dict.fromkeys(ADDED))
+    assert not set(ADDED) & set(UNIT.fields())
+
+
+def test_a_line_says_how_far_the_area_may_go():
+    assert "area 60 to 140 mm2, contrast 50, strength 469 +- 8 mm2" in str(TOUCH)
+    assert " mm, contrast 50, strength 469 mm2" in str(UNIT)
+
+
+def test_a_flagged_verdict_says_why():
+    told = rest(7, 5000, 2, "ready", "contested", (10, 20, 30, 40), (104.5, 104, 0.046, True), (TOUCH,))
+    found = unpack_verified(HEAD + told)
+    assert (found.flagged, found.why, found.trusted) == (True, "contested", False)
+
+
+def test_as_many_touches_as_there_may_be_fit_into_an_answer():
+    told = rest(2**63, 2**63, 2**31, "ready", "unexplained", (2**63,) * 4, (1e9, 104, 0.0, True), (TOUCH,) * 999)
+    assert len(verdict_answer(2**63, told, True, 1e9)) <= LARGEST_ANSWER
 
 
 def test_a_message_without_a_verdict_says_how_the_verifier_is():

@@ -14,7 +14,7 @@ from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.free import search
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
-from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of
+from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, touches_of
 from eitskin_sim.verification.free.improve import parted
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.seen import left_out, too_small
@@ -98,6 +98,20 @@ def test_what_goes_both_ways_and_what_is_not_there_has_no_other_contrast(model: 
     both = replace(frame, usual=usual_of("both"))
     assert len(likely(both, both.at(GENTLE), Effort(1.0))) == 1
     assert drawn(((1.0, np.zeros((0, 8))),), PAPER.grid).shape == PAPER.grid.shape
+
+
+def test_an_angle_that_was_fitted_has_its_error_and_size_and_contrast_are_tied(model: Model) -> None:
+    own = FreeVerifier(flat_model_V(PAPER), Noise("N2", 50.0))
+    own.deformation.scan(lambda: model)
+    turned = HARD.copy()
+    turned[0, 3:6] = 20.0, 8.0, 30.0
+    frame = own._frame(model.solve(turned)[1])
+    (free,), (fixed,) = touches_of(frame.at(turned, True)), touches_of(frame.at(turned, False))
+    assert free.angle_error_deg is not None
+    assert 0.0 < free.angle_error_deg < 20.0
+    assert fixed.angle_error_deg is None
+    assert -1.0 <= free.size_contrast_correlation < -0.5
+    assert free.area_range_mm2[0] < 160.0 < free.area_range_mm2[1]
 
 
 def test_touches_of_another_contrast_read_alike(model: Model) -> None:

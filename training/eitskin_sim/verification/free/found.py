@@ -15,7 +15,17 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.scene.gap import gap_mm
 from eitskin_sim.scene.touch_table import RECTANGLE, Array, cover, pixel_lines
-from eitskin_sim.shapes.parameters import COUNT, HALF_LENGTH, HALF_WIDTH, LOG_CONTRAST, X, Y, areas_mm2, strengths_mm2
+from eitskin_sim.shapes.parameters import (
+    ANGLE,
+    COUNT,
+    HALF_LENGTH,
+    HALF_WIDTH,
+    LOG_CONTRAST,
+    X,
+    Y,
+    areas_mm2,
+    strengths_mm2,
+)
 from eitskin_sim.verification.chi_squared import LEVEL, p_value
 from eitskin_sim.verification.free.fit import Fit
 from eitskin_sim.verification.free.prior.joints import Joints, bodies
@@ -58,6 +68,8 @@ class FreeTouch:
     """Of log area and log contrast: near -1, the data tell only their product."""
     area_range_mm2: tuple[float, float]
     """Two standard errors of its logarithm either way, contrast changing along."""
+    angle_error_deg: float | None = None
+    """None where the angle was not fitted: such a touch lies along the sheet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +101,7 @@ class FreeVerdict(Verdict[FreeTouch]):
 
     @property
     def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches, or the network contradicts them."""
+        """Whether physics cannot explain the frame by these touches, or they are ``contested``."""
         return self.contested or self.p_value < self.level
 
 
@@ -137,6 +149,7 @@ def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
                 strength_error_mm2=strength_sd,
                 size_contrast_correlation=both,
                 area_range_mm2=_reaching(_range(float(areas[row]), area_sd), [areas_mm2(one)[row] for one in others]),
+                angle_error_deg=float(np.degrees(sd[at[ANGLE]])) if at[ANGLE] >= 0 else None,
             )
         )
     return tuple(found)
