@@ -1,7 +1,8 @@
 """From a touch's strength to newtons, by a table that its user measured. No force is measured here.
 
 The table is CSV with the columns ``strength``, ``newtons`` and ``newtons_error`` (one standard deviation), one line a
-load, by rising strength. Between two lines it is linear; beyond the first and the last one it says nothing.
+load, by rising strength. Between two lines it is linear; beyond the first and the last one it says nothing. Strength is
+that of verified touches, in mm2: ``table.newtons(touch.strength_mm2, touch.strength_error_mm2 or 0.0)``.
 """
 
 import csv
@@ -72,7 +73,7 @@ class ForceTable:
         """Return the force of a strength and its standard deviation, in N; None where the table says nothing.
 
         Args:
-            strength: Of a touch; None while it is unknown.
+            strength: Of a verified touch, in mm2; None while it is unknown, as of a map's touches.
             error: Its standard deviation, where that is known.
         """
         if strength is None or not self.rows[0][0] <= strength <= self.rows[-1][0]:

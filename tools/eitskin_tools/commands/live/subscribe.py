@@ -41,7 +41,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--touches", action="store_true", help="the list of touches, without maps")
     parser.add_argument("--verified", action="store_true", help="what physics says of frames, without the frames")
     parser.add_argument(
-        "--force-table", type=Path, metavar="FILE.csv", help="with --touches: strength to newtons, measured by yourself"
+        "--force-table", type=Path, metavar="FILE.csv", help="with --verified: strength to newtons, of your own"
     )
     parser.add_argument("--server-key", type=Path, metavar="FILE", help="CURVE: server.key of the runtime")
     parser.add_argument("--client-key", type=Path, metavar="FILE", help="CURVE: our own .key_secret")
@@ -57,8 +57,8 @@ def run(arguments: argparse.Namespace) -> int:
     maps_wanted = arguments.region is not None or arguments.skip_unchanged or arguments.max_age_ms is not None
     if arguments.verified and (arguments.touches or maps_wanted):
         raise UsageError("--verified takes no frames: leave --touches, --region, --skip-unchanged, --max-age-ms out")
-    if arguments.force_table is not None and not arguments.touches:
-        raise UsageError("--force-table goes with --touches: only a touch has a strength")
+    if arguments.force_table is not None and not arguments.verified:
+        raise UsageError("--force-table goes with --verified: a map tells no strength, only physics does")
     for name in ("frames", "seconds", "timeout_s", "max_age_ms"):
         value = getattr(arguments, name)
         if value is not None and not value > 0:
@@ -94,7 +94,7 @@ def run(arguments: argparse.Namespace) -> int:
     view = StreamView(sys.stdout, grid=skin.grid)
     show: Callable[[Any], None] = _print if arguments.mode == "all" else view.show
     if arguments.touches:
-        show = _touch_lines(arguments)
+        show = _touch_lines(REPEAT_S if arguments.mode == "latest" else 0.0)
     latencies: list[float] = []
     stages: dict[str, list[float]] = {}
     first_s = time.perf_counter()
@@ -120,8 +120,10 @@ def run(arguments: argparse.Namespace) -> int:
 def _verified(arguments: argparse.Namespace, keys: Any) -> int:
     """Print verdicts, or count them."""
     from eitskin.messaging.verified.subscription import subscribe_verified
+    from eitskin.touches.force import ForceTable
     from eitskin_tools.console.verified_view import describe
 
+    table = None if arguments.force_table is None else ForceTable.load(arguments.force_table)
     state, checked, flagged, spent_us = ("", ""), 0, 0, list[float]()
     endpoint, timeout_s, first_s = arguments.endpoint, arguments.timeout_s, time.perf_counter()
     with (
@@ -133,9 +135,10 @@ def _verified(arguments: argparse.Namespace, keys: Any) -> int:
                 checked, flagged = checked + 1, flagged + bool(found.flagged)
                 spent_us.append(found.spent_s * 1e6)
             if not arguments.json and (found.verified or (found.state, found.why) != state):
-                for line in describe(found):
+                for line in describe(found, table):
                     say(line)
-            state = found.state, found.why
+            if not found.verified or found.state != state[0]:
+                state = found.state, "" if found.verified else found.why
             if arguments.frames is not None and checked >= arguments.frames:
                 break
             if arguments.seconds is not None and time.perf_counter() - first_s >= arguments.seconds:
@@ -165,13 +168,8 @@ def _print(frame: Any) -> None:
     )
 
 
-def _touch_lines(arguments: argparse.Namespace) -> Callable[[Any], None]:
-    """Return what prints the touches of a frame, and what happened to them."""
-    from eitskin.touches.force import ForceTable
-
-    table = None if arguments.force_table is None else ForceTable.load(arguments.force_table)
-
-    every_s = REPEAT_S if arguments.mode == "latest" else 0.0
+def _touch_lines(every_s: float) -> Callable[[Any], None]:
+    """Return what prints the touches of a frame, every so often, and what happened to them."""
     due_s = [0.0]
 
     def show(frame: Any) -> None:
@@ -181,11 +179,7 @@ def _touch_lines(arguments: argparse.Namespace) -> Callable[[Any], None]:
             return
         due_s[0] = time.monotonic() + every_s
         for touch in frame.touches:
-            force = None if table is None else table.newtons(touch.strength)
-            said = (
-                "" if table is None else "  force unknown" if force is None else f"  {force[0]:.2f} +- {force[1]:.2f} N"
-            )
-            say(f"{frame.sequence} {touch}{said}")
+            say(f"{frame.sequence} {touch}")
         if frame.touch_list.more:
             say(f"{frame.sequence} {frame.touch_list.more} more that are not listed")
 
