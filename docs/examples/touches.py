@@ -2,7 +2,7 @@
 
     python docs/examples/touches.py [ENDPOINT]
 
-No force is measured. ``eitskin.ForceTable`` turns a strength into newtons by a table of your own, once it is known.
+No force is measured, and a map tells no strength. Verified touches have one: see verified.py.
 """
 
 import sys

@@ -31,10 +31,10 @@ def main(endpoint: list[str]) -> None:
                 wait(str(error))
                 continue
             if found.touches is None:
-                if found.state != "ready":
+                if found.state != "ready" or found.why:
                     wait(f"{found.state} {found.why}".strip())
             elif found.flagged:
-                wait(f"frame {found.sequence} is not explained, p {found.p_value:.2g}")
+                wait(f"frame {found.sequence} is flagged: {found.why}, p {found.p_value:.2g}")
             else:
                 for touch in found.touches:
                     act(touch.place_mm, touch.strength_mm2)
