@@ -8,7 +8,7 @@ from eitskin.touches.force import ForceTable
 FLAGGED: Final = {
     UNEXPLAINED: "FLAGGED: physics cannot explain it by these",
     CONTESTED: "FLAGGED: the network plainly shows one that is not among these, or one is too small",
-    TIME: "FLAGGED: time ended the search for what explains it, or for what confirms these",
+    TIME: "FLAGGED: not explained, or these not confirmed, when its time was over",
 }
 """By why; an older runtime does not say why."""
 
