@@ -44,7 +44,7 @@ from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitte
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.sheet.deformation import Deformation
 from eitskin_sim.verification.free.sheet.model import model_of_cloud
-from eitskin_sim.verification.free.starts import contrasts_of, followed, presses_of, starts_of
+from eitskin_sim.verification.free.starts import followed, starts_of, tries_of
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.free.valley import likely
 from eitskin_sim.verification.residual import Noise
@@ -141,10 +141,11 @@ class FreeVerifier:
         check_frame(voltages_V, self._reference, shares)
         change = voltages_V / self._reference - 1.0
         rectangles = starts_of(shares, self._skin.grid)
+        upright = starts_of(shares, self._skin.grid, turned=False) if rectangles[:, 5].any() else None
         self._shown = max(len(rectangles), 0 if last is None else len(last))
 
         def start() -> tuple[Frame, Fit]:
-            return self._start(self._frame(change), rectangles, last, effort)
+            return self._start(self._frame(change), rectangles, upright, last, effort)
 
         trail: list[str] = []
         fit, unfinished = self._search(start, start(), shares, effort, trail)
@@ -253,14 +254,13 @@ class FreeVerifier:
         white = model.whitener(change, self._reference, self._noise)
         return Frame(model, white, change, self._usual, model.expected(model.ratio(change)), self._shown)
 
-    def _start(self, frame: Frame, rectangles: Array, last: Array | None, effort: Effort) -> tuple[Frame, Fit]:
+    def _start(
+        self, frame: Frame, rectangles: Array, upright: Array | None, last: Array | None, effort: Effort
+    ) -> tuple[Frame, Fit]:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
-        if self._usual.sign < 0:
-            rectangles = presses_of(rectangles, self._usual.border_mm)
-        tries: list[Array] = [] if last is None else [followed(last, rectangles, self._before(last))]
-        for log in contrasts_of(self._usual.log_contrast) if len(rectangles) else ():
-            tries.append(rectangles.copy())
-            tries[-1][:, 6] = np.exp(log)
+        tries = tries_of(rectangles, upright, self._usual)
+        if last is not None:
+            tries.insert(0, followed(last, rectangles, self._before(last)))
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:

@@ -14,6 +14,7 @@ from eitskin_proto.skin.grid import Grid
 from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.mesh import Index
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE, Array, cover, pixel_lines
+from eitskin_sim.verification.free.usual import Usual
 
 BETTER: Final = 0.45
 """Two rectangles leave less than this share of what one leaves."""
@@ -37,14 +38,15 @@ LEAST_MM: Final = 3.0
 """The shortest side of a start."""
 
 
-def starts_of(shares: Array, grid: Grid = PAPER.grid) -> Array:
-    """Return (m, 8) rectangles of contrast 1, upright or turned, that draw a map's touches.
+def starts_of(shares: Array, grid: Grid = PAPER.grid, *, turned: bool = True) -> Array:
+    """Return (m, 8) rectangles of contrast 1 that draw a map's touches.
 
     Args:
         shares: (n, rows, columns) of the map, what each touch has of every pixel; ``shares_of`` of the stream's.
         grid: Of the map.
+        turned: Whether some may be turned; else all are upright.
     """
-    found = [_one_or_two(np.maximum(share, 0.0), grid) for share in shares]
+    found = [_one_or_two(np.maximum(share, 0.0), grid, turned=turned) for share in shares]
     return np.concatenate([np.zeros((0, 8)), *found])
 
 
@@ -143,7 +145,7 @@ def _drawn(pieces: list[Array], grid: Grid) -> Array:
     return np.minimum(found, 1.0)
 
 
-def _one_or_two(share: Array, grid: Grid) -> Array:
+def _one_or_two(share: Array, grid: Grid, *, turned: bool) -> Array:
     """Return (1 or 2, 8) rectangles: an upright one, a turned one, or two upright ones."""
 
     def left_by(*pieces: Array) -> float:
@@ -156,10 +158,10 @@ def _one_or_two(share: Array, grid: Grid) -> Array:
         for pieces in _pairs(share, grid):
             if (other := left_by(*pieces)) < min(best, BETTER * left):
                 best, found = other, pieces
-    if left > TURNED_PIXELS:
-        turned = turned_rectangle(share, grid)
-        if left_by(turned) < min(TURNED * left, AS_GOOD * best):
-            found = [turned]
+    if turned and left > TURNED_PIXELS:
+        along = turned_rectangle(share, grid)
+        if left_by(along) < min(TURNED * left, AS_GOOD * best):
+            found = [along]
     return np.array(found)
 
 
@@ -171,6 +173,28 @@ def _pairs(share: Array, grid: Grid) -> Iterator[list[Array]]:
             before = np.arange(share.shape[axis]) < cut
             first = np.where(before[:, None] if axis == 0 else before, share, 0.0)
             yield [rectangle(first, grid), rectangle(share - first, grid)]
+
+
+def tries_of(rectangles: Array, upright: Array | None, usual: Usual) -> list[Array]:
+    """Return (n, 8) touches each to start from, the likeliest first.
+
+    Args:
+        rectangles: (n, 8) that draw the map.
+        upright: (m, 8) of these as upright ones, where some are turned: what two touches make of a map may look as one
+            that lies across. None where none are.
+        usual: What touches are like.
+    """
+    if not len(rectangles):
+        return []
+    logs = contrasts_of(usual.log_contrast)
+    tried = [(rectangles, log) for log in logs]
+    if upright is not None:
+        tried[1:] = [(upright, log) for log in logs]
+    found = []
+    for one, log in tried:
+        found.append(presses_of(one, usual.border_mm) if usual.sign < 0 else one.copy())
+        found[-1][:, 6] = np.exp(log)
+    return found
 
 
 def contrasts_of(usual: float) -> tuple[float, ...]:
