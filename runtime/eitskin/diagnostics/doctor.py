@@ -14,8 +14,8 @@ from eitskin.acquisition.device import Device
 from eitskin.acquisition.ports import open_line, serial_ports
 from eitskin.acquisition.serial_port import DEFAULT_BAUD
 from eitskin.errors import SkinError
-from eitskin.messaging.endpoints import runtime_folder
-from eitskin.messaging.reachability import default_endpoints
+from eitskin.messaging.endpoints import FRAMES, runtime_folder
+from eitskin.messaging.reachability import running
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin.model.manifest import LABELS
 from eitskin_proto.wire.codes import HelloFlag
@@ -52,7 +52,7 @@ def examine() -> dict[str, Any]:
         "ports": ports,
         "usb": usb,
         "bundles": bundles,
-        "runtimes": [endpoint for endpoint, alive in default_endpoints().items() if alive],
+        "runtimes": list(running(FRAMES)),
         "limits": [f"endpoints in {folder}", _limit("real-time priority", resource.RLIMIT_RTPRIO),
                    _limit("locked memory", resource.RLIMIT_MEMLOCK), _limit("open files", resource.RLIMIT_NOFILE)],
         "problems": problems,

@@ -17,7 +17,8 @@ import zmq
 from eitskin.errors import CloudWarning, ControlError, EndpointError
 from eitskin.messaging.control_fields import LARGEST_REQUEST, unpack_fields
 from eitskin.messaging.curve_keys import ClientKeys
-from eitskin.messaging.endpoints import default_control
+from eitskin.messaging.endpoints import CONTROL, ROBOT, default_control
+from eitskin.messaging.reachability import who_else
 from eitskin.reference.predicted import check_voltages
 from eitskin_proto.skin.cloud_file import Surface, load_surface
 from eitskin_proto.skin.sheet_cloud import check_sheet
@@ -145,10 +146,12 @@ def send_cloud(
 
 def _why_silent(endpoint: str, keys: ClientKeys | None) -> str:
     """What to do about a runtime that does not answer."""
-    start = f"is the runtime running? Start it with: eitskin run --port PORT --control {endpoint}"
+    path = Path(endpoint.removeprefix("ipc://"))
+    of_robot = (path.parent.parent / ROBOT).exists()
+    command = "eitskin run --config ROBOT.toml" if of_robot else f"eitskin run --port PORT --control {endpoint}"
+    start = who_else(endpoint, CONTROL) or f"is the runtime running? Start it with: {command}"
     if endpoint.startswith("tcp://") and keys is None:
         return f"control over TCP needs keys=load_client_keys(...); {start}"
-    path = Path(endpoint.removeprefix("ipc://"))
     if endpoint.startswith("ipc://") and not path.exists():
         return f"there is no {path}; {start}"
     return f"is it the control endpoint that 'eitskin run' printed, not the one of frames? Else {start}"

@@ -37,6 +37,10 @@ FRAMES: Final = "frames"
 CONTROL: Final = "control"
 """Name of the default control socket in the runtime folder."""
 
+ROBOT: Final = "robot.json"
+"""Name of what ``eitskin run --config`` tells of its skins, in their folder; each has a folder of its name in it, with
+its sockets."""
+
 
 def runtime_folders() -> list[Path]:
     """Return the folders in which sockets may lie by default, the one in use first; makes none of them.

@@ -9,10 +9,15 @@ import socket
 from pathlib import Path
 from typing import Final
 
-from eitskin.messaging.endpoints import FRAMES, runtime_folders
+from eitskin.messaging.endpoints import CONTROL, FRAMES, ROBOT, runtime_folders
 
 LONGEST_PROBE_S: Final = 0.3
 """How long connecting to a TCP address may take; a process on this machine answers at once."""
+
+START: Final = "start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
+
+KINDS: Final = {FRAMES: ("publishes", "eitskin subscribe"), CONTROL: ("takes requests", "eitskin status")}
+"""Of sockets, by name: what a runtime does on one, and the command that shows a runtime by it."""
 
 
 def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely: str = "") -> str:
@@ -32,17 +37,43 @@ def explain_silence(endpoint: str, waited_s: float, what: str = "frame", likely:
             "runtime still captures its reference, or serves as many subscribers as it may, or CURVE keys are missing "
             "or wrong; 'ready publishing on ...' is the line in which 'eitskin run' says where"
         )
-    elsewhere = [other for other, alive in default_endpoints().items() if alive and other != endpoint]
-    if elsewhere:
-        return f"{found}; a runtime publishes on {elsewhere[0]}: name that endpoint"
-    return (
-        f"{found}; start a runtime with 'eitskin run --port PORT', or name the endpoint on which it says it publishes"
-    )
+    return f"{found}; {who_else(endpoint, FRAMES) or START}"
 
 
-def default_endpoints() -> dict[str, bool]:
-    """Return where this user's runtimes publish by default, and whether one does: {endpoint: somebody listens}."""
-    return {endpoint: _nobody(endpoint, 0.0) is None for endpoint in _defaults()}
+def who_else(endpoint: str, name: str) -> str:
+    """Return which of this user's runtimes run elsewhere, and how to see one, as a clause; empty where none does.
+
+    Args:
+        endpoint: Where nobody was found.
+        name: Of its kind of socket, ``FRAMES`` or ``CONTROL``.
+    """
+    does, command = KINDS[name]
+    found = {other: skin for other, skin in running(name).items() if other != endpoint}
+    for other, skin in found.items():
+        if not skin:
+            return f"a runtime {does} on {other}: name that endpoint"
+    if found:
+        return (
+            f"skins run: {', '.join(found.values())}; see one with '{command} {next(iter(found))}', or all with "
+            "'eitskin status --all'"
+        )
+    if any((folder / ROBOT).exists() for folder in runtime_folders()):
+        return "'eitskin run --config' runs skins: 'eitskin status --all' says which, and how they are"
+    return ""
+
+
+def running(name: str) -> dict[str, str]:
+    """Return where this user's runtimes can be reached in the runtime folders: {endpoint: its skin's name}.
+
+    The name is empty for a runtime of ``eitskin run --port``. One whose sockets lie elsewhere is not found.
+
+    Args:
+        name: Of the sockets, ``FRAMES`` or ``CONTROL``.
+    """
+    sockets = {folder / name: "" for folder in runtime_folders()}
+    for folder in runtime_folders():
+        sockets |= {path: path.parent.name for path in sorted(folder.glob(f"*/{name}"))}
+    return {f"ipc://{path}": skin for path, skin in sockets.items() if _nobody_at_path(path) is None}
 
 
 def _nobody(endpoint: str, patience_s: float) -> str | None:
@@ -75,8 +106,3 @@ def _nobody_at_path(path: Path) -> str | None:
         except OSError:
             return None  # its queue is full: it lives
     return None
-
-
-def _defaults() -> list[str]:
-    """Return where this user's runtimes publish by default, with and without a session of the desktop."""
-    return [f"ipc://{folder / FRAMES}" for folder in runtime_folders()]

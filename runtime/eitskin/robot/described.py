@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from eitskin.errors import EndpointError, RobotError
-from eitskin.messaging.endpoints import needs_keys, runtime_folders
+from eitskin.messaging.endpoints import ROBOT, needs_keys, runtime_folders
 from eitskin.robot.config import MOST, NAME, Robot, RobotSkin, load_robot
 from eitskin.robot.pose import Pose
 from eitskin_proto.files.plain import plain
@@ -25,7 +25,7 @@ from eitskin_proto.files.writing import write_bytes
 FORMAT: Final = "eitskin-robot-state"
 VERSION: Final = 1
 
-FILE: Final = "robot.json"
+FILE: Final = ROBOT
 """In the folder."""
 
 LARGEST: Final = 256 << 10

@@ -116,7 +116,8 @@ def test_a_fault_in_the_runtime_is_an_answer_not_an_end(server, raw, recorder, m
     assert raw(msgpack.packb({"command": "reference", "frames": 5}))["ok"] is True
 
 
-def test_a_runtime_that_is_not_there_is_named(tmp_path):
+def test_a_runtime_that_is_not_there_is_named(tmp_path, monkeypatch):
+    monkeypatch.setattr("eitskin.messaging.reachability.runtime_folders", list)
     with pytest.raises(ControlError, match="is the runtime running"):
         request(f"ipc://{tmp_path}/nobody", "status", timeout_s=0.1)
     with pytest.raises(

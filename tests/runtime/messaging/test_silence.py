@@ -8,8 +8,9 @@ import pytest
 import zmq
 
 import eitskin
-from eitskin.errors import EndpointError, NoFrame
+from eitskin.errors import ControlError, EndpointError, NoFrame
 from eitskin.messaging import endpoints, subscription
+from eitskin.messaging.control_client import request
 from eitskin.messaging.publish import Publisher
 from eitskin.messaging.reachability import explain_silence
 from eitskin.messaging.streams.envelope import packed
@@ -91,6 +92,54 @@ def test_a_runtime_that_publishes_in_the_other_default_folder_is_named(session, 
         assert f"a runtime publishes on {publisher.endpoint}: name that endpoint" in said_to(None)
     finally:
         publisher.close()
+
+
+@pytest.fixture
+def alone(session, monkeypatch):
+    """Return the only runtime folder, whatever runs on this machine."""
+    folder = session / "eitskin"
+    folder.mkdir(mode=0o700)
+    monkeypatch.setattr("eitskin.messaging.reachability.runtime_folders", lambda: [folder])
+    return folder
+
+
+def test_skins_of_a_robot_are_named_with_what_shows_one_and_all(alone):
+    (alone / "robot.json").touch()
+    publishers = []
+    for name in ("left", "right"):
+        (alone / name).mkdir()
+        publishers.append(Publisher(f"ipc://{alone}/{name}/frames"))
+    try:
+        text = said_to(None)
+    finally:
+        for one in publishers:
+            one.close()
+    assert (
+        f"skins run: left, right; see one with 'eitskin subscribe ipc://{alone}/left/frames', or all with "
+        "'eitskin status --all'"
+    ) in text
+    assert "--port" not in text
+
+
+def test_whoever_asks_a_robot_as_one_runtime_is_told_of_its_skins(alone):
+    (alone / "left").mkdir()
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as control:
+        control.bind(f"{alone}/left/control")
+        control.listen()
+        with pytest.raises(ControlError, match=f"skins run: left; see one with 'eitskin status ipc://{alone}/left/con"):
+            request(f"ipc://{alone}/control", "status", timeout_s=0.05)
+
+
+def test_skins_whose_sockets_lie_elsewhere_are_not_forgotten(alone):
+    (alone / "robot.json").touch()
+    assert "'eitskin run --config' runs skins: 'eitskin status --all' says which" in said_to(None)
+
+
+def test_a_skin_of_a_robot_that_is_gone_is_started_with_the_robot(session, monkeypatch):
+    monkeypatch.setattr("eitskin.messaging.reachability.runtime_folders", list)
+    (session / "robot.json").touch()
+    with pytest.raises(ControlError, match=r"Start it with: eitskin run --config ROBOT\.toml"):
+        request(f"ipc://{session}/left/control", "status", timeout_s=0.05)
 
 
 def test_a_port_where_nobody_listens_is_told_from_one_with_a_listener(session):

@@ -181,7 +181,7 @@ class SkinProcess:
             self.life.close()
         self._process, self.errors, self.outputs, self.life, self.ended, self.seen = None, None, None, None, -1, True
         failed = self.status != 0 or forced
-        self.why = _how(self.status, self._said) if failed and not ending else "" if ending else "it ended by itself"
+        self.why = _how(self.status, self._said) if failed and not ending else "" if ending else "ended by itself"
         if self._ready_s is not None and now_s - self._ready_s >= self._pauses.settled_s:
             self._failures = 0
         wanted = self.settings.restart

@@ -102,8 +102,7 @@ def _row(
         found |= {"state": state.state, "pid": state.pid, "restarts": state.restarts, "why": state.why}
     again = f", started again {state.restarts} times, last because it {state.why}" if state.restarts else ""
     if "error" in after or "error" in before:
-        why = f"{state.state}: {state.why}" if state.state in ("failed", "waiting", "ended") else ""
-        return found | {"text": why or str(after.get("error") or before.get("error"))}
+        return found | {"text": _unanswered(state) or str(after.get("error") or before.get("error"))}
     frames = int(after.get("frames", 0)) - int(before.get("frames", 0))
     rate_hz = max(frames, 0) / max(after_s - before_s, 1e-9)
     touched = after["touched"] > before["touched"] if "touched" in after and "touched" in before else None
@@ -111,3 +110,14 @@ def _row(
     text = status.text() if frames > 0 else f"no frames: {after.get('trouble') or 'the device sends none'}"
     well = frames > 0 and not after.get("trouble")
     return found | {"well": well, "text": text + again, "rate_hz": round(rate_hz, 1), "status": after}
+
+
+def _unanswered(state: "ProcessState") -> str:
+    """Return what its supervisor knows of a skin that does not answer; empty for no reason."""
+    if state.state in ("failed", "ended"):
+        return f"{state.state}: {state.why}"
+    if state.state == "waiting":
+        return f"waiting: it {state.why}; its supervisor starts it again"
+    if state.state == "starting" and state.restarts:
+        return f"starting: it {state.why}, and its supervisor has just started it again"
+    return "starting: it is not ready yet" if state.state == "starting" else ""
