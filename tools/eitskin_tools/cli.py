@@ -157,6 +157,7 @@ def _main(words: list[str]) -> int:
     try:
         needs.check(arguments)
         overwriting.check(arguments)
+        files.check(arguments)
         return int(module.run(arguments))
     except BrokenPipeError as error:
         if unread():

@@ -24,13 +24,14 @@ import os
 import re
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from eitskin.errors import EndpointError, RobotError
 from eitskin.messaging.endpoints import CONTROL, FRAMES, needs_keys, runtime_folder
+from eitskin.robot.parts import Realtime, Verify, pose_of, realtime_of, verify_of
 from eitskin.robot.pose import Pose
 from eitskin.robot.values import Table
-from eitskin_proto.files.plain import plain, quoted
+from eitskin_proto.files.plain import quoted
 from eitskin_proto.files.reading import parse_toml, read_text
 
 FORMAT: Final = "eitskin-robot"
@@ -51,31 +52,19 @@ USB: Final = "usb:"
 TAKEN: Final = (FRAMES, CONTROL, "robot")
 """Names that mean something else in the folder."""
 
+KEYS: Final = (
+    "name", "port", "baud", "bundle", "skin", "touches", "reference", "reference_frames", "curve_keys", "publish",
+    "control", "solver", "budget_ms", "every_map", "idle_after_s", "exclude_electrodes", "compensate_drift",
+    "reconnect_s", "restart", "pose", "realtime", "verify",
+)  # fmt: skip
+"""Of one skin."""
+
 RESTARTS: Final = ("never", "on-failure", "always")
 """When a skin's process that ended is started again."""
 
 SHIPPED_SKINS: Final = ("paper", "hydrogel", "lab")
 SHIPPED_BUNDLES: Final = ("free", "press", "units")
 """Descriptions and bundles that are named and not looked for."""
-
-
-@dataclass(frozen=True, slots=True)
-class Realtime:
-    """Settings of a skin's process, as the options of ``eitskin run`` with these names."""
-
-    sched_fifo: int | None = None
-    affinity: tuple[int, ...] = ()
-    mlock: bool = False
-
-
-@dataclass(frozen=True, slots=True)
-class Verify:
-    """How frames are verified, as the options ``--verify-*`` of ``eitskin run``."""
-
-    mode: str = "off"
-    budget_ms: float | None = None
-    nice: int | None = None
-    affinity: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -173,15 +162,18 @@ def _robot(table: Table, beside: Path) -> Robot:
 
 def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
     name = table.text("name")
+    if name is not None and NAME.fullmatch(name) is not None:
+        table.where = f"skin {name}"
+    table.only(KEYS)
     if name is None or NAME.fullmatch(name) is None or name.lower() in TAKEN:
+        found = "has no name" if name is None else f"name is {quoted(name)}"
         raise ValueError(
-            f"{table.where} name is {quoted(name)}, expected letters, digits, - and _, at most 32, not beginning with "
-            f"- or _, and none of {', '.join(TAKEN)}: it names a folder"
+            f"{table.where} {found}, expected letters, digits, - and _, at most 32, not beginning with - or _, and "
+            f"none of {', '.join(TAKEN)}: it names a folder"
         )
-    table.where = f"skin {name}"
     port = table.text("port")
-    if not port or plain(port) != port:
-        raise ValueError(f"skin {name} port is {quoted(port)}, expected a serial port's path or usb:SERIAL")
+    if port is None:
+        raise ValueError(f"skin {name} has no port, expected a serial port's path or usb:SERIAL")
     curve_keys = table.path("curve_keys", beside)
     publish = _endpoint(table, "publish", folder / name / FRAMES, keys=curve_keys is not None)
     control = _endpoint(table, "control", folder / name / CONTROL, keys=curve_keys is not None)
@@ -196,7 +188,7 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
             "sheet is flat and untouched; capture one with 'eitskin reference', and name it"
         )
     found = SkinSettings(
-        skin=RobotSkin(name, publish, control, _pose(table)),
+        skin=RobotSkin(name, publish, control, pose_of(table)),
         port=port,
         baud=table.whole("baud", 300, 1 << 30),
         bundle=_named(table.text("bundle"), SHIPPED_BUNDLES, beside),
@@ -213,10 +205,9 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         compensate_drift=table.truth("compensate_drift"),
         reconnect_s=table.number("reconnect_s"),
         restart=restart,
-        realtime=_realtime(table),
-        verify=_verify(table),
+        realtime=realtime_of(table),
+        verify=verify_of(table),
     )
-    table.end()
     return found
 
 
@@ -235,52 +226,6 @@ def _endpoint(table: Table, key: str, default: Path, *, keys: bool) -> str:
     if endpoint.endswith(":*"):
         raise ValueError(f"{table.where} {key} is {quoted(endpoint)}, expected a port that subscribers can know")
     return endpoint
-
-
-def _pose(table: Table) -> Pose:
-    inner = table.table("pose")
-    if inner is None:
-        return Pose()
-    given: dict[str, Any] = {key: inner.take(key) for key in ("rotation", "quaternion_wxyz", "quaternion_xyzw")}
-    translation = inner.take("translation_mm")
-    inner.end()
-    stated = [key for key, value in given.items() if value is not None]
-    if len(stated) > 1:
-        raise ValueError(f"{inner.where} has {' and '.join(stated)}, expected one of them")
-    quaternion = given["quaternion_wxyz"]
-    if isinstance(last := given["quaternion_xyzw"], list) and len(last) == 4:
-        quaternion = [last[3], *last[:3]]
-    elif last is not None:
-        quaternion = last  # and refused with what it is
-    try:
-        return Pose.of(
-            rotation=given["rotation"],
-            quaternion_wxyz=quaternion,
-            translation_mm=[0.0, 0.0, 0.0] if translation is None else translation,
-        )
-    except ValueError as error:
-        raise ValueError(f"{inner.where} {error}") from error
-
-
-def _realtime(table: Table) -> Realtime:
-    inner = table.table("realtime")
-    if inner is None:
-        return Realtime()
-    found = Realtime(inner.whole("sched_fifo", 1, 99), inner.wholes("affinity", 4095), inner.truth("mlock") or False)
-    inner.end()
-    return found
-
-
-def _verify(table: Table) -> Verify:
-    inner = table.table("verify")
-    if inner is None:
-        return Verify()
-    mode = inner.one_of("mode", ("off", "idle", "always")) or "off"
-    found = Verify(mode, inner.number("budget_ms"), inner.whole("nice", 0, 19), inner.wholes("affinity", 4095))
-    inner.end()
-    if mode == "off" and found != Verify():
-        raise ValueError(f'{inner.where} has mode off and more; expected mode = "idle" or "always" with it')
-    return found
 
 
 def _check_distinct(skins: tuple[SkinSettings, ...]) -> None:

@@ -29,6 +29,10 @@ class Table:
         self._asked.append(key)
         return self._content.get(key)
 
+    def only(self, known: Sequence[str]) -> None:
+        """Raise ValueError if there is another key than those that are known, with the nearest one."""
+        unknown(self._content, list(known), self.where)
+
     def end(self) -> None:
         """Raise ValueError if a key was never asked for, with the nearest one that was."""
         unknown(self._content, self._asked, self.where)

@@ -4,7 +4,7 @@ import pytest
 
 from eitskin.errors import RobotError
 from eitskin.model.bundle import shipped
-from eitskin.robot.config import SHIPPED_BUNDLES, load_robot
+from eitskin.robot.config import KEYS, SHIPPED_BUNDLES, load_robot
 from eitskin.robot.described import robot_skins
 
 HEAD = 'format = "eitskin-robot"\nversion = 1\n'
@@ -98,8 +98,10 @@ def test_skins_are_listed_by_name_endpoint_and_pose(robot, tmp_path):
         (skin(name="frames"), "none of frames, control, robot"),
         (skin(name="x" * 33), "at most 32"),
         (skin(name="a\\nb"), "expected a text of at most"),
-        ('[[skins]]\nport = "x"', "name is None"),
-        ('[[skins]]\nname = "x"', "skin x port is None"),
+        ('[[skins]]\nport = "x"', r"skins\[0\] has no name, expected letters"),
+        ('[[skins]]\nname = "x"', "skin x has no port, expected a serial port's path"),
+        ('[[skins]]\nname = "x"\nprot = "y"', "unknown key 'prot' in skin x; did you mean 'port'"),
+        ('[[skins]]\nnaem = "x"\nport = "y"', r"unknown key 'naem' in skins\[0\]; did you mean 'name'"),
         (skin(more="bundel = 3"), "unknown key 'bundel' in skin left; did you mean 'bundle'"),
         (skin(more="[skins.pose]\nrotate = 3"), "unknown key 'rotate' in skin left pose; did you mean 'rotation'"),
         (skin(more="[skins.realtime]\nfifo = 3"), "unknown key 'fifo' in skin left realtime"),
@@ -151,3 +153,9 @@ def test_a_file_that_is_missing_too_long_or_no_file_is_said(tmp_path):
     (tmp_path / "long.toml").write_text("#" * (1 << 17))
     with pytest.raises(RobotError, match="longer than"):
         load_robot(tmp_path / "long.toml")
+
+
+@pytest.mark.parametrize("key", [key for key in KEYS if key not in ("name", "port")])
+def test_every_key_that_is_known_is_read(robot, key):
+    with pytest.raises(RobotError, match=f"skin left {key} is -0.5, expected"):
+        robot(skin(more=f"{key} = -0.5"))

@@ -87,6 +87,13 @@ def test_whatever_is_wrong_with_a_recipe_is_named(old: str, new: str, said: str)
         parsed(TINY.replace(old, new))
 
 
+@pytest.mark.parametrize(("text", "found"), [("", "there is no format"), ("format = 'x'", "format is 'x'")])
+def test_a_file_that_is_neither_skin_nor_recipe_is_told_of_both(tmp_path: Path, text: str, found: str) -> None:
+    (tmp_path / "f.toml").write_text(text)
+    with pytest.raises(ValueError, match=f"{found}, expected 'eitskin-skin', .*, or 'eitskin-recipe', a "):
+        recipes.load(str(tmp_path / "f.toml"))
+
+
 def test_what_would_fail_hours_later_is_refused_at_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for old, new, said in (
         ('touches = "press"', 'touches = "soft"', "[data.presses] touches 'soft' are unknown"),

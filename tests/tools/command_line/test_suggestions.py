@@ -44,3 +44,4 @@ def test_a_typing_mistake_is_answered_with_what_was_probably_meant(
 
 def test_nothing_is_suggested_where_nothing_is_near() -> None:
     assert did_you_mean("reconstruct", ["run", "demo"]) == ""
+    assert did_you_mean("file", ["drift", "single"]) == ""

@@ -39,8 +39,13 @@ def refused(capsys, *words):
 def test_a_missing_file_is_named_with_its_skin_and_key(robot, capsys, tmp_path, key):
     status, said = refused(capsys, "run", "--config", robot(f'{key} = "none"'))
     assert status == 1
-    assert f"eitskin run: skin left: no {key} '{tmp_path}/none'" in said
+    assert f"eitskin run: skin left: {key}: no file '{tmp_path}/none'; expected a" in said
     assert not (tmp_path / "sockets").exists()  # nothing was begun
+
+
+@pytest.mark.parametrize(("line", "meant"), [("bundle = 'pres'", "press"), ("skin = 'labb'", "lab")])
+def test_a_name_that_is_nearly_a_shipped_one_is_answered_with_it(robot, capsys, line, meant):
+    assert f"did you mean {meant!r}?" in refused(capsys, "run", "--config", robot(line))[1]
 
 
 def test_a_bundle_of_another_skin_is_refused(robot, capsys):

@@ -30,6 +30,7 @@ from eitskin_proto.files.plain import plain, quoted
 from eitskin_proto.files.reading import LARGEST_TOML, parse_toml, read_text
 from eitskin_proto.files.shipped import is_name
 from eitskin_proto.skin.skin import Skin
+from eitskin_proto.skin.toml import FORMAT as SKIN_FORMAT
 from eitskin_proto.skin.toml import to_toml, unknown
 from eitskin_tools.build.missing_lesson import MissingElectrodesWork
 from eitskin_tools.build.tables import table
@@ -183,9 +184,12 @@ def load(name: str) -> BuildRecipe:
     path = files.find(name, files.RECIPE)
     try:
         content = parse_toml(read_text(path, LARGEST_TOML))
-        if content.get("format") != FORMAT:
+        if content.get("format") == FORMAT:
+            return parse(content, path.parent)
+        if content.get("format") == SKIN_FORMAT:
             return usual(skins.read(str(path)))
-        return parse(content, path.parent)
+        found = f"format is {quoted(content['format'])}" if "format" in content else "there is no format"
+        raise ValueError(f"{found}, expected {SKIN_FORMAT!r}, a skin's description, or {FORMAT!r}, a bundle's recipe")
     except ValueError as error:
         text = str(error)
         raise ValueError(text if text.startswith(str(path)) else f"{path}: {text}") from error

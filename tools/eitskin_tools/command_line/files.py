@@ -1,5 +1,6 @@
 """Files that a command is given: found by path or by the name of a shipped one, and named when they are missing."""
 
+import argparse
 import errno
 import os
 from dataclasses import dataclass
@@ -29,6 +30,8 @@ class Kind:
     """Package in which some are shipped; empty for none."""
     suffix: str = ""
     """Of a shipped file: what its name lacks."""
+    words: tuple[str, ...] = ()
+    """What may be said in place of a file besides."""
 
     def names(self) -> tuple[str, ...]:
         """Return the names of the shipped ones, in order."""
@@ -43,13 +46,16 @@ PHANTOMS: Final = Kind("a JSON list of phantoms", "eitskin_tools.phantoms", ".js
 CONFIGURATION: Final = Kind("a configuration as TOML", "eitskin_proto.configurations", ".toml")
 POINTS: Final = Kind("measured points of the surface in mm, as .ply, .xyz or .npy", "eitskin_tools.scans", ".ply")
 RECORDING: Final = Kind("recorded frames as .npy, (n, 104) V, or a .mcap of 'eitskin record'")
-MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md")
+MEASURED: Final = Kind("measured samples as .npz, see docs/evaluation.md, or a .mcap of 'eitskin record'")
+TO_CALIBRATE: Final = Kind("what was recorded of the sheet as .npz, see docs/calibrate.md")
 TANK: Final = Kind("frames of a tank as .npz, see docs/evaluation.md")
-MISMATCHES: Final = Kind("lab, random or a JSON list of mismatches", "eitskin_tools.mismatches", ".json")
+MISMATCHES: Final = Kind("a JSON list of mismatches", "eitskin_tools.mismatches", ".json", ("lab", "random"))
 BUNDLE: Final = Kind("a bundle made by 'eitskin build'", "eitskin.bundles", ".eitskin")
 START: Final = Kind("a folder of 'eitskin train', or a bundle", "eitskin.bundles", ".eitskin")
 SKIN: Final = Kind("a skin's description as TOML", "eitskin_proto.skins", ".toml")
 RECIPE: Final = Kind("a skin's description or a bundle's recipe as TOML", "eitskin_tools.recipes", ".toml")
+REFERENCE: Final = Kind("a reference captured by 'eitskin reference'")
+KEYS: Final = Kind("a folder made by 'eitskin doctor --make-curve-keys'")
 DATA_SET: Final = Kind("a folder made by 'eitskin dataset'")
 
 
@@ -73,9 +79,10 @@ def find(name: str | Path, kind: Kind) -> Path:
     path = named(name, kind)
     if path.exists():
         return path
-    shipped = kind.names()
+    shipped = (*kind.words, *kind.names())
     expected = f"expected {kind.what}" + (f", or one of the shipped: {', '.join(shipped)}" if shipped else "")
-    raise MissingFileError(f"{_missing(path)}; {expected}{did_you_mean(path.name.removesuffix(kind.suffix), shipped)}")
+    meant = "" if path.suffix else did_you_mean(path.name, shipped)  # a name with an ending was meant as a file
+    raise MissingFileError(f"{_missing(path)}; {expected}{meant}")
 
 
 def named(name: str | Path, kind: Kind) -> Path:
@@ -88,6 +95,19 @@ def named(name: str | Path, kind: Kind) -> Path:
 def bundle(name: str) -> Path:
     """Return the path of ``--bundle``: a file, or a shipped bundle."""
     return named(name, BUNDLE)
+
+
+def check(arguments: argparse.Namespace) -> None:
+    """Refuse a command whose bundle or skin is not there, before it does anything.
+
+    Raises:
+        MissingFileError: One is not; the text says which are shipped.
+    """
+    for name, kind in (("bundle", BUNDLE), ("recorded_bundle", BUNDLE), ("skin", SKIN)):
+        given = getattr(arguments, name, None)
+        for one in given if isinstance(given, list) else [given]:
+            if one is not None:
+                find(one, kind)
 
 
 def parent(path: str | Path) -> Path:

@@ -2,6 +2,11 @@
 
 from collections.abc import Iterable
 from difflib import get_close_matches
+from typing import Final
+
+
+NEAR: Final = 0.65
+"""Share of letters that a name must have in common with what was found; ``file`` has 0.6 of ``single``."""
 
 
 def did_you_mean(word: str, names: Iterable[str]) -> str:
@@ -13,7 +18,7 @@ def did_you_mean(word: str, names: Iterable[str]) -> str:
     """
     listed = list(names)
     by_lower = {name.lower(): name for name in listed}
-    near = get_close_matches(word.lower(), by_lower, n=1, cutoff=0.6)
+    near = get_close_matches(word.lower(), by_lower, n=1, cutoff=NEAR)
     return f"; did you mean {by_lower[near[0]]!r}?" if near else ""
 
 

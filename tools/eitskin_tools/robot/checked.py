@@ -4,7 +4,7 @@ import os
 from pathlib import Path
 
 from eitskin.errors import RobotError
-from eitskin.robot.config import SHIPPED_SKINS, Robot, SkinSettings
+from eitskin.robot.config import Robot, SkinSettings
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files
 from eitskin_tools.command_line.touches import WAYS
@@ -33,19 +33,24 @@ def _check_files(settings: SkinSettings) -> None:
     from eitskin.reference import captured
     from eitskin_proto.skin import toml
 
-    bundle_path = None if settings.bundle is None else files.named(settings.bundle, files.BUNDLE)
-    for key, path in (
-        ("bundle", bundle_path), ("skin", settings.description), ("reference", settings.reference),
-        ("curve_keys", settings.curve_keys),
-    ):  # fmt: skip
-        if path is not None and not path.exists() and str(path) not in SHIPPED_SKINS:
-            raise RobotError(f"no {key} {str(path)!r}; expected it to exist: check the path")
-    description = None if settings.description is None else toml.load(settings.description)
+    bundle_path = _there("bundle", settings.bundle, files.BUNDLE)
+    description_path = _there("skin", settings.description, files.SKIN)
+    _there("reference", settings.reference, files.REFERENCE)
+    _there("curve_keys", settings.curve_keys, files.KEYS)
+    description = None if description_path is None else toml.load(description_path)
     bundle = bundle_path if settings.touches is None else knowing(WAYS[settings.touches], bundle_path)
     _, used = bundle_and_skin(bundle, description)
     captured.taken(settings.reference, used)
     if settings.curve_keys is not None:
         load_server_keys(settings.curve_keys)
+
+
+def _there(key: str, given: Path | None, kind: files.Kind) -> Path | None:
+    """Return the path of what a key names; None where it is left out."""
+    try:
+        return None if given is None else files.find(given, kind)
+    except files.MissingFileError as error:
+        raise RobotError(f"{key}: {error}") from error
 
 
 def make_folders(robot: Robot) -> None:

@@ -50,7 +50,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--draws", type=int, default=2, metavar="N", help="devices of each mismatch (default: 2)")
     parser.add_argument("--deformations", type=int, default=4, metavar="N", help="of drawn trials (default: 4)")
     parser.add_argument("--each", type=int, default=2, metavar="N", help="touches at each of them (default: 2)")
-    parser.add_argument("--bundle", action="append", default=[], metavar="FILE", help="another network; repeatable")
+    parser.add_argument(
+        "--bundle", type=files.bundle, action="append", default=[], metavar="FILE", help="another network; repeatable"
+    )
     parser.add_argument("--noise", choices=["N1", "N2", "N3", "none"], default="N2", help="default: N2")
     parser.add_argument("--seeds", type=int, default=1, metavar="K", help="noise draws of phantoms (default 1)")
     parser.add_argument("--calls", type=int, default=60, metavar="N", help="timed calls of each variant (default 60)")
@@ -102,7 +104,7 @@ def _panels(arguments: argparse.Namespace) -> "Iterator[Panel]":
         yield from of_devices(arguments.devices, kinds, arguments.deformations, arguments.each, plan)
 
 
-def measure(panel: "Panel", bundles: Sequence[str], noise: Any, calls: int) -> list[dict[str, Any]]:
+def measure(panel: "Panel", bundles: Sequence[Path], noise: Any, calls: int) -> list[dict[str, Any]]:
     """Return a row for each variant: error, paced percentiles and whether it is on the front.
 
     Args:

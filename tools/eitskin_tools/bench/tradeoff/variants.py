@@ -46,7 +46,7 @@ def whole_error(case: Case, truth: Any, image: Any) -> float:
     return 1.0 - float(correlation(image, truth))
 
 
-def variants(labels: str, touches: TouchKind, more: Sequence[str], conditions: Conditions) -> list[Variant]:
+def variants(labels: str, touches: TouchKind, more: Sequence[Path], conditions: Conditions) -> list[Variant]:
     """Return all ways to maps of some labels.
 
     Args:

@@ -77,7 +77,7 @@ def _recorded(name: str, twin: Any, labels: str) -> tuple[Any, str]:
 
     if labels != "area":
         raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
-    path = files.find(name, files.MEASURED)
+    path = files.find(name, files.TO_CALIBRATE)
     recording = load_recording(path, twin)
     try:
         check(recording)

@@ -64,8 +64,6 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     scene = None if arguments.scene is None else files.find(arguments.scene, files.SCENE)
-    if arguments.bundle is not None:
-        files.find(arguments.bundle, files.BUNDLE)
     if arguments.record is not None:
         files.writable(arguments.record, kinds.NOTED)
     if arguments.picture is not None:
