@@ -209,3 +209,5 @@ def test_people_read_the_names_of_the_file(device, capsys):
     shown = run(capsys, "show", "--port", "host")[1]
     assert "  hardware: eitskin-16\n" in shown
     assert "  idle drives: [0, 1, 2, 3]\n" in shown
+    for line in ("flags: factory", "other: none", "  skin: none"):
+        assert f"\n{line}\n" in shown

@@ -11,6 +11,7 @@ import pytest
 from eitskin.model.bundle import default_path, load_bundle
 from eitskin_proto.errors import SkinError
 from eitskin_tools import cli
+from eitskin_tools.commands.recorded import replay
 from eitskin_tools.recording.replay.play import Manner
 from eitskin_tools.recording.script import Script
 
@@ -157,3 +158,14 @@ def test_a_picture_that_cannot_be_written_is_said_before_anything_is_computed(
     said = capsys.readouterr().err
     assert "nowhere" in said
     assert said.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("published", "said"),
+    [
+        (0, "2008 frames played, 3 lost when recorded; nobody subscribed to them"),
+        (2000, "2008 frames played, 2000 published, 3 lost when recorded"),
+    ],
+)
+def test_a_recording_that_nobody_looked_at_was_played_all_the_same(published: int, said: str) -> None:
+    assert replay._told({"sent": 2008, "published": published, "lost": 3}) == said

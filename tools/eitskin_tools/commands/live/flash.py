@@ -13,6 +13,7 @@ from eitskin_proto.wire.codes import HelloFlag
 from eitskin_proto.wire.config import Configuration
 from eitskin_tools.command_line import files
 from eitskin_tools.console.say import say
+from eitskin_tools.console.words import in_words
 from eitskin_tools.errors import UsageError
 from eitskin_tools.flash import procedure, stored
 from eitskin_tools.flash.exchange import Exchange
@@ -149,12 +150,13 @@ def _print(arguments: argparse.Namespace, report: dict[str, Any]) -> int:
         if key == "differences":
             for row in value:
                 (name, device), (_, file) = (config_toml.in_file(row["field"], row[of]) for of in ("device", "file"))
-                say(f"  {name}: device {device}, file {file}")
+                say(f"  {name}: device {in_words(device)}, file {in_words(file)}")
         elif isinstance(value, dict):
             say(f"{key}: {value['name']!r}, generation {value['generation']}, digest {value['digest']}")
             for field, content in value.items():
                 if field not in ("name", "generation", "digest"):
-                    say("  {}: {}".format(*config_toml.in_file(field, content)))
+                    name, shown = config_toml.in_file(field, content)
+                    say(f"  {name}: {in_words(shown)}")
         else:
-            say(f"{key}: {value}")
+            say(f"{key}: {in_words(value)}")
     return 0

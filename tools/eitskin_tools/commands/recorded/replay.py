@@ -96,8 +96,16 @@ def run(arguments: argparse.Namespace) -> int:
     if arguments.json:
         print(json.dumps(found))
     else:
-        log.say(f"{found['sent']} frames played, {found['published']} published, {found['lost']} lost when recorded")
+        log.say(_told(found))
     return 0
+
+
+def _told(found: dict[str, Any]) -> str:
+    """Return what became of the frames, in a line."""
+    lost = f", {found['lost']} lost when recorded"
+    if found["published"] == 0:
+        return f"{found['sent']} frames played{lost}; nobody subscribed to them"
+    return f"{found['sent']} frames played, {found['published']} published{lost}"
 
 
 def _wait(skin: Any, publisher: Any) -> None:
