@@ -10,8 +10,10 @@ import argparse
 import importlib
 import json
 import os
+import shutil
 import signal
 import sys
+import textwrap
 from collections.abc import Sequence
 from typing import Final
 
@@ -72,25 +74,35 @@ RECORDED: Final[dict[str, tuple[str, str]]] = {
 COMMANDS: Final = {**LIVE, **RECORDED, **BUNDLES, **OFFLINE}
 """All subcommands in the order of the help."""
 
-FIRST_STEPS: Final = """first steps, without hardware:
-  eitskin demo                      everything at once, with the map drawn live
-  eitskin virtual-skin              a skin on a port, whose path it prints; then, each in a terminal of its own:
-  eitskin run --port PORT           read it and publish frames
-  eitskin subscribe                 see them
-"""
+FIRST_STEPS: Final = {
+    "eitskin demo": "everything at once, with the map drawn live",
+    "eitskin virtual-skin": "a skin on a port, whose path it prints; then, each in a terminal of its own:",
+    "eitskin run --port PORT": "read it and publish frames",
+    "eitskin subscribe": "see them",
+}
+"""What to type without hardware, and what it does."""
 
 
 def _help_text() -> str:
-    """Return the commands in four groups, and the first steps."""
+    """Return the commands in four groups, and the first steps, as wide as the terminal."""
+    columns = shutil.get_terminal_size().columns - 2  # as argparse has it
     groups = []
     titled = (
         ("around a running skin", LIVE), ("recordings", RECORDED), ("bundles", BUNDLES),
         ("simulation, training, evaluation", OFFLINE),
     )  # fmt: skip
     for title, commands in titled:
-        lines = [f"    {name:<14}{summary}" for name, (_, summary) in commands.items()]
+        lines = [_row(f"    {name:<14}", summary, columns) for name, (_, summary) in commands.items()]
         groups.append("\n".join([f"{title}:", *lines]))
-    return "\n\n".join([*groups, FIRST_STEPS + "\n'eitskin COMMAND --help' says what a command takes."])
+    steps = [_row(f"  {command:<26}", what, columns) for command, what in FIRST_STEPS.items()]
+    more = textwrap.fill("'eitskin COMMAND --help' says what a command takes.", columns)
+    return "\n\n".join([*groups, "\n".join(["first steps, without hardware:", *steps]), more])
+
+
+def _row(name: str, text: str, columns: int) -> str:
+    """Return a name and what it does, which goes on below itself where a line is full."""
+    wide = max(columns, len(name) + 20)
+    return textwrap.fill(text, wide, initial_indent=name, subsequent_indent=" " * len(name), break_on_hyphens=False)
 
 
 def _parser(named: str | None) -> Parser:

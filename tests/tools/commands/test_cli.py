@@ -65,6 +65,15 @@ def test_the_help_has_two_groups_and_the_first_steps() -> None:
         assert f"eitskin {name}" in first
 
 
+@pytest.mark.parametrize("columns", [50, 80, 120])
+def test_the_help_is_no_wider_than_the_terminal(monkeypatch: pytest.MonkeyPatch, columns: int) -> None:
+    monkeypatch.setenv("COLUMNS", str(columns))
+    lines = cli._parser(None).format_help().splitlines()
+    assert max(map(len, lines)) <= columns
+    steps = lines[lines.index("first steps, without hardware:") :]
+    assert "  eitskin virtual-skin      a skin on a port" in "\n".join(steps)
+
+
 def test_ctrl_c_is_130_without_a_word(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     from eitskin_tools.commands.live import doctor
 

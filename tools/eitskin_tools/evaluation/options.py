@@ -72,8 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--solver",
-        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl; the last three "
-        "take the grid of the phantoms' labels, or the one that -pixels or -units names (default: vd2t)",
+        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t); "
+        "the last three solve for pixels or units, whichever the labels are of, and with -pixels or -units behind the "
+        "name, as in tikhonov-units, always for these",
     )
     parser.add_argument(
         "--all",

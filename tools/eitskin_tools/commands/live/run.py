@@ -74,7 +74,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--frames", type=int, metavar="N", help="end after N frames")
     parser.add_argument("--seconds", type=float, metavar="S", help="end after S seconds")
-    parser.add_argument("--budget-ms", type=float, metavar="B", help="latency budget from read to publish")
+    parser.add_argument(
+        "--budget-ms", type=float, metavar="B", help="latency budget in ms, from read to publish (default: none)"
+    )
     parser.add_argument(
         "--solver",
         metavar="NAME",
@@ -88,7 +90,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--idle-after", type=float, metavar="S", help="scan a few drives only once untouched for S seconds"
     )
     parser.add_argument(
-        "--exclude-electrode", type=int, action="append", default=[], metavar="N", help="go on without it; repeatable"
+        "--exclude-electrode",
+        type=int,
+        action="append",
+        default=[],
+        metavar="N",
+        help="go on without electrode N, 0 to 15; repeatable",
     )
     parser.add_argument(
         "--compensate-drift",
