@@ -187,7 +187,7 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
             f"skin {name} restart is {restart!r} without a reference: who starts again by itself cannot know that the "
             "sheet is flat and untouched; capture one with 'eitskin reference', and name it"
         )
-    found = SkinSettings(
+    return SkinSettings(
         skin=RobotSkin(name, publish, control, pose_of(table)),
         port=port,
         baud=table.whole("baud", 300, 1 << 30),
@@ -208,7 +208,6 @@ def _skin(table: Table, folder: Path, beside: Path) -> SkinSettings:
         realtime=realtime_of(table),
         verify=verify_of(table),
     )
-    return found
 
 
 def _named(value: str | None, shipped: tuple[str, ...], beside: Path) -> Path | None:

@@ -6,6 +6,7 @@ import pytest
 
 from eitskin_proto.skin import toml
 from eitskin_proto.wire import config_toml
+from eitskin_tools import cli
 from eitskin_tools.build import recipe
 from eitskin_tools.command_line import files
 
@@ -32,3 +33,46 @@ def test_a_file_of_that_name_is_ones_own(here: Path) -> None:
     assert toml.load("lab") == toml.named("hydrogel")
     (here / "free").touch()
     assert files.find("free", files.BUNDLE) == Path("free")
+
+
+def refused(capsys: pytest.CaptureFixture[str], words: list[str]) -> str:
+    assert cli.main(words) == 1
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+    return err
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["run", "--port=p", "--skin=labb"], "one of the shipped: hydrogel, lab, paper; did you mean 'lab'?"),
+        (["run", "--port=p", "--bundle=pres"], "one of the shipped: free, press, units; did you mean 'press'?"),
+        (["reference", "--port=p", "--out=o.json", "--skin=papr"], "did you mean 'paper'?"),
+        (["reinfer", "f.mcap", "--recorded-bundle=unit"], "did you mean 'units'?"),
+        (["bench", "tradeoff", "--bundle=fre"], "did you mean 'free'?"),
+        (["evaluate", "--devices=labb"], "one of the shipped: lab, random, drift, single; did you mean 'lab'?"),
+    ],
+)
+def test_a_name_that_is_nearly_a_shipped_one_is_answered_with_it(
+    capsys: pytest.CaptureFixture[str], words: list[str], expected: str
+) -> None:
+    assert refused(capsys, words).endswith(f"{expected}\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (
+            ["evaluate", "--devices=FILE.json"],
+            "a JSON list of mismatches, or one of the shipped: lab, random, drift, sin",
+        ),
+        (["evaluate", "--measured=nope.mcap"], "as .npz, see docs/evaluation.md, or a .mcap of 'eitskin record'"),
+        (["calibrate", "nope.npz", "--out=x.toml"], "of the sheet as .npz, see docs/calibrate.md"),
+    ],
+)
+def test_a_file_that_was_named_with_its_ending_is_said_with_what_is_expected(
+    capsys: pytest.CaptureFixture[str], words: list[str], expected: str
+) -> None:
+    text = refused(capsys, words)
+    assert expected in text
+    assert "did you mean" not in text

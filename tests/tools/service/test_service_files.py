@@ -1,5 +1,6 @@
 """Units, rule and recipe as they are shipped: their own grammar, and systemd's and udev's word."""
 
+import errno
 import fnmatch
 import re
 import shutil
@@ -12,6 +13,7 @@ import pytest
 
 from eitskin.acquisition.usb_port import PRODUCT_ID, VENDOR_ID
 from eitskin_tools import cli
+from eitskin_tools.service import files
 from eitskin_tools.service.files import FILES, text_of
 from eitskin_tools.service.watchdog import STOOD_STILL
 
@@ -143,6 +145,19 @@ def test_udev_takes_the_rule(written):
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.returncode == 0, found.stdout + found.stderr
+
+
+def test_who_is_not_root_is_told_that_only_root_may_install(capsys, monkeypatch):
+    def denied(*_, **__):
+        raise PermissionError(errno.EACCES, "no", "/etc/systemd/system/eitskin.service")
+
+    monkeypatch.setattr(files, "write", denied)
+    assert cli.main(["service", "--install", "--user", "robot"]) == 1
+    said = capsys.readouterr().err
+    assert "no permission for /etc/systemd/system/eitskin.service: only root may --install; run 'sudo /" in said
+    assert "service --install --user robot', or look at the files with --out DIR" in said
+    assert cli.main(["service", "--out", "there"]) == 1
+    assert "'ls -ld" in capsys.readouterr().err
 
 
 def test_files_are_written_where_the_system_looks(tmp_path, capsys):

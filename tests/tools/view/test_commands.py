@@ -1,10 +1,12 @@
 """The commands as a user types them: what cannot be shown is one line; what can is seen in a browser, and recorded."""
 
+import os
 import subprocess
 import sys
 import time
 from dataclasses import replace
 from itertools import count
+from pathlib import Path
 
 import pytest
 
@@ -60,7 +62,7 @@ def one_line(capsys, *words):
     [
         (["a.mcap", "--endpoint", "ipc:///f"], "leave --endpoint out"),
         (["a.mcap", "--config", "robot.toml"], "leave --config out"),
-        (["--bundle", "b.eitskin"], "leave it out"),
+        (["--bundle", "press"], "leave it out"),
         (["--config", "robot.toml", "--endpoint", "ipc:///f"], "leave --endpoint out"),
         (["--port", "99999"], "--port is 99999"),
         (["--recordings", "/nowhere"], "--recordings is /nowhere"),
@@ -70,6 +72,14 @@ def test_bad_usage_is_one_line_and_exit_2(capsys, words, says):
     status, said = one_line(capsys, "view", *words)
     assert status == 2
     assert says in said
+
+
+def test_a_folder_that_takes_no_recordings_is_refused_at_the_start(capsys, monkeypatch, tmp_path):
+    monkeypatch.setattr(os, "access", lambda path, mode: Path(path) != tmp_path)
+    status, said = one_line(capsys, "view", "--recordings", tmp_path)
+    assert (status, said) == (
+        2, f"eitskin view: --recordings is {tmp_path}, which takes no files of this user; name another folder\n"
+    )  # fmt: skip
 
 
 def test_a_robots_skins_are_found_by_its_file_and_by_its_folder(tmp_path):

@@ -182,7 +182,7 @@ def explain(error: OSError) -> str | None:
     if isinstance(error, FileNotFoundError):
         return f"{_missing(path)}; expected it to exist: check the path"
     if isinstance(error, PermissionError):
-        return f"no permission for {str(path)!r}; expected a file of this user: 'ls -ld {path}' says whose it is"
+        return _forbidden(path)
     if isinstance(error, IsADirectoryError):
         return f"{str(path)!r} is a folder; expected a file: name one in it"
     if isinstance(error, NotADirectoryError):
@@ -192,6 +192,13 @@ def explain(error: OSError) -> str | None:
     if full:
         return f"no space left for {str(path)!r}; free some, or name another place"
     return f"{str(path)!r} cannot be used: {error.strerror or error}"
+
+
+def _forbidden(path: Path) -> str:
+    if os.path.lexists(path):
+        return f"no permission for {str(path)!r}; expected a file of this user: 'ls -ld {path}' says whose it is"
+    folder = next(one for one in path.absolute().parents if os.path.lexists(one))
+    return f"no permission for {str(path)!r}; expected a folder of this user: 'ls -ld {folder}' says whose it is"
 
 
 def _missing(path: Path) -> str:

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from typing import Final
 
-
 NEAR: Final = 0.65
 """Share of letters that a name must have in common with what was found; ``file`` has 0.6 of ``single``."""
 

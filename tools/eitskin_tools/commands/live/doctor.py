@@ -7,7 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from eitskin_tools.command_line import files
+from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.console.say import say
+from eitskin_tools.console.words import in_words
 from eitskin_tools.errors import UsageError
 
 
@@ -50,6 +52,9 @@ def run(arguments: argparse.Namespace) -> int:
         return _electrodes(arguments)
     if arguments.drift:
         return _drift(arguments)
+    for name in ("recorded", "reference", "bundle"):
+        if getattr(arguments, name) is not None:
+            raise UsageError(f"{flag(name)} does nothing alone: say --electrodes or --drift, what to look for")
     found = doctor.examine()
     if arguments.port:
         from eitskin.acquisition.serial_port import DEFAULT_BAUD
@@ -199,8 +204,9 @@ def _print(found: dict[str, Any]) -> None:
     for line in found["limits"]:
         say(f"limit    {line}")
     for name, value in found.get("device", {}).items():
-        say(f"device   {name} {value}")
+        say(f"device   {name} {in_words(value)}")
     for field, value in found.get("configuration", {}).items():
-        say("config   {} {}".format(*in_file(field, value)))
+        name, shown = in_file(field, value)
+        say(f"config   {name} {in_words(shown)}")
     for problem in found["problems"]:
         say(f"to do    {problem}")

@@ -6,6 +6,7 @@ import shutil
 import sys
 from pathlib import Path
 
+from eitskin_proto.files.reading import FileError
 from eitskin_tools.command_line.files import folder
 from eitskin_tools.console.say import say
 from eitskin_tools.errors import UsageError
@@ -51,9 +52,17 @@ def run(arguments: argparse.Namespace) -> int:
         return 0
     if arguments.out is not None:
         folder(arguments.out)
-    written = files.write(
-        arguments.root if arguments.install else arguments.out, arguments.user, program, homes=arguments.install
-    )
+    try:
+        written = files.write(
+            arguments.root if arguments.install else arguments.out, arguments.user, program, homes=arguments.install
+        )
+    except PermissionError as error:
+        if not arguments.install:
+            raise
+        raise FileError(
+            f"no permission for {error.filename}: only root may --install; run 'sudo {_this_program()} service "
+            f"--install --user {arguments.user}', or look at the files with --out DIR"
+        ) from error
     if arguments.json:
         print(json.dumps({"written": [str(path) for path in written], "user": arguments.user, "program": program}))
         return 0

@@ -10,6 +10,7 @@ import time
 from pathlib import Path
 from typing import Any
 
+from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files, kinds, skins
 from eitskin_tools.console.say import say
 
@@ -78,7 +79,7 @@ def run(arguments: argparse.Namespace) -> int:
                 file=sys.stderr,
             )
     save_cloud(arguments.out, result, predicted, skin)
-    sent = None if arguments.send is None else _send(arguments.send, arguments.out)
+    sent = None if arguments.send is None else _sent(arguments.send, arguments.out)
     if arguments.json:
         print(json.dumps(_report(arguments, result, len(points), elapsed_ms, predict_ms, sent)))
         return 0
@@ -98,6 +99,18 @@ def run(arguments: argparse.Namespace) -> int:
             file=sys.stderr,
         )
     return 0
+
+
+def _sent(endpoint: str, path: str) -> int:
+    """Return the cloud's revision in the runtime.
+
+    Raises:
+        SkinError: The runtime does not take it; the text says that its file is there all the same.
+    """
+    try:
+        return _send(endpoint, path)
+    except (SkinError, ValueError) as error:
+        raise SkinError(f"{path} is written, but no runtime has it: {error}") from error
 
 
 def _send(endpoint: str, path: str) -> int:

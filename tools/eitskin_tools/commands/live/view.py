@@ -91,6 +91,10 @@ def _check(arguments: argparse.Namespace) -> None:
         raise UsageError("--config names the endpoints of all skins: leave --endpoint out")
     if arguments.recordings is not None and not arguments.recordings.is_dir():
         raise UsageError(f"--recordings is {arguments.recordings}, expected a folder that is there")
+    if arguments.recordings is not None and _writable(arguments.recordings) is None:
+        raise UsageError(
+            f"--recordings is {arguments.recordings}, which takes no files of this user; name another folder"
+        )
 
 
 def _recorded(arguments: argparse.Namespace, where: dict[str, Any], stack: contextlib.ExitStack) -> tuple[str, str]:
@@ -125,7 +129,7 @@ def _live(arguments: argparse.Namespace, where: dict[str, Any], stack: contextli
 
 def _writable(folder: Path) -> Path | None:
     """Return a folder for recordings, or None where they cannot be written."""
-    return folder.resolve() if os.access(folder, os.W_OK) else None
+    return folder.resolve() if os.access(folder, os.W_OK | os.X_OK) else None
 
 
 def _has_display() -> bool:
