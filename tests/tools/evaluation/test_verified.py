@@ -45,7 +45,7 @@ def test_a_report_says_of_each_phantom_how_sure_it_is_and_of_all_what_went_unsee
     add_verdicts(found, results, verdicts)
     assert found["phantoms"][0] == {
         "name": "1", "p_value": pytest.approx(0.2025), "flagged": 0.5, "extra_ms": 2.0,
-        "touches": [{"unit": 3, "contrast": 50.0}],
+        "touch_list": [{"unit": 3, "contrast": 50.0}],
     }  # fmt: skip
     assert found["phantoms"][1]["flagged"] == 0.5
     every = found["verified"]

@@ -234,7 +234,7 @@ def add_verdicts(found: dict[str, Any], results: Results, checked: dict[int, lis
         row["p_value"] = float(np.median([one.verdict.p_value for one in own]))
         row["flagged"] = float(np.mean([one.verdict.flagged for one in own]))
         row["extra_ms"] = float(np.median([one.extra_ms for one in own]))
-        row["touches"] = [asdict(touch) for touch in own[0].verdict.touches]  # of the first draw
+        row["touch_list"] = [asdict(touch) for touch in own[0].verdict.touches]  # of the first draw
     found["verified"] = summary_of([(phantom, scores, checked[id(phantom)]) for phantom, scores in results])
 
 
