@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import kstest
 
-from eitskin_sim.calibration.fit import UnsettledError, fit
+from eitskin_sim.calibration.fit import MOST_STEPS, UnsettledError, fit
 
 
 class Linear:
@@ -91,6 +91,36 @@ def test_what_never_gets_better_is_an_error():
     with pytest.raises(UnsettledError, match=r"does not converge: .*look at the recording") as caught:
         fit(Wrong(0.01 * jacobian, read))
     assert caught.value.residuals.shape == read.shape
+
+
+class Swinging(Linear):
+    """A valley that is twice as steep as its derivatives say: every step goes across its floor, almost as far again."""
+
+    def linearised(self, z):
+        residuals, jacobian = super().linearised(z)
+        return residuals, jacobian / 1.98
+
+
+def swinging(off, wrong=0.0):
+    """Return the fit of one parameter that begins so many standard errors off, a row wrong by so much; and the best."""
+    jacobian = drawn(7)[0][:, :1]
+    read = 0.5 * jacobian[:, 0] + 0.5 * np.random.default_rng(8).standard_normal(40) + wrong * np.eye(40)[7]
+    best = fit(Linear(jacobian, read))
+    return fit(Swinging(jacobian, read), start=best.z + off * best.sd, soft=(0.0,)), best
+
+
+def test_a_search_that_swings_about_the_least_misfit_and_gains_nothing_any_more_has_found_it():
+    found, best = swinging(0.5)
+    assert found.steps == MOST_STEPS
+    assert found.misfit < found.limit
+    assert abs(found.z - best.z)[0] < 0.5 * best.sd[0]
+    worse, _ = swinging(0.5, wrong=100.0)
+    assert worse.misfit > worse.limit, "whoever asks sees that it is above noise"
+
+
+def test_a_search_that_still_changes_after_its_last_step_has_found_nothing():
+    with pytest.raises(UnsettledError, match=rf"after {MOST_STEPS} steps the misfit is \S+ and still changes"):
+        swinging(10.0)
 
 
 def test_a_sheet_that_cannot_be_ends_the_search_in_one_line_with_its_rows():

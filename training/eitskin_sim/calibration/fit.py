@@ -51,6 +51,10 @@ SETTLED: Final = 0.1
 SETTLED_SHARE: Final = 1e-3
 """The same as a share of the whole, where the whole is far above noise."""
 
+LEVEL_STEPS: Final = 5
+"""After the most steps the search is at its end, too, if none of so many last ones gained ``SETTLED``: it goes to and
+fro across the bottom of a valley that bends, and comes nearer a little each time."""
+
 
 class CalibrationError(SkinError):
     """Nothing could be calibrated; the text says why, and what to do."""
@@ -108,7 +112,7 @@ class Fit:
     @property
     def limit(self) -> float:
         """What chance alone exceeds once in ten thousand recordings."""
-        return float(chi2.isf(CHANCE, len(self.residuals)) / len(self.residuals))
+        return _limit(len(self.residuals)) / len(self.residuals)
 
     @property
     def far(self) -> Array:
@@ -135,6 +139,8 @@ def fit(
         done: Steps that were taken already.
         rough: What should be read is not smooth, as under touches whose borders cross elements: stop where nothing is
             gained that matters.
+
+    The misfit may be above its limit: who calls looks.
 
     Raises:
         UnsettledError: It does not converge.
@@ -163,7 +169,7 @@ def _descend(
     """Return where the misfit is least, with residuals, Jacobian and steps; only the last descent need be exact."""
     damping = 0.0
     residuals, jacobian = model.linearised(z)
-    cost = float(residuals @ residuals + z @ z)
+    cost, gains = float(residuals @ residuals + z @ z), []
     for step in range(1, MOST_STEPS + 1):
         if progress is not None:
             progress(done + step, cost / len(residuals))
@@ -176,7 +182,7 @@ def _descend(
             if tried <= cost * (1.0 + 1e-9) or (step <= FREE and not damping and np.isfinite(tried)):
                 break
             damping = max(10.0 * damping, 1e-2)
-            if damping > MOST_DAMPING and rough:
+            if damping > MOST_DAMPING and (rough or (last and cost <= _limit(len(residuals)))):
                 return z, residuals, jacobian, step
             if damping > MOST_DAMPING:
                 raise UnsettledError(
@@ -190,13 +196,21 @@ def _descend(
         except (ValueError, RuntimeError) as error:  # there is such a sheet, but none beside it
             raise UnsettledError(f"it ends at a sheet that cannot be ({error})", residuals) from error
         before, cost = cost, float(residuals @ residuals + z @ z)
-        if rough and step > FREE and abs(before - cost) < SETTLED + SETTLED_SHARE * cost:
+        gains.append(abs(before - cost))
+        if rough and step > FREE and gains[-1] < SETTLED + SETTLED_SHARE * cost:
             return z, residuals, jacobian, step
         if far < (CLOSE if last else ROUGHLY) and not damped:
             return z, residuals, jacobian, step
+    if last and len(gains) >= LEVEL_STEPS and max(gains[-LEVEL_STEPS:]) < SETTLED:
+        return z, residuals, jacobian, MOST_STEPS
     raise UnsettledError(
-        f"after {done + MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still falls", residuals
+        f"after {done + MOST_STEPS} steps the misfit is {cost / len(residuals):.3g} and still changes", residuals
     )
+
+
+def _limit(rows: int) -> float:
+    """Return what chance alone lets |r|^2 + |z|^2 exceed once in ten thousand recordings."""
+    return float(chi2.isf(CHANCE, rows))
 
 
 def _cost(model: Residuals, z: Array) -> float:
