@@ -43,7 +43,8 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
     Args:
         what: What to call them: a path, mostly.
         skin: The one in use.
-        arrays: By name; those that it lacks are not held against anything.
+        arrays: By name; those that it lacks are not held against anything. A digest without a ``grid_id`` must be that
+            of a description which is known to be of this sheet.
         hint: What to do.
 
     Raises:
@@ -53,5 +54,18 @@ def check_arrays_made_for(what: str, skin: Skin, arrays: Arrays, hint: str) -> N
     if "protocol_id" in arrays and (found := text(arrays, "protocol_id")) != PROTOCOL_ID:
         raise MismatchError(f"{what}: protocol_id", found=stated(found), expected=PROTOCOL_ID, hint=hint)
     given = {name: text(arrays, name) for name in ("grid_id", "skin_digest") if name in arrays}
-    grid_id, digest = given.get("grid_id", skin.grid_id), given.get("skin_digest")
-    check_made_for(what, skin, grid_id=grid_id, skin_digest=digest, hint=hint)
+    digest = given.get("skin_digest")
+    if digest is not None and "grid_id" not in given and digest not in _of_this_sheet(skin):
+        why = f"without grid_id nothing tells that it is of the same sheet; store that too, or {hint}"
+        raise MismatchError(
+            f"{what}: skin_digest", found=stated(digest), expected=f"{skin.digest} ({skin.name})", hint=why
+        )
+    check_made_for(what, skin, grid_id=given.get("grid_id", skin.grid_id), skin_digest=digest, hint=hint)
+
+
+def _of_this_sheet(skin: Skin) -> set[str]:
+    """Return digests of descriptions of a skin's sheet: its own, what it was calibrated from, and shipped ones."""
+    from eitskin_proto.skin.toml import NAMED, named  # noqa: PLC0415 -- few files have a digest alone
+
+    shipped = {one.digest for one in map(named, NAMED) if one.grid_id == skin.grid_id}
+    return {skin.digest, skin.calibrated_from or skin.digest} | shipped

@@ -1,12 +1,16 @@
 """A recording says what is wrong with it in one line."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tests.second_skin import SECOND
 
 from eitskin_proto.errors import MismatchError
 from eitskin_proto.files.reading import FileError
 from eitskin_proto.skin.cloud import flat_cloud
 from eitskin_proto.skin.skin import PAPER
+from eitskin_proto.skin.toml import named
 from eitskin_sim.calibration.recording import RecordingError, load_recording
 from eitskin_sim.calibration.stamp import places
 
@@ -85,6 +89,21 @@ def test_another_skin_or_protocol_is_refused(tmp_path):
     (tmp_path / "r.npz").write_bytes(b"no archive")
     with pytest.raises(FileError, match=r"r\.npz"):
         load_recording(tmp_path / "r.npz", PAPER)
+
+
+def test_a_digest_alone_must_be_of_a_description_that_is_known_to_be_of_this_sheet(tmp_path):
+    foreign = "0123456789abcdef"
+    twin = replace(named("lab"), calibrated_from=foreign, stated_grid_id=PAPER.grid_id)
+    for digest, skin in ((PAPER.digest, PAPER), (PAPER.digest, named("lab")), (foreign, twin), (twin.digest, twin)):
+        load_recording(written(tmp_path, skin_digest=np.array(digest)), skin)
+    expected = (
+        rf"skin_digest: found {foreign}, expected {PAPER.digest} \(paper\); without grid_id .*; store that too, or"
+    )
+    with pytest.raises(MismatchError, match=expected):
+        load_recording(written(tmp_path, skin_digest=np.array(foreign)), PAPER)
+    with pytest.raises(MismatchError, match="skin_digest"):
+        load_recording(written(tmp_path, skin_digest=np.array(PAPER.digest)), SECOND)
+    load_recording(written(tmp_path, skin_digest=np.array(foreign), grid_id=np.array(PAPER.grid_id)), PAPER)
 
 
 LATER = {
