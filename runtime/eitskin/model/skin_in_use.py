@@ -20,21 +20,41 @@ def bundle_and_skin(bundle: Bundle | str | Path | None, wanted: Given) -> tuple[
     """Return a bundle, read if it is a path or a shipped one, and the skin to use with it.
 
     Args:
-        bundle: A bundle, or its path; None takes the shipped one that knows the skin's touches.
+        bundle: The path of one, which must know the skin's touches where these lower conductance; one that was chosen
+            and read, which is taken; None takes the shipped one that knows the skin's touches.
         wanted: See :func:`use_skin`.
 
     Raises:
         BundleError: See :func:`eitskin.model.bundle.load_bundle`, and :func:`knowing`.
-        MismatchError: See there, and :func:`use_skin`.
+        MismatchError: The bundle that is named knows raising touches alone, and the skin's lower conductance; see also
+            there, and :func:`use_skin`.
         ValueError: The skin's file is wrong.
         OSError: There is no such file.
     """
     skin = None if wanted is None else _read(wanted)
+    if isinstance(bundle, Bundle):
+        return bundle, use_skin(bundle, skin)
     if bundle is None:
         found = knowing("raising" if skin is None else skin.touch_kind)
-    else:
-        found = bundle if isinstance(bundle, Bundle) else load_bundle(bundle, lazily=True)
-    return found, use_skin(found, skin)
+        return found, use_skin(found, skin)
+    found = load_bundle(bundle, lazily=True)
+    used = use_skin(found, skin)
+    if skin is not None:
+        _check_touches(found, skin)
+    return found, used
+
+
+def _check_touches(bundle: Bundle, skin: Skin) -> None:
+    """Refuse a bundle that would miss every touch of a skin; raising ones are also what a file has that says nothing.
+
+    Raises:
+        MismatchError: The skin's touches lower conductance, and the bundle does not know such.
+    """
+    if skin.touch_kind != "lowering" or knows(bundle.touch_kind, "lowering"):
+        return
+    expected = f"lowering, as [touches] of skin {skin.name} says"
+    hint = "leave --bundle out, name another, or make one: eitskin build SKIN.toml --out FILE.eitskin"
+    raise MismatchError(f"{bundle.path}: touches", found=bundle.touch_kind, expected=expected, hint=hint)
 
 
 def knowing(touches: TouchKind, path: str | Path | None = None) -> Bundle:

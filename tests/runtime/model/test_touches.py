@@ -67,6 +67,20 @@ def test_the_skin_s_touches_choose_the_shipped_bundle(shipped):
     assert bundle_and_skin(press, PAPER)[1] is PAPER  # a bundle that was named is taken
 
 
+def test_a_named_bundle_that_would_miss_the_skin_s_presses_is_refused(shipped, tmp_path):
+    shipped("press.eitskin", "lowering")
+    with pytest.raises(
+        MismatchError, match=r"free\.eitskin: touches: found raising, expected lowering, as .* hydrogel"
+    ):
+        bundle_and_skin(tmp_path / "free.eitskin", named("hydrogel"))
+    free = load_bundle(tmp_path / "free.eitskin")
+    assert bundle_and_skin(free, named("hydrogel"))[0] is free, "as --touches raise chose it"
+    both = named("hydrogel").touched("both")
+    assert bundle_and_skin(tmp_path / "free.eitskin", both)[1] is both
+    shipped("free.eitskin", "both")
+    assert bundle_and_skin(tmp_path / "free.eitskin", named("hydrogel"))[0].touch_kind == "both"
+
+
 def test_one_bundle_that_knows_both_serves_presses_too(shipped):
     shipped("free.eitskin", "both")
     assert knowing("lowering").path.name == "free.eitskin"
