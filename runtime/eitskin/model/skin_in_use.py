@@ -40,11 +40,11 @@ def bundle_and_skin(bundle: Bundle | str | Path | None, wanted: Given) -> tuple[
     found = load_bundle(bundle, lazily=True)
     used = use_skin(found, skin)
     if skin is not None:
-        _check_touches(found, skin)
+        check_touches(found, skin)
     return found, used
 
 
-def _check_touches(bundle: Bundle, skin: Skin) -> None:
+def check_touches(bundle: Bundle, skin: Skin) -> None:
     """Refuse a bundle that would miss every touch of a skin; raising ones are also what a file has that says nothing.
 
     Raises:
@@ -53,7 +53,7 @@ def _check_touches(bundle: Bundle, skin: Skin) -> None:
     if skin.touch_kind != "lowering" or knows(bundle.touch_kind, "lowering"):
         return
     expected = f"lowering, as [touches] of skin {skin.name} says"
-    hint = "leave --bundle out, name another, or make one: eitskin build SKIN.toml --out FILE.eitskin"
+    hint = "take a bundle that knows them, or make one: eitskin build SKIN.toml --out FILE.eitskin"
     raise MismatchError(f"{bundle.path}: touches", found=bundle.touch_kind, expected=expected, hint=hint)
 
 

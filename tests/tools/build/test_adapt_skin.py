@@ -135,7 +135,7 @@ def test_of_a_bundle_with_two_networks_both_are_adapted():
 def test_a_network_for_faint_touches_is_handed_on_where_there_is_one(name, tmp_path, monkeypatch):
     given = []
     monkeypatch.setattr(adapt_skin, "make", lambda *_, gentle_of, **__: given.append(gentle_of) or 0)
-    (tmp_path / "forearm.toml").write_text(to_toml(TWIN))
+    (tmp_path / "forearm.toml").write_text(to_toml(TWIN.touched("both")))
     assert main(["adapt-skin", name, "--skin", str(tmp_path / "forearm.toml"), "--out", str(tmp_path / "f")]) == 0
     path = files.find(name, files.BUNDLE)
     assert given == [path if "gentle" in load_bundle(path, lazily=True).beside else None]
@@ -185,6 +185,29 @@ def test_presses_that_contradict_each_other_are_one_line(tmp_path, capsys):
     assert error.count("\n") == 1
     assert main([*words[:1], "units", *words[2:], *files_of]) == 2
     assert "a bundle of units cannot learn" in capsys.readouterr().err
+    assert not (tmp_path / "f.eitskin.build").exists()
+
+
+@pytest.mark.heavy
+def test_presses_and_a_skin_of_a_kind_that_the_bundle_does_not_know_are_refused_before_anything_is_made(
+    tmp_path, capsys
+):
+    (tmp_path / "lowering.toml").write_text(to_toml(TWIN))
+    (tmp_path / "both.toml").write_text(to_toml(TWIN.touched("both")))
+    flat = inverted_sheet(Bend(), skin=TWIN)
+    table = gather([np.array([[DISC, x, y, 16.0, 16.0, 0.0, 0.4, 4.0]]) for x, y in PLACES])
+    files_of = pressed(tmp_path / "p.npz", 1.02 * set_voltages([flat], table, skin=TWIN)[0], flat.untouched_V)
+
+    def said(bundle, skin):
+        words = ["adapt-skin", bundle, "--skin", str(tmp_path / skin), "--out", str(tmp_path / "f.eitskin"), *files_of]
+        assert main(words) == 1
+        return capsys.readouterr().err
+
+    assert "touches: found raising, expected lowering, as [touches] of skin forearm says" in said(
+        "free", "lowering.toml"
+    )
+    expected = "p.npz: press 0 at (30, 30) mm: touches: found lowering, expected raising, as bundle free knows"
+    assert expected in said("free", "both.toml")
     assert not (tmp_path / "f.eitskin.build").exists()
 
 

@@ -59,21 +59,37 @@ def check(recording: Recording) -> None:
     if len(presses) < FEWEST:
         raise SkinError(f"{len(presses)} presses are recorded, expected at least {FEWEST}: every fourth is kept apart")
     places = np.array([one.xy_mm for one in presses])
-    logs = np.log(_ratios(recording))
-    change = logs - logs.mean(axis=1, keepdims=True)
-    change /= np.maximum(np.linalg.norm(change, axis=1, keepdims=True), 1e-12)
-    alike = change @ change.T
+    changes = directions(ratios(recording))
+    alike = changes @ changes.T
     sizes = max(presses[0].stamp_mm or (1.0,))
     apart = np.linalg.norm(places[:, None] - places, axis=2) / sizes
     for one, other in zip(*np.triu_indices(len(presses), 1), strict=True):
         cosine, away = float(alike[one, other]), float(apart[one, other])
         if (away <= NEAR and cosine < UNLIKE) or (away >= FAR and cosine > LIKE):
-            where = [f"press {number} at ({places[number][0]:g}, {places[number][1]:g}) mm" for number in (one, other)]
             read = "unlike" if away <= NEAR else "the same"
+            both = f"{told(recording, one)} and {told(recording, other)}"
             raise SkinError(
-                f"{where[0]} and {where[1]} contradict each other: they read {read} (cosine {cosine:.2f}); leave out "
-                "the one that was elsewhere"
+                f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one that was "
+                "elsewhere"
             )
+
+
+def told(recording: Recording, number: int) -> str:
+    """Return a press as people read of it."""
+    place = recording.presses[number].xy_mm
+    assert place is not None
+    return f"press {number} at ({place[0]:g}, {place[1]:g}) mm"
+
+
+def directions(of_reference: Array) -> Array:
+    """Return (p, 104) how rows change, without what is common to all of them, each press's of length 1.
+
+    Args:
+        of_reference: (p, 104) V over those untouched.
+    """
+    logs = np.log(of_reference)
+    found = logs - logs.mean(axis=1, keepdims=True)
+    return np.asarray(found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-12))
 
 
 def write(folder: Path, recording: Recording, data: TrainingData) -> None:
@@ -97,7 +113,7 @@ def write(folder: Path, recording: Recording, data: TrainingData) -> None:
     if recording.cloud_mm is not None:
         lies = predicted_log([cloud], data.skin)
     arrays: dict[str, npt.NDArray[np.generic]] = {
-        "voltages_V": data.reference * np.exp(lies.astype(np.float64)) * _ratios(recording),
+        "voltages_V": data.reference * np.exp(lies.astype(np.float64)) * ratios(recording),
         "clouds": network_input(cloud, data.skin.grid)[None],
         "log_predicted": lies,
         "labels": _labels(recording, data.skin.grid),
@@ -160,25 +176,30 @@ def _kept(count: int) -> npt.NDArray[np.intp]:
     return np.arange(KEPT // 2, count, KEPT)
 
 
-def _ratios(recording: Recording) -> Array:
-    """Return (p, 104) V over the reference's."""
+def ratios(recording: Recording) -> Array:
+    """Return (p, 104) V of presses over the reference's.
+
+    Raises:
+        SkinError: A row of one has turned its sign.
+    """
     reference = recording.reference_V
     rows = reference[ROW_IN_FULL] if len(reference) == N_FULL_ROWS else reference
-    ratios = np.array([one.voltages_V for one in recording.presses]) / rows
-    if bad := [str(number) for number in np.flatnonzero((ratios <= 0.0).any(axis=1))]:
+    found = np.array([one.voltages_V for one in recording.presses]) / rows
+    if bad := [str(number) for number in np.flatnonzero((found <= 0.0).any(axis=1))]:
         raise SkinError(f"press {', '.join(bad)}: a row has turned its sign since the reference; leave it out")
-    return np.asarray(ratios)
+    return np.asarray(found)
 
 
 def _labels(recording: Recording, grid: Grid) -> npt.NDArray[np.uint8]:
     """Return (p, pixels) the share of each that the stamp covers, in 1/255."""
-    pieces = [_piece(one) for one in recording.presses]
+    pieces = [piece(one, 0.5) for one in recording.presses]
     shares = gather(pieces).area_table(grid).toarray()
     return np.asarray(np.rint(255.0 * np.clip(shares, 0.0, 1.0)), dtype=np.uint8)
 
 
-def _piece(press: Later) -> Array:
+def piece(press: Later, contrast: float) -> Array:
+    """Return the (1, 8) row of a table of touches that a press is, hard at its border."""
     assert press.xy_mm is not None
     assert press.stamp_mm is not None
     (x, y), size = press.xy_mm, press.stamp_mm
-    return np.array([[DISC if len(size) == 1 else RECTANGLE, x, y, size[0], size[-1], 0.0, 0.5, 0.0]])
+    return np.array([[DISC if len(size) == 1 else RECTANGLE, x, y, size[0], size[-1], 0.0, contrast, 0.0]])

@@ -48,6 +48,7 @@ def run(arguments: argparse.Namespace) -> int:
     """Adapt, and report."""
     from eitskin.model.bundle import load_bundle
     from eitskin.model.manifest import GENTLE
+    from eitskin.model.skin_in_use import check_touches
     from eitskin_tools.build import adaptation
 
     chosen = {name: getattr(arguments, name) for name in ("deformations", "per_deformation", "epochs", "seed")}
@@ -56,16 +57,17 @@ def run(arguments: argparse.Namespace) -> int:
             raise UsageError(f"--{name.replace('_', '-')} is {value}, expected at least {0 if name == 'seed' else 1}")
     bundle = load_bundle(files.find(arguments.bundle, files.BUNDLE), lazily=True)
     twin, work = skins.read(arguments.skin), replace(adaptation.Adaptation(), **chosen)
+    check_touches(bundle, twin)
     recipe = adaptation.adapted(bundle.path, twin, bundle.manifest, bundle.touch_kind, work, bundle.skin)
     gentle_of = bundle.path if GENTLE in bundle.beside else None
     if arguments.presses is None:
         return make(recipe, arguments, gentle_of=gentle_of)
-    recording, identity = _recorded(arguments.presses, twin, bundle.labels)
+    recording, identity = _recorded(arguments.presses, twin, bundle)
     return make(replace(recipe, presses=identity), arguments, presses=recording, gentle_of=gentle_of)
 
 
-def _recorded(name: str, twin: Any, labels: str) -> tuple[Any, str]:
-    """Return a recording whose presses agree, and the id of its file.
+def _recorded(name: str, twin: Any, bundle: Any) -> tuple[Any, str]:
+    """Return a recording whose presses agree with each other, the skin and the bundle, and the id of its file.
 
     Raises:
         SkinError: It cannot be read, or learned from; in one line.
@@ -73,14 +75,16 @@ def _recorded(name: str, twin: Any, labels: str) -> tuple[Any, str]:
     from eitskin_proto.files.digest import id_of
     from eitskin_proto.files.reading import read_bytes
     from eitskin_sim.calibration.recording import LARGEST_FILE, RecordingError, load_recording
+    from eitskin_training.samples.press_ways import check_ways
     from eitskin_training.samples.presses import check
 
-    if labels != "area":
+    if bundle.labels != "area":
         raise UsageError("--presses: a bundle of units cannot learn from presses, which have places anywhere")
     path = files.find(name, files.TO_CALIBRATE)
     recording = load_recording(path, twin)
     try:
         check(recording)
+        check_ways(recording, twin, bundle.touch_kind, f"bundle {bundle.path.stem}")
     except SkinError as error:
         raise RecordingError(f"{path}: {error}") from error
     return recording, id_of(read_bytes(path, LARGEST_FILE))

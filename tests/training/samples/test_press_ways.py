@@ -1,0 +1,67 @@
+"""Which way recorded presses go is told by a model of the sheet; presses that contradict each other in it are named."""
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from eitskin_proto.errors import MismatchError, SkinError
+from eitskin_proto.skin.parts import Touches
+from eitskin_proto.skin.skin import PAPER
+from eitskin_sim.calibration.recording import Later, Recording
+from eitskin_sim.freeform.sheet import inverted_sheet
+from eitskin_sim.freeform.voltages import set_voltages
+from eitskin_sim.scene.parts import Bend
+from eitskin_sim.scene.touch_table import gather
+from eitskin_training.samples.press_ways import check_ways, ways
+from eitskin_training.samples.presses import piece
+
+PLACES = [(40.0, 30.0), (75.0, 50.0), (140.0, 8.0), (110.0, 75.0)]
+BOTH = replace(PAPER, name="ours", touches=Touches(lower=True, higher=True))
+LOWERING = replace(PAPER, name="ours", touches=Touches(lower=True, higher=False))
+
+
+@pytest.fixture(scope="module")
+def recorded() -> Any:
+    """Return what makes a recording of presses of given contrasts, under a drift of 2 %."""
+    flat = inverted_sheet(Bend())
+
+    def of(contrasts: Any, said: Any = PLACES) -> Recording:
+        true = [Later(flat.untouched_V, 1, None, np.array(place), (16.0,)) for place in PLACES]
+        table = gather([piece(one, contrast) for one, contrast in zip(true, contrasts, strict=True)])
+        volts = 0.98 * set_voltages([flat], table)[0]
+        later = [replace(a, voltages_V=b, xy_mm=np.array(c)) for a, b, c in zip(true, volts, said, strict=True)]
+        return Recording(flat.untouched_V, 1, (), tuple(later))
+
+    return of
+
+
+def test_each_goes_its_way_unless_it_was_elsewhere(recorded: Any) -> None:
+    assert ways(recorded([0.3, 0.9, 0.5, 0.6]), PAPER) == ["lowering"] * 4
+    assert ways(recorded([50.0, 1.2, 3.0, 5.0]), PAPER) == ["raising"] * 4
+    elsewhere = [(110.0, 30.0), *PLACES[1:]]
+    assert ways(recorded([0.3, 2.0, 0.5, 0.6], elsewhere), PAPER) == [None, "raising", "lowering", "lowering"]
+
+
+def test_presses_of_opposite_ways_are_named_unless_the_skin_and_the_bundle_know_both(recorded: Any) -> None:
+    mixed = recorded([0.5, 2.0, 0.5, 0.5])
+    said = r"press 1 at \(75, 50\) mm raises conductance and press 0 at \(40, 30\) mm lowers it; leave out"
+    for skin in (LOWERING, PAPER):
+        with pytest.raises(SkinError, match=said):
+            check_ways(mixed, skin, "both", "bundle x")
+    check_ways(mixed, BOTH, "both", "bundle x")
+    with pytest.raises(
+        MismatchError, match=r"press 1 .*: touches: found raising, expected lowering, as bundle x knows"
+    ):
+        check_ways(mixed, BOTH, "lowering", "bundle x")
+
+
+def test_presses_of_a_way_that_the_skin_or_the_bundle_does_not_know_are_refused(recorded: Any) -> None:
+    lowering, raising = recorded([0.5] * 4), recorded([3.0] * 4)
+    check_ways(lowering, LOWERING, "lowering", "bundle x")
+    check_ways(lowering, PAPER, "lowering", "bundle x")  # raising is also what a file has that says nothing
+    with pytest.raises(MismatchError, match=r"press 0 .* found lowering, expected raising, as bundle x knows"):
+        check_ways(lowering, PAPER, "raising", "bundle x")
+    with pytest.raises(MismatchError, match=r"found raising, expected lowering, as \[touches\] of skin ours says"):
+        check_ways(raising, LOWERING, "both", "bundle x")
