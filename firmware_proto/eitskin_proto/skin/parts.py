@@ -17,20 +17,20 @@ Range = tuple[float, float]
 """From, to."""
 
 
-def _of(default: Any, low: float, high: float, *, each: bool = False, sizes: bool = False) -> Any:
+def _of(default: Any, low: float, high: float, *, each: str = "", sizes: bool = False) -> Any:
     """Return a field with a default and bounds.
 
     Args:
         default: Its value in the paper's skin.
         low: Least number.
         high: Largest number.
-        each: Whether it may be a list, one number for each electrode.
+        each: What a list has a number for, as "an electrode"; empty where one number is for all.
         sizes: Whether two numbers are sizes along two axes, not a range.
     """
     return field(default=default, metadata={"low": low, "high": high, "each": each, "sizes": sizes})
 
 
-def _known(value: float, low: float, high: float, *, each: bool = False) -> Any:
+def _known(value: float, low: float, high: float, *, each: str = "") -> Any:
     return _of(Quantity(value), low, high, each=each)
 
 
@@ -68,21 +68,23 @@ class Ring:
     """The sixteen electrodes on the border, counter-clockwise."""
 
     contact: Literal["patch", "edge"] = "patch"
-    arc_length_mm: Quantity = _of(Quantity(tuple(12.5 + 31.25 * k for k in range(N_ELECTRODES))), 0.0, 2e3, each=True)
+    arc_length_mm: Quantity = _of(
+        Quantity(tuple(12.5 + 31.25 * k for k in range(N_ELECTRODES))), 0.0, 2e3, each="an electrode"
+    )
     """Centres by arc length from the corner (0, 0); a disc's from its rightmost point."""
-    size_mm: Quantity = _known(4.0, 0.5, 50.0, each=True)
-    contact_impedance_ohm_m2: Quantity = _known(1e-4, 1e-9, 1.0, each=True)
+    size_mm: Quantity = _known(4.0, 0.5, 50.0, each="an electrode")
+    contact_impedance_ohm_m2: Quantity = _known(1e-4, 1e-9, 1.0, each="an electrode")
 
 
 @dataclass(frozen=True, slots=True)
 class Instrument:
     """The front end: how it differs from a source that gives what it says and a meter that shows what is there."""
 
-    gain: Quantity = _known(1.0, 0.1, 10.0, each=True)
+    gain: Quantity = _known(1.0, 0.1, 10.0, each="a measured pair")
     """Of each measured pair."""
-    offset_V: Quantity = _known(0.0, -1.0, 1.0, each=True)
+    offset_V: Quantity = _known(0.0, -1.0, 1.0, each="a measured pair")
     """Of each measured pair, under the nominal current."""
-    stray_pF: Quantity = _known(0.0, 0.0, 1e5, each=True)
+    stray_pF: Quantity = _known(0.0, 0.0, 1e5, each="an electrode")
     """Capacitance from each terminal to ground."""
     frequency_Hz: float = _of(20000.0, 1.0, 1e7)
     """Of the drive current: what stray capacitance is worth."""

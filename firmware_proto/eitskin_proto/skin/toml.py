@@ -21,6 +21,7 @@ from eitskin_proto.files.shipped import is_name, parse_file, text_named
 from eitskin_proto.sensor.table import N_ELECTRODES
 from eitskin_proto.skin.parts import Deformations, Doubts, Instrument, Layer, Map, Outline, Ring, Touches
 from eitskin_proto.skin.quantity import LAWS, Law, Quantity
+from eitskin_proto.skin.reach import check_reach
 from eitskin_proto.skin.skin import Skin
 
 FORMAT: Final = "eitskin-skin"
@@ -69,7 +70,8 @@ def parse(text: str) -> Skin:
     """Return the skin of a TOML text.
 
     Raises:
-        ValueError: Not TOML, an unknown key, a wrong type, an impossible value or parts that contradict each other.
+        ValueError: Not TOML, an unknown key, a wrong type, an impossible value or uncertainty, or parts that contradict
+            each other.
     """
     content = parse_toml(text)
     unknown(content, [*HEAD, *TABLES], "the head of the file")
@@ -78,7 +80,10 @@ def parse(text: str) -> Skin:
         raise ValueError(f"format is {found}, expected {FORMAT!r} version {VERSION}: is it a skin's description?")
     texts: dict[str, Any] = {name: _text(content.get(name, ""), name) for name in TEXTS}
     parts: dict[str, Any] = {name: _part(kind, content.get(name, {}), name) for name, kind in TABLES.items()}
-    return Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
+    skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)
+    if not skin.calibrated_from:  # what was found is as uncertain as it was found
+        check_reach(skin)
+    return skin
 
 
 def unknown(content: dict[str, Any], known: list[str], where: str) -> None:
@@ -180,6 +185,7 @@ def _quantity(value: object, own: Field[Any], where: str) -> Quantity:
             raise ValueError(f"{where} {law} is {quoted(spread)}, expected a number from 0 on")
     if isinstance(value, list) and own.metadata["each"]:
         if len(value) != N_ELECTRODES:
-            raise ValueError(f"{where} has {len(value)} numbers, expected one, or {N_ELECTRODES}, one an electrode")
+            of = own.metadata["each"]
+            raise ValueError(f"{where} has {len(value)} numbers, expected one, or {N_ELECTRODES}, one {of}")
         return Quantity(tuple(_number(one, own, f"{where}[{k}]") for k, one in enumerate(value)), law, float(spread))
     return Quantity(_number(value, own, where), law, float(spread))

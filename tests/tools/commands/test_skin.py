@@ -1,16 +1,16 @@
 """``eitskin skin``, and ``--skin`` where commands take it: the skin that is named is used, or refused in one line."""
 
 import json
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 from tests.second_skin import SECOND
 
+from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import TABLES, named, parse, to_toml
 from eitskin_tools import cli
-
 
 TANK = """format = "eitskin-skin"
 version = 1
@@ -72,6 +72,22 @@ def test_a_round_tank_s_file_is_checked(capsys, tmp_path):
     (tmp_path / "tank.toml").write_text(TANK.format(320.0))
     said = "arc_length_mm[15] is 320, expected below 314.159, once round the border"
     assert said in one_line(capsys, ["skin", "check", str(tmp_path / "tank.toml")])
+
+
+def test_electrodes_that_mostly_would_be_round_a_corner_are_refused(capsys, tmp_path):
+    near = replace(PAPER, electrodes=near_a_corner(0.5))
+    (tmp_path / "skin.toml").write_text(to_toml(near))
+    said = one_line(capsys, ["skin", "check", str(tmp_path / "skin.toml")])
+    assert " of 40 random devices of skin paper cannot be (electrode " in said
+    (tmp_path / "skin.toml").write_text(to_toml(replace(near, electrodes=near_a_corner(0.01))))
+    assert cli.main(["skin", "check", str(tmp_path / "skin.toml")]) == 0
+
+
+def near_a_corner(sd_mm):
+    """Return electrodes of which two keep a tenth of a millimetre from a corner."""
+    arc = PAPER.arc_length_mm.copy()
+    arc[[0, 8]] = 2.1, 252.1
+    return replace(PAPER.electrodes, arc_length_mm=Quantity(tuple(arc.tolist()), "normal", sd_mm))
 
 
 @pytest.mark.parametrize(

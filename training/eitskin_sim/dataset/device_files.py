@@ -23,6 +23,7 @@ from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
 from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
+from eitskin_sim.measurement.front_end import FrontEnd
 from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
@@ -39,6 +40,9 @@ USABLE: Final = (0.4, 2.5)
 
 ATTEMPTS: Final = 100
 """Draws of a front end."""
+
+SHEET: Final = "[layer], [electrodes] and [may_be_off]"
+"""Tables that say how a sheet is off."""
 
 
 def job_skin(job: dict[str, Any]) -> Skin:
@@ -73,22 +77,38 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
         nominal: (104,) V of the nominal sheet, flat and untouched.
 
     Raises:
-        ValueError: The skin's electronics are hardly ever so.
+        ValueError: The drawn sheet cannot be, or reads unlike the nominal one under any electronics; or the skin's
+            electronics are hardly ever so.
     """
     skin = job_skin(job)
     rng = np.random.default_rng([job["seed"], DEVICE, job["device"]])
     drawn = draw_device(skin, rng)
-    before = sheet_differences(drawn.device, drawn.reference_bend)
+    try:
+        before = sheet_differences(drawn.device, drawn.reference_bend)
+    except ValueError as error:
+        raise ValueError(
+            f"skin {skin.name}: a random device of it cannot be ({error}); make what is off in {SHEET} smaller"
+        ) from error
     for _ in range(ATTEMPTS):
         found = readings(drawn.device, before)
-        share = found / nominal
-        if USABLE[0] < share.min() and share.max() < USABLE[1]:
+        if _usable(found / nominal):
             return ReferencedDevice(drawn, found)
         drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
+    perfect = readings(replace(drawn.device, front_end=FrontEnd()), before) / nominal
+    if not _usable(perfect):
+        raise ValueError(
+            f"skin {skin.name}: a random sheet reads {perfect.min():.3g} to {perfect.max():.3g} times the nominal "
+            f"reference, expected every row within {USABLE[0]:g} and {USABLE[1]:g}; make what is off in {SHEET} smaller"
+        )
     raise ValueError(
         f"skin {skin.name}: in {ATTEMPTS} draws of its front end none read every row within {USABLE[0]:g} and "
         f"{USABLE[1]:g} times the nominal reference; make what is off in [front_end] smaller"
     )
+
+
+def _usable(share: Array) -> bool:
+    """Return whether a reference is usable, of (104,) shares of the nominal one."""
+    return bool(USABLE[0] < share.min() and share.max() < USABLE[1])
 
 
 def true_bend(drawn: DrawnDevice, bend: Bend) -> Bend:

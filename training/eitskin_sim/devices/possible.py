@@ -3,19 +3,40 @@
 The file's own reading (:mod:`eitskin_proto.skin.toml`) knows numbers and bounds; what follows from geometry is here.
 """
 
+from typing import Final
+
+import numpy as np
+
 from eitskin_proto.skin.skin import Skin
+from eitskin_sim.devices.draws import draw_device
 from eitskin_sim.scene.electrodes import place
 from eitskin_sim.scene.nominal import nominal_electrodes, nominal_sheet
+from eitskin_sim.scene.strict_json import SceneError
+
+TRIED: Final = 40
+"""Random devices whose electrodes are placed."""
 
 
 def check_skin(skin: Skin) -> None:
-    """Refuse a skin that cannot be as it is stated.
+    """Refuse a skin that cannot be as it is stated, or mostly not as far off as it says.
 
     A disc has no corners: that its electrodes have room along the border is all there is, and its reading knows that.
 
     Raises:
-        SceneError: An electrode reaches where its contact cannot.
+        SceneError: An electrode reaches where its contact cannot; so it does in most of ``TRIED`` random devices.
     """
     if skin.outline.kind == "disc":
         return
-    place(nominal_sheet(skin), nominal_electrodes(skin))
+    sheet = nominal_sheet(skin)
+    place(sheet, nominal_electrodes(skin))
+    failed: list[SceneError] = []
+    for seed in range(TRIED):
+        try:
+            place(sheet, draw_device(skin, np.random.default_rng(seed)).device.electrodes)
+        except SceneError as error:
+            failed.append(error)
+    if 2 * len(failed) > TRIED:
+        raise SceneError(
+            f"{len(failed)} of {TRIED} random devices of skin {skin.name} cannot be ({failed[0]}), expected few: state "
+            "places or sizes in [electrodes] less uncertain, or farther from what they meet"
+        )

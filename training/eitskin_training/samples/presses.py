@@ -67,7 +67,7 @@ def check(recording: Recording) -> None:
         cosine, away = float(alike[one, other]), float(apart[one, other])
         if (away <= NEAR and cosine < UNLIKE) or (away >= FAR and cosine > LIKE):
             read = "unlike" if away <= NEAR else "the same"
-            both = f"{told(recording, one)} and {told(recording, other)}"
+            both = f"{told(recording, int(one))} and {told(recording, int(other))}"
             raise SkinError(
                 f"{both} contradict each other: they read {read} (cosine {cosine:.2f}); leave out the one that was "
                 "elsewhere"
