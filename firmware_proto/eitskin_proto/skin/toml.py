@@ -74,10 +74,10 @@ def parse(text: str) -> Skin:
             each other.
     """
     content = parse_toml(text)
-    unknown(content, [*HEAD, *TABLES], "the head of the file")
     if content.get("format") != FORMAT or content.get("version") != VERSION:
         found = f"{quoted(content.get('format'))} version {quoted(content.get('version'))}"
         raise ValueError(f"format is {found}, expected {FORMAT!r} version {VERSION}: is it a skin's description?")
+    unknown(content, [*HEAD, *TABLES], "the head of the file")
     texts: dict[str, Any] = {name: _text(content.get(name, ""), name) for name in TEXTS}
     parts: dict[str, Any] = {name: _part(kind, content.get(name, {}), name) for name, kind in TABLES.items()}
     skin = Skin(**{**texts, "name": texts["name"] or "unnamed"}, **parts)

@@ -25,6 +25,7 @@ def test_the_paper_s_file_states_what_is_meant_without_one():
     ("text", "words"),
     [
         ("", r"format is None version None, expected 'eitskin-skin' version 1: is it a skin's description\?"),
+        ('format = "eitskin-recipe"\nskin = "lab"\n', "format is 'eitskin-recipe' version None, expected"),
         ('format = "eitskin-skin"\nversion = 2\n', "version 2, expected 'eitskin-skin' version 1"),
         (HEAD + "[outlines]\n", r"unknown key 'outlines' in the head of the file; did you mean 'outline'\?"),
         (HEAD + "outline = 3\n", r"outline is 3, expected a table \[outline\]"),

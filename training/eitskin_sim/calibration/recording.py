@@ -110,9 +110,12 @@ def _recording(arrays: Arrays, skin: Skin) -> Recording:
 
 def _frames(arrays: Arrays, name: str) -> int:
     frames = arrays.get(name, np.array(1))
-    if frames.dtype.kind not in "iu" or frames.size != 1 or int(frames.reshape(-1)[0]) < 1:
-        raise ValueError(f"{name} is {frames.dtype} of shape {frames.shape}, expected one number from 1 on")
-    return int(frames.reshape(-1)[0])
+    if frames.dtype.kind not in "iu" or frames.size != 1:
+        raise ValueError(f"{name} is {frames.dtype} of shape {frames.shape}, expected one whole number from 1 on")
+    found = int(frames.reshape(-1)[0])
+    if found < 1:
+        raise ValueError(f"{name} is {found}, expected one whole number from 1 on")
+    return found
 
 
 def _bents(arrays: Arrays, skin: Skin) -> tuple[Later, ...]:
