@@ -14,7 +14,7 @@ from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.report import calibrate
+from eitskin_sim.calibration.report import _unknown, calibrate
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.front_end import FrontEnd
@@ -102,6 +102,31 @@ def test_gauge_factor_and_press_are_found_with_their_errors(calibrated):
     low, high = twin.touches.lowering_contrast
     assert low < CONTRAST < high
     assert twin.layer.gauge_factor.value == pytest.approx(gauge["values"][0])
+
+
+def test_the_layer_and_each_press_s_own_strength_and_place_are_shown_with_errors(calibrated):
+    _, report = calibrated
+    one, other = (report["moments"][name]["press"] for name in list(report["moments"])[1:])
+    assert report["moments"]["bent moment 0"]["press"] is None
+    assert one["strength"] == pytest.approx(1.0, abs=4.0 * one["strength_error"])
+    assert np.all(np.abs(other["off_mm"]) < 4.0 * np.array(other["off_error_mm"]))
+    lines = table(report).splitlines()
+    (shown,) = (line for line in lines if line.startswith("press 0 at (50, 40) mm: misfit"))
+    assert (
+        f"log contrast {one['strength']:.2f} +- {one['strength_error']:.2f} times the stamp's, place off by (" in shown
+    )
+    uneven = {"values": [0.1, -0.5], "standard_errors": [0.2, 0.9]}
+    (line,) = (
+        line
+        for line in table({**report, "parameters": {"layer": uneven}}).splitlines()
+        if line.startswith("layer: 2 modes")
+    )
+    assert "-0.5 to 0.1, errors 0.2 to 0.9, before 1" in line
+
+
+def test_each_of_a_group_is_known_or_not():
+    assert _unknown("gain", {"unknown": False, "unknown_ones": [0, 1, 14]}) == "gain[0-1, 14]"
+    assert _unknown("gain", {"unknown": True, "unknown_ones": list(range(16))}) == "gain"
 
 
 @pytest.mark.slow

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.second_skin import SECOND
 
 from eitskin_proto.sensor.table import FULL_TABLE
 from eitskin_proto.skin.cloud import flat_cloud
@@ -13,7 +14,7 @@ from eitskin_proto.skin.cloud_file import Surface, save_surface
 from eitskin_proto.skin.parts import Instrument, Ring
 from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
-from eitskin_proto.skin.toml import load, to_toml
+from eitskin_proto.skin.toml import load, named, to_toml
 from eitskin_sim.calibration import model, solved
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.readings import responses_of
@@ -76,6 +77,27 @@ def test_what_is_off_is_found_and_written(recorded, device, capsys):
     assert np.allclose(found.arc_length_mm, places["values"], rtol=1e-5)
     error = np.sqrt(np.mean(np.square(places["standard_errors"])))
     assert found.electrodes.arc_length_mm.spread == pytest.approx(error, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("skin", "command"),
+    [
+        (PAPER.touched("raising"), "adapt-skin free --skin c.toml --out BUNDLE"),
+        (PAPER.touched("lowering"), "adapt-skin press --skin c.toml --out BUNDLE"),
+        (named("lab"), "adapt-skin free --skin c.toml --out BUNDLE"),
+        (SECOND, "build c.toml --out BUNDLE"),
+    ],
+)
+def test_what_comes_next_is_of_a_bundle_that_fits(skin, command, monkeypatch, capsys, tmp_path):
+    from eitskin_sim.calibration import printed, recording, report
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(recording, "load_recording", lambda *_: None)
+    monkeypatch.setattr(report, "calibrate", lambda *_: (replace(skin, calibrated_from="feed"), {}))
+    monkeypatch.setattr(printed, "table", lambda _: "table")
+    np.savez("r.npz", reference_V=np.ones(104))
+    assert main(["calibrate", "r.npz", "--out", "c.toml"]) == 0
+    assert capsys.readouterr().out == f"table\nnext: eitskin {command}\n"
 
 
 def test_a_device_of_a_milliampere_is_calibrated_as_one_of_an_ampere(recorded, capsys):

@@ -14,7 +14,10 @@ def table(report: dict[str, Any]) -> str:
     """Return the report as people read it."""
     lines = [f"{'parameter':28}{'value':>12}{'error':>11}{'before':>11}"]
     for name, one in report["parameters"].items():
-        if name in (OWN_LAYER, OWN, PLACE):
+        if name in (OWN, PLACE):  # with its press
+            continue
+        if name == OWN_LAYER:
+            lines.append(_layer(one))
             continue
         several = len(one["values"]) > 1
         for k, (value, error, prior) in enumerate(
@@ -34,7 +37,7 @@ def table(report: dict[str, Any]) -> str:
         lines.append(f"rows beyond {FAR:g}: {', '.join(report['far'])}")
     for name, moment in report["moments"].items():
         beyond = f"; rows beyond {FAR:g}: {', '.join(moment['far'])}" if moment["far"] else ""
-        lines.append(f"{name}: misfit {moment['misfit']:.2f}{beyond}")
+        lines.append(f"{name}: misfit {moment['misfit']:.2f}{_press(moment['press'])}{beyond}")
     if report["reference_scan"] is not None:
         scan = report["reference_scan"]
         lines.append(
@@ -50,6 +53,26 @@ def table(report: dict[str, Any]) -> str:
         )
     lines.append(f"still unknown: {', '.join(report['unknown']) or 'nothing'}")
     return "\n".join(lines)
+
+
+def _layer(modes: dict[str, Any]) -> str:
+    """Return the modes of the layer's log conductivity in a line."""
+    values, errors = np.array(modes["values"]), np.array(modes["standard_errors"])
+    return (
+        f"layer: {len(values)} modes of its unevenness, {values.min():.2g} to {values.max():.2g}, errors "
+        f"{errors.min():.2g} to {errors.max():.2g}, before 1"
+    )
+
+
+def _press(own: dict[str, Any] | None) -> str:
+    """Return a press's own strength and place, to follow its misfit; empty of a bend."""
+    if own is None:
+        return ""
+    (x, y), (error_x, error_y) = own["off_mm"], own["off_error_mm"]
+    return (
+        f"; log contrast {own['strength']:.2f} +- {own['strength_error']:.2f} times the stamp's, place off by "
+        f"({x:.1f} +- {error_x:.1f}, {y:.1f} +- {error_y:.1f}) mm"
+    )
 
 
 def _by_pairs(residuals: dict[str, float]) -> list[str]:

@@ -199,17 +199,20 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
             "values": values.tolist(),
             "standard_errors": errors.tolist(),
             "prior_errors": group.errors(z, np.ones(len(z))).tolist(),
-            "unknown": bool(np.median(sd) > UNKNOWN),
+            "unknown": bool((sd > UNKNOWN).all()),
+            "unknown_ones": np.flatnonzero(sd > UNKNOWN).tolist(),
         }
     rows = row_names(model)
     moments = {}
-    for moment, own in zip(session.moments, session.blocks[1:], strict=True):
+    n_bents = len(session.flat.recording.bents)
+    for number, (moment, own) in enumerate(zip(session.moments, session.blocks[1:], strict=True)):
         far = found.far[own]
         named = [f"drive {drive} measure {measure}" for drive, measure in TABLE]
         moments[moment.name] = {
             "misfit": float(np.mean(found.residuals[own] ** 2)),
             "residuals": dict(zip(named, far.tolist(), strict=True)),
             "far": [row for row, one in zip(named, far, strict=True) if abs(one) > FAR],
+            "press": own_fields(session, found, number - n_bents) if moment.lying.touched_by else None,
         }
     return {
         "skin_digest": twin.digest,
@@ -223,7 +226,29 @@ def fields(session: Session, found: Fit, twin: Skin) -> dict[str, Any]:
         "far": [row for row, far in zip(rows, found.far[block], strict=True) if abs(far) > FAR],
         "moments": moments,
         "press": press_fields(session, found),
-        "unknown": [name for name, one in parameters.items() if one["unknown"]],
+        "unknown": [_unknown(name, one) for name, one in parameters.items() if one["unknown_ones"]],
+    }
+
+
+def _unknown(name: str, parameter: dict[str, Any]) -> str:
+    """Return a group's name where all of it is unknown, and with the numbers of those that are where some are."""
+    ones = parameter["unknown_ones"]
+    firsts = [one for one in ones if one - 1 not in ones]
+    lasts = [one for one in ones if one + 1 not in ones]
+    runs = [f"{one}" if one == last else f"{one}-{last}" for one, last in zip(firsts, lasts, strict=True)]
+    return name if parameter["unknown"] else f"{name}[{', '.join(runs)}]"
+
+
+def own_fields(session: Session, found: Fit, number: int) -> dict[str, Any]:
+    """Return how much stronger a press was than the others, as a factor of log contrast, and how far off its place."""
+    groups, own = session.flat.parameters.groups, session.flat.parameters.slices
+    strength, at = slice(own[OWN].start + number, own[OWN].start + number + 1), own[PLACE].start + 2 * number
+    factor = float(np.exp(groups[OWN].spread * found.z[strength][0]))
+    return {
+        "strength": factor,
+        "strength_error": factor * groups[OWN].spread * float(found.sd[strength][0]),
+        "off_mm": (groups[PLACE].spread * found.z[at : at + 2]).tolist(),
+        "off_error_mm": (groups[PLACE].spread * found.sd[at : at + 2]).tolist(),
     }
 
 

@@ -91,8 +91,22 @@ def run(arguments: argparse.Namespace) -> int:
         print(json.dumps(report))
     else:
         print(table(report))
-        print(f"next: eitskin adapt-skin press --skin {quote(str(arguments.out))} --out BUNDLE")
+        print(f"next: {_next(twin, arguments.out)}")
     return 0
+
+
+def _next(twin: Any, path: Path) -> str:
+    """Return the command that makes a bundle of a calibrated skin: of the shipped one that fits, or of none."""
+    from eitskin.model.skin_in_use import knowing, use_skin
+    from eitskin_proto.errors import SkinError
+
+    file = quote(str(path))
+    try:
+        bundle = knowing(twin.touch_kind)
+        use_skin(bundle, twin)
+    except SkinError:  # none knows its touches, or has its map
+        return f"eitskin build {file} --out BUNDLE"
+    return f"eitskin adapt-skin {bundle.path.stem} --skin {file} --out BUNDLE"
 
 
 def _record(arguments: argparse.Namespace, skin: Any) -> None:
