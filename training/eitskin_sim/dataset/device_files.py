@@ -23,7 +23,6 @@ from eitskin_sim.dataset.plan import Plan
 from eitskin_sim.devices.device import Device
 from eitskin_sim.devices.draws import DrawnDevice, Moment, draw_device, draw_drift, draw_front_end, draw_moment
 from eitskin_sim.devices.readings import corrected, drive_differences, readings, sheet_differences
-from eitskin_sim.measurement.front_end import FrontEnd
 from eitskin_sim.scene.bend import Array
 from eitskin_sim.scene.family import scaled
 from eitskin_sim.scene.folds import check_bend
@@ -94,7 +93,7 @@ def referenced_device(job: dict[str, Any], nominal: Array) -> ReferencedDevice:
         if _usable(found / nominal):
             return ReferencedDevice(drawn, found)
         drawn = replace(drawn, device=replace(drawn.device, front_end=draw_front_end(skin, rng)))
-    perfect = readings(replace(drawn.device, front_end=FrontEnd()), before) / nominal
+    perfect = readings(Device(drawn.device.sheet, drawn.device.electrodes), before) / nominal
     if not _usable(perfect):
         raise ValueError(
             f"skin {skin.name}: a random sheet reads {perfect.min():.3g} to {perfect.max():.3g} times the nominal "
