@@ -113,18 +113,19 @@ def test_traces_of_windows_are_those_of_the_dense_formula():
     assert np.allclose(sbl._window_traces(operator, cells, block), expected, rtol=1e-12)
 
 
-@pytest.mark.parametrize("upper", [np.inf, 0.2])
-def test_bounded_map_meets_its_optimality_conditions(upper):
+@pytest.mark.parametrize(("lower", "upper"), [(0.0, np.inf), (0.0, 0.2), (-0.25, 0.25), (-0.25, np.inf)])
+def test_bounded_map_meets_its_optimality_conditions(lower, upper):
     operator, data = problem(30, 20)
     rng = np.random.default_rng(7)
     root = rng.standard_normal((20, 20))
     covariance = root @ root.T / 20 + 0.1 * np.eye(20)
-    image = bounded_map(operator, data, covariance, 0.5, upper)
+    image = bounded_map(operator, data, covariance, 0.5, upper, lower)
     slope = operator.T @ (operator @ image - data) / 0.5 + np.linalg.solve(covariance, image)
-    free = (image > 0.0) & (image < upper)
+    free = (image > lower) & (image < upper)
     assert free.any()
+    assert image.min() == lower
     assert np.abs(slope[free]).max() < 1e-6  # the covariance's floor of 1e-9 is in it
-    assert slope[image == 0.0].min(initial=0.0) > -1e-6
+    assert slope[image == lower].min(initial=0.0) > -1e-6
     assert slope[image == upper].max(initial=0.0) < 1e-6
 
 

@@ -121,25 +121,34 @@ def learn(
 
 
 def sbl_image(
-    operator: Array, data: Array, shape: tuple[int, int], *, upper: float = np.inf, **options: float
+    operator: Array,
+    data: Array,
+    shape: tuple[int, int],
+    *,
+    upper: float = np.inf,
+    lower: float = 0.0,
+    **options: float,
 ) -> Array:
-    """Return the (n,) most probable image within 0 <= x <= upper under the learned prior.
+    """Return the (n,) most probable image within lower <= x <= upper under the learned prior.
 
     Args:
         operator: (rows, n) A.
         data: (rows,) d.
         shape: Rows and columns of the n cells.
         upper: Largest value of a cell.
+        lower: Smallest one.
         options: Of :func:`learn`.
     """
     if not np.any(data):
         return np.zeros(operator.shape[1])
     posterior = learn(operator, data, shape, **options)  # type: ignore[arg-type]
-    return bounded_map(operator, data, posterior.covariance, posterior.noise_variance, upper)
+    return bounded_map(operator, data, posterior.covariance, posterior.noise_variance, upper, lower)
 
 
-def bounded_map(operator: Array, data: Array, covariance: Array, noise_variance: float, upper: float) -> Array:
-    """Return argmin ||A x - d||^2 / s^2 + x^T Sigma_0^-1 x within 0 <= x <= upper.
+def bounded_map(
+    operator: Array, data: Array, covariance: Array, noise_variance: float, upper: float, lower: float = 0.0
+) -> Array:
+    """Return argmin ||A x - d||^2 / s^2 + x^T Sigma_0^-1 x within lower <= x <= upper.
 
     Args:
         operator: (rows, n) A.
@@ -147,13 +156,20 @@ def bounded_map(operator: Array, data: Array, covariance: Array, noise_variance:
         covariance: (n, n) Sigma_0.
         noise_variance: s^2.
         upper: Largest value of a cell.
+        lower: Smallest one.
+
+    Raises:
+        ValueError: The upper bound is not above the lower one.
     """
     n = operator.shape[1]
     # Cells that no window believes in have a variance near zero: a floor keeps the precision finite, and them at zero.
     floored = covariance + 1e-9 * float(np.trace(covariance)) / n * np.eye(n)
     hessian = inverse(floored)
     hessian += operator.T @ operator / noise_variance
-    return bounded_minimum(hessian, operator.T @ data / noise_variance, upper)
+    linear = operator.T @ data / noise_variance
+    if not lower:
+        return bounded_minimum(hessian, linear, upper)
+    return bounded_minimum(hessian, linear - lower * hessian.sum(axis=1), upper - lower) + lower
 
 
 def _block(correlation: float) -> Array:
