@@ -1,5 +1,7 @@
 """A tank of our own, read by a front end as the measured one's is: an offset, a gain a pair, a phase, and noise."""
 
+from functools import cache
+
 import numpy as np
 
 from eitskin_proto.sensor.table import FULL_TABLE
@@ -15,6 +17,7 @@ CONDUCTS = {"metal": 30.0, "plastic": 0.03}
 OFFSET_V = -0.012 + 0.004j
 
 
+@cache
 def volts(objects, element_size_mm=3.0):
     """(208,) V of a tank with (electrode from 1, material) in it."""
     disc = Disc(RADIUS_MM, electrode_width_deg=12.0, contact_impedance_ohm_m2=10.0)
@@ -40,10 +43,10 @@ def read(rows_V, gain, rng, noise_db=36.0):
     return OFFSET_V + seen * (1.0 + noise)
 
 
-def frame(objects, seed=0):
-    """A name and (208, 4) as in a file of a tank."""
+def frame(objects, seed=0, common=0.0):
+    """A name and (208, 4) as in a file of a tank; with objects all rows have changed by a common share besides."""
     rng = np.random.default_rng(seed)
     gain = gains(rng)
-    water, full = read(volts(()), gain, rng), read(volts(objects), gain, rng)
+    water, full = read(volts(()), gain, rng), read((1.0 + common) * volts(tuple(objects)), gain, rng)
     name = "_".join(f"electrode{electrode:02d}_{material}" for electrode, material in objects)
     return f"{name}_{seed}ua_1000hz", np.stack([water.real, water.imag, full.real, full.imag], axis=-1)

@@ -4,13 +4,19 @@ import numpy as np
 import pytest
 
 from eitskin_proto.sensor.table import FULL_TABLE
+from eitskin_sim.tank.common import common_factor
 from eitskin_sim.tank.front_end import fit_front_end
-from eitskin_sim.tank.objects import Found, angle_error_deg, find_objects, front_end_of, judge, tank_model
-from eitskin_sim.tank.recording import Object, TankError, load_tank
+from eitskin_sim.tank.images import IMAGES
+from eitskin_sim.tank.model import front_end_of, tank_model
+from eitskin_sim.tank.objects import Found, angle_error_deg, find_objects, ghosts, judge
+from eitskin_sim.tank.recording import Object, TankError, Unknown, load_tank
 
 from . import simulated_tank as tank
 
 SETS = [[(1, "metal")], [(3, "metal"), (7, "plastic")], [(2, "plastic"), (6, "plastic"), (11, "metal"), (15, "metal")]]
+
+NOISE = 10 ** (-36 / 20) / np.sqrt(2)
+"""Of rows' changes: in phase, of two frames, each the mean of two."""
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +41,14 @@ def test_names_say_what_stands_where(frames):
     assert frames[0].water_V.shape == (208,)
 
 
-def test_every_object_is_found_in_its_sector_with_its_sign_and_nothing_else(frames, model):
+def change_of(model, frame):
+    return front_end_of(model, frame).change(frame.water_V, frame.objects_V)
+
+
+@pytest.mark.parametrize("solver", IMAGES)
+def test_every_object_is_found_in_its_sector_with_its_sign_and_nothing_else(frames, model, solver):
     for frame in frames:
-        change = front_end_of(model, frame).change(frame.water_V, frame.objects_V)
-        found = find_objects(model, change)
+        found = find_objects(model, IMAGES[solver](model, change_of(model, frame)))
         assert len(found) == len(frame.objects)
         assert all(one.right for one in judge(frame.objects, found))
         assert all(abs(one.radius - tank.AT) < 0.2 for one in found)
@@ -63,6 +73,9 @@ def test_offset_and_gains_are_those_of_the_front_end():
     assert noisy.residual == pytest.approx(10 ** (-36 / 20), rel=0.15)
     assert abs(noisy.offset_V - tank.OFFSET_V) < 0.02 * abs(tank.OFFSET_V)
     assert noisy.reciprocity == pytest.approx(np.sqrt(2) * 10 ** (-36 / 20), rel=0.2)
+    assert noisy.noise == pytest.approx(NOISE, rel=0.2)
+    twice = [tank.read(rows, gain, rng) for _ in range(2)]
+    assert noisy.change(*twice).std() == pytest.approx(NOISE, rel=0.2)
 
 
 def test_a_front_end_that_cannot_be_told_is_refused():
@@ -76,7 +89,47 @@ def test_the_electrodes_width_that_explains_the_water_is_taken(frames, model):
 
 
 def test_nothing_changed_is_nothing_found(model):
-    assert find_objects(model, np.zeros(104)) == []
+    for image in IMAGES.values():
+        assert find_objects(model, image(model, np.zeros(104))) == []
+    common = common_factor(model.relative, np.zeros(104), NOISE)
+    assert (common.relative, common.taken_out) == (0.0, False)
+
+
+def test_images_with_bounds_hold_effective_contrasts_of_either_sign(frames, model):
+    change = change_of(model, frames[2])
+    for solver in ("l1", "sbl"):
+        image = IMAGES[solver](model, change)
+        assert (image.min(), image.max()) == (pytest.approx(-2.0, abs=0.7), pytest.approx(2.0, abs=0.7))
+        assert np.abs(image).max() <= 2.0 + 1e-9
+
+
+def test_a_common_factor_is_told_and_taken_out_where_objects_leave_rows_alone(frames, model):
+    for objects, share in ((SETS[0], -0.05), (SETS[1], 0.1), ([], 0.03)):
+        _, array = tank.frame(objects, 5, share)
+        volts = array[:, ::2] + 1j * array[:, 1::2]
+        change = front_end_of(model, frames[0]).change(*volts.T)
+        common = common_factor(model.relative, change, NOISE)
+        assert common.relative == pytest.approx(share, abs=4.0 * common.sd)
+        assert common.sd < 0.02
+        assert common.taken_out
+        assert np.mean(common.without(change)) == pytest.approx((1.0 + change.mean()) / (1.0 + common.relative) - 1.0)
+
+
+def test_what_objects_can_make_is_no_common_factor(frames, model):
+    for frame in frames:
+        change = change_of(model, frame)
+        common = common_factor(model.relative, change, NOISE)
+        assert not common.taken_out
+        assert common.without(change) is change
+    four = common_factor(model.relative, change_of(model, frames[2]), NOISE)
+    one = common_factor(model.relative, change_of(model, frames[0]), NOISE)
+    assert four.sd > 5.0 * one.sd
+
+
+def test_a_factor_beyond_drift_stays(model):
+    common = common_factor(model.relative, np.full(104, 3.0), NOISE)
+    assert common.told
+    assert not common.taken_out
 
 
 def test_the_full_table_is_that_of_the_file():
@@ -106,6 +159,30 @@ def test_one_found_object_counts_once():
     assert [one.right for one in judged] == [True, False]
 
 
+def test_found_before_an_object_of_unknown_sign_is_no_ghost():
+    seen = [found(0.0, "metal"), found(91.0, "plastic"), found(180.0, "metal")]
+    judged = judge([Object(1, "metal")], seen)
+    assert ghosts(judged, seen, []) == 2
+    assert ghosts(judged, seen, [Unknown(5, "wood")]) == 1
+
+
+@pytest.mark.parametrize(
+    ("name", "objects", "unknown"),
+    [
+        ("electrode01_wood_electrode05_plastic_55ua", [(5, "plastic")], [(1, "wood")]),
+        ("electrode01_plasticine_1000hz", [], [(1, "plasticine")]),
+        ("electrode03_electrode04_metal", [(4, "metal")], [(3, "")]),
+        ("electrode07_2026_03_14", [], [(7, "")]),
+        ("saline", [], []),
+    ],
+)
+def test_materials_of_no_known_sign_are_kept_apart(tmp_path, name, objects, unknown):
+    np.savez(tmp_path / "tank.npz", **{name: np.ones((208, 4))})
+    (frame,) = load_tank(tmp_path / "tank.npz")
+    assert [(one.electrode, one.material) for one in frame.objects] == objects
+    assert [(one.electrode, one.material) for one in frame.unknown] == unknown
+
+
 @pytest.mark.parametrize(
     ("name", "array", "said"),
     [
@@ -116,6 +193,9 @@ def test_one_found_object_counts_once():
         ("electrode01_metal", np.full((208, 4), 1e300), "at most 1e+06 V"),
         ("electrode01_metal", np.ones((208, 4), dtype=complex), "real numbers"),
         ("electrode17_metal", np.ones((208, 4)), "1 to 16"),
+        ("electrode17_wood", np.ones((208, 4)), "1 to 16"),
+        ("electrode12345_metal", np.ones((208, 4)), "1 to 16"),
+        ("electrode03_metal_electrode03_wood", np.ones((208, 4)), "twice"),
         ("electrode03_metal_electrode03_plastic", np.ones((208, 4)), "twice"),
     ],
 )

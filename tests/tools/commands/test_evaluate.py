@@ -167,7 +167,8 @@ def test_picture_shows_every_phantom_and_solver(tiny, file, tmp_path, capsys):
         (["--phantoms", "paper_mm", "--disc"], "--disc does nothing with --phantoms"),
         (["--devices", "lab", "--seeds", "3"], "--seeds does nothing with --devices"),
         (["--measured", "x.npz", "--noise", "N1"], "--noise does nothing with --measured"),
-        (["--tank", "x.npz", "--solver", "sbl"], "--solver does nothing with --tank"),
+        (["--tank", "x.npz", "--solver", "vd2t"], "with --tank, --solver is 'vd2t', expected one of tikhonov, l1, sbl"),
+        (["--tank", "x.npz", "--bundle", "free"], "--bundle does nothing with --tank"),
         (["--single", "10", "--snr-db", "nan"], "--snr-db is nan, expected 0 to 200"),
         (
             ["--devices", "lab", "--trials", "foo"],

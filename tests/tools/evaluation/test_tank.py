@@ -12,6 +12,7 @@ from eitskin_proto.skin.quantity import Quantity
 from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.toml import to_toml
 from eitskin_tools import cli
+from eitskin_tools.evaluation.tank import table
 
 SETS = [[(4, "plastic"), (12, "metal")], [(9, "metal")]]
 
@@ -40,8 +41,47 @@ def test_people_read_a_line_an_object(tmp_path, frames, capsys):
     np.savez(tmp_path / "tank.npz", **wrong)
     assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert "WRONG" in lines[1]
-    assert lines[2].startswith("0 of 1 objects")
+    assert lines[1].startswith("  all rows ")
+    assert "WRONG" in lines[2]
+    assert lines[3].startswith("tikhonov: 0 of 1 objects")
+
+
+@pytest.mark.parametrize("solver", ["tikhonov", "l1", "sbl"])
+def test_every_solver_finds_either_sign_and_common_drift_changes_nothing(tmp_path, capsys, solver):
+    arrays = {}
+    for common in (0.0, 0.02):
+        arrays |= {f"{common}_{name}": array for name, array in (tank.frame(objects, 0, common) for objects in SETS)}
+    np.savez(tmp_path / "tank.npz", **arrays)
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz"), "--solver", solver, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert (found["solver"], found["objects"], found["right"], found["ghosts"]) == (solver, 6, 6, 0)
+    sectors = [[round(one["angle_deg"] / 22.5) for one in row["found"]] for row in found["frames"]]
+    assert sectors[:2] == sectors[2:]
+    for row in found["frames"]:
+        alike = row["common"]
+        assert abs(alike["percent"] - 100.0 * float(row["name"].split("_")[0])) < 4.0 * alike["sd_percent"]
+
+
+def test_a_large_common_factor_is_taken_out_and_told(tmp_path, capsys):
+    name, array = tank.frame(SETS[1], 0, 0.1)
+    np.savez(tmp_path / "tank.npz", **{name: array})
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz")]) == 0
+    said = capsys.readouterr().out
+    assert ": taken out, the same objects found" in said
+    assert "taken out of 1 of 1 frames; left in, 1 of 1 are right" in said
+
+
+def test_an_object_of_unknown_sign_is_named_and_not_judged(tmp_path, frames, capsys):
+    name, array = next(iter(frames.items()))
+    np.savez(tmp_path / "tank.npz", **{name.replace("04_plastic", "04_wood"): array})
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz"), "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    assert found["not_judged"] == 1
+    assert found["frames"][0]["not_judged"] == [{"electrode": 4, "material": "wood"}]
+    said = table(found)
+    assert "  electrode  4 wood    not judged: its sign is not known\n" in said
+    assert "tikhonov: 1 of 1 objects in the right sector with the right sign, 0 besides\n" in said
+    assert said.endswith("1 not judged: of no material whose sign is known (metal or plastic)")
 
 
 def test_what_is_no_tank_is_one_line(tmp_path, capsys):
@@ -50,6 +90,17 @@ def test_what_is_no_tank_is_one_line(tmp_path, capsys):
     assert capsys.readouterr().err.count("\n") == 1
     assert cli.main(["evaluate", "--tank", str(tmp_path / "none.npz")]) == 1
     assert "no file" in capsys.readouterr().err
+
+
+def test_changes_that_a_solver_makes_no_image_of_are_one_line(tmp_path, frames, capsys):
+    name, array = next(iter(frames.items()))
+    array = array.copy()
+    array[:, 2:] = array[:, :2] * (1.0 + 1e-12)
+    np.savez(tmp_path / "tank.npz", **{name: array})
+    assert cli.main(["evaluate", "--tank", str(tmp_path / "tank.npz"), "--solver", "sbl"]) == 1
+    said = capsys.readouterr().err
+    assert "of which sbl makes no image; leave the frame out, or take --solver tikhonov" in said
+    assert said.count("\n") == 1
 
 
 def test_a_skin_tells_the_electrodes_widths_and_must_be_a_disc(tmp_path, frames, capsys):

@@ -2,7 +2,7 @@
 
 import argparse
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 from eitskin_tools.errors import UsageError
@@ -16,6 +16,8 @@ class Own:
     """What holds where nothing was said."""
     ways: tuple[str, ...]
     """In which ways of using the command it does something."""
+    elsewhere: Mapping[str, Any] = field(default_factory=dict)
+    """What holds instead in some of these ways."""
 
 
 def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, Own]) -> None:
@@ -31,7 +33,7 @@ def settle(arguments: argparse.Namespace, way: str, options: Mapping[str, Own]) 
     """
     for name, own in options.items():
         if getattr(arguments, name) is None:
-            setattr(arguments, name, own.usual)
+            setattr(arguments, name, own.elsewhere.get(way, own.usual))
         elif way not in own.ways:
             raise UsageError(
                 f"{flag(name)} does nothing with {flag(way)}: leave it out; it belongs to {_listed(own.ways)}"

@@ -13,10 +13,10 @@ WAYS: Final = ("phantoms", *TRIALS, "measured", "tank", "devices")
 
 SIMULATED: Final = ("phantoms", *TRIALS)
 SOLVED: Final = (*SIMULATED, "measured", "devices")
-"""Where a solver is named."""
+"""Where a solver is named, a network's too."""
 
 OWN: Final = {
-    "solver": Own("vd2t", SOLVED),
+    "solver": Own("vd2t", (*SOLVED, "tank"), {"tank": "tikhonov"}),
     "reference": Own(None, SOLVED),
     "bundle": Own(None, SOLVED),
     "prediction": Own("scan", SOLVED),
@@ -72,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--solver",
-        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t); "
-        "the last three solve for pixels or units, whichever the labels are of, and with -pixels or -units behind the "
-        "name, as in tikhonov-units, always for these",
+        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t; with "
+        "--tank, tikhonov); the last three solve for pixels or units, whichever the labels are of, and with -pixels or "
+        "-units behind the name, as in tikhonov-units, always for these; they serve --tank, too",
     )
     parser.add_argument(
         "--all",

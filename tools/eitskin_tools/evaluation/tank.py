@@ -1,71 +1,114 @@
 """Finds the objects of a measured tank, frame by frame, and says which of those that its names tell of are right."""
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
+import numpy.typing as npt
 
 from eitskin_proto.skin.skin import Skin
-from eitskin_sim.tank.objects import find_objects, front_end_of, judge, tank_model, widths_deg
-from eitskin_sim.tank.recording import load_tank
+from eitskin_sim.tank.common import LEAST, SIGMAS, common_factor
+from eitskin_sim.tank.images import IMAGES
+from eitskin_sim.tank.model import TankModel, front_end_of, tank_model, widths_deg
+from eitskin_sim.tank.objects import SECTOR_DEG, Found, find_objects, ghosts, judge
+from eitskin_sim.tank.recording import SIGNED, TankError, TankFrame, load_tank
 from eitskin_tools.evaluation.solvers import Progress
 
+SOLVERS: Final = tuple(IMAGES)
+"""That image a tank."""
 
-def evaluate_tank(path: str | Path, progress: Progress | None = None, skin: Skin | None = None) -> dict[str, Any]:
+
+def evaluate_tank(
+    path: str | Path, progress: Progress | None = None, skin: Skin | None = None, solver: str = "tikhonov"
+) -> dict[str, Any]:
     """Return the object that ``eitskin evaluate --tank --json`` prints.
 
     Args:
         path: Of :func:`eitskin_sim.tank.recording.load_tank`.
         progress: Called with the frames done and all frames.
         skin: What is known of the tank: its electrodes' widths; None tries the usual ones.
+        solver: One of ``SOLVERS``.
 
     Raises:
         TankError: The file holds no frames of a tank.
-        ValueError: A frame's front end cannot be told.
+        ValueError: A frame's front end cannot be told, or the solver makes no image of it.
     """
     frames = load_tank(path)
     model = tank_model(frames) if skin is None else tank_model(frames, widths_deg(skin))
     rows = []
     for number, frame in enumerate(frames):
-        front_end = front_end_of(model, frame)
-        found = find_objects(model, front_end.change(frame.water_V, frame.objects_V))
-        judged = judge(frame.objects, found)
-        rows.append(
-            {
-                "name": frame.name,
-                "offset_V": [front_end.offset_V.real, front_end.offset_V.imag],
-                "residual": front_end.residual,
-                "reciprocity": front_end.reciprocity,
-                "objects": [
-                    {
-                        "electrode": one.object.electrode,
-                        "material": one.object.material,
-                        "found_deg": None if one.found is None else one.found.angle_deg,
-                        "error_deg": one.error_deg,
-                        "right": one.right,
-                    }
-                    for one in judged
-                ],
-                "ghosts": len(found) - sum(one.right for one in judged) if frame.objects else None,
-                "found": [
-                    {"angle_deg": one.angle_deg, "radius": one.radius, "material": one.material,
-                     "strength": one.strength}
-                    for one in found
-                ],
-            }
-        )  # fmt: skip
+        rows.append(_row(model, frame, solver))
         if progress is not None:
             progress(number + 1, len(frames))
-    every: list[dict[str, Any]] = [one for row in rows for one in row["objects"]]  # type: ignore[attr-defined]
+    every: list[dict[str, Any]] = [one for row in rows for one in row["objects"]]
     errors = [one["error_deg"] for one in every if one["right"]]
     return {
+        "solver": solver,
         "frames": rows,
         "electrode_width_deg": model.disc.electrode_width_deg,
         "objects": len(every),
-        "right": sum(one["right"] for one in every),
+        "right": len(errors),
+        "right_with_common": sum(row["common"]["right_with_it"] for row in rows),
+        "not_judged": sum(len(row["not_judged"]) for row in rows),
         "ghosts": sum(row["ghosts"] or 0 for row in rows),
         "angle_error_deg": {"median": float(np.median(errors)), "worst": max(errors)} if errors else None,
     }
+
+
+def _row(model: TankModel, frame: TankFrame, solver: str) -> dict[str, Any]:
+    """One frame of what is printed."""
+    front_end = front_end_of(model, frame)
+    change = front_end.change(frame.water_V, frame.objects_V)
+    common = common_factor(model.relative, change, front_end.noise)
+    try:
+        with_it = _found(model, solver, change)
+        found = _found(model, solver, common.without(change)) if common.taken_out else with_it
+    except np.linalg.LinAlgError as error:
+        largest = float(np.abs(change).max())
+        raise TankError(
+            f"{frame.name}: rows changed by up to {largest:.3g} of their water, of which {solver} makes no image; "
+            "leave the frame out, or take --solver tikhonov"
+        ) from error
+    judged = judge(frame.objects, found)
+    return {
+        "name": frame.name,
+        "offset_V": [front_end.offset_V.real, front_end.offset_V.imag],
+        "residual": front_end.residual,
+        "reciprocity": front_end.reciprocity,
+        "common": {
+            "percent": 100.0 * common.relative,
+            "sd_percent": 100.0 * common.sd if np.isfinite(common.sd) else None,
+            "told": common.told,
+            "taken_out": common.taken_out,
+            "changed": len(_sectors(found) ^ _sectors(with_it)),
+            "right_with_it": sum(one.right for one in judge(frame.objects, with_it)),
+        },
+        "objects": [
+            {
+                "electrode": one.object.electrode,
+                "material": one.object.material,
+                "found_deg": None if one.found is None else one.found.angle_deg,
+                "error_deg": one.error_deg,
+                "right": one.right,
+            }
+            for one in judged
+        ],
+        "not_judged": [{"electrode": one.electrode, "material": one.material} for one in frame.unknown],
+        "ghosts": ghosts(judged, found, frame.unknown) if frame.objects else None,
+        "found": [
+            {"angle_deg": one.angle_deg, "radius": one.radius, "material": one.material, "strength": one.strength}
+            for one in found
+        ],
+    }
+
+
+def _found(model: TankModel, solver: str, change: npt.NDArray[np.float64]) -> list[Found]:
+    return find_objects(model, IMAGES[solver](model, change))
+
+
+def _sectors(found: list[Found]) -> set[tuple[int, str]]:
+    """Where objects were found, and of which sign."""
+    return {(round(one.angle_deg / SECTOR_DEG) % round(360.0 / SECTOR_DEG), one.material) for one in found}
 
 
 def table(found: dict[str, Any]) -> str:
@@ -74,26 +117,59 @@ def table(found: dict[str, Any]) -> str:
     if found["objects"]:
         angles = found["angle_error_deg"]
         lines.append(
-            f"{found['right']} of {found['objects']} objects in the right sector with the right sign, "
-            f"{found['ghosts']} besides"
+            f"{found['solver']}: {found['right']} of {found['objects']} objects in the right sector with the right "
+            f"sign, {found['ghosts']} besides"
         )
         if angles:
             lines.append(f"angles off by {angles['median']:.1f} degrees median, {angles['worst']:.1f} at most")
+        lines.append(_what_common_changed(found))
+    if found["not_judged"]:
+        lines.append(f"{found['not_judged']} not judged: of no material whose sign is known ({' or '.join(SIGNED)})")
     return "\n".join(lines)
+
+
+def _what_common_changed(found: dict[str, Any]) -> str:
+    out = sum(row["common"]["taken_out"] for row in found["frames"])
+    if not out:
+        return f"a common factor was taken out of none of {len(found['frames'])} frames"
+    return (
+        f"a common factor was taken out of {out} of {len(found['frames'])} frames; left in, "
+        f"{found['right_with_common']} of {found['objects']} are right"
+    )
 
 
 def _lines(row: dict[str, Any]) -> list[str]:
     lines = [
         f"{row['name']}: offset {1e3 * abs(complex(*row['offset_V'])):.1f} mV, water explained to "
-        f"{row['residual']:.1%}, reciprocal to {row['reciprocity']:.1%}"
+        f"{row['residual']:.1%}, reciprocal to {row['reciprocity']:.1%}",
+        f"  {_common(row['common'])}",
     ]
     for one in row["objects"]:
         where = "not found" if one["found_deg"] is None else f"off by {one['error_deg']:.1f} degrees"
         wrong = "" if one["right"] else ", WRONG"
         lines.append(f"  electrode {one['electrode']:2d} {one['material']:8}{where}{wrong}")
+    lines += [
+        f"  electrode {one['electrode']:2d} {one['material'] or 'unnamed':8}not judged: its sign is not known"
+        for one in row["not_judged"]
+    ]
     if not row["objects"]:
         lines += [
             f"  {one['material']:8}at {one['angle_deg']:.0f} degrees, {one['radius']:.2f} of the radius"
             for one in row["found"]
         ]
     return lines
+
+
+def _common(common: dict[str, Any]) -> str:
+    """What all rows changed by, and what became of it."""
+    if common["sd_percent"] is None:
+        return "all rows: what they changed alike cannot be told from objects, left in"
+    alike = f"all rows {common['percent']:+.1f} % +- {common['sd_percent']:.1f} %"
+    if common["taken_out"]:
+        changed = "the same objects found" if not common["changed"] else f"{common['changed']} found or lost by it"
+        return f"{alike}: taken out, {changed}"
+    if abs(common["percent"]) < 100.0 * LEAST:
+        return f"{alike}: left in, below {100.0 * LEAST:g} %"
+    if not common["told"]:
+        return f"{alike}: left in, below {SIGMAS:g} standard errors objects may make it"
+    return f"{alike}: left in, too much for drift"

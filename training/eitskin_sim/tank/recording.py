@@ -7,13 +7,14 @@
                electrode: the full table's
 
 An array's name says what stands in the tank, as ``electrode01_metal_electrode05_plastic_...``: which electrode, from 1,
-an object stands before, and of what it is. Metal conducts better than water, plastic worse.
+an object stands before, and of what it is. Metal conducts better than water, plastic worse. Of another material, as in
+``electrode01_wood``, nothing says which; such objects are kept apart.
 """
 
 import re
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, Literal, cast
+from typing import Any, Final, Literal, cast, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -27,7 +28,10 @@ Complex = npt.NDArray[np.complex128]
 
 Material = Literal["metal", "plastic"]
 
-NAMED: Final = re.compile(r"electrode([0-9]{1,4})_(metal|plastic)")
+NAMED: Final = re.compile(r"electrode([0-9]+)(?:_(?!electrode)([^\W\d_]+))?")
+
+SIGNED: Final = get_args(Material)
+"""Materials whose sign is known."""
 
 LARGEST_FILE: Final = 64 << 20
 """Bytes: ten thousand frames."""
@@ -53,6 +57,16 @@ class Object:
     material: Material
 
 
+@dataclass(frozen=True, slots=True)
+class Unknown:
+    """Something that stands in the tank, and whose name does not tell whether it conducts better than water."""
+
+    electrode: int
+    """That it stands before, from 1."""
+    material: str
+    """As the name says; empty where it says none."""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class TankFrame:
     """One frame."""
@@ -64,6 +78,8 @@ class TankFrame:
     """(208,) with them."""
     objects: tuple[Object, ...]
     """By the name; empty where it says nothing."""
+    unknown: tuple[Unknown, ...] = ()
+    """By the name: those that cannot be judged."""
 
 
 def load_tank(path: str | Path) -> list[TankFrame]:
@@ -99,10 +115,17 @@ def _frame(path: str, name: str, array: npt.NDArray[Any]) -> TankFrame:
             f"{where}: water reads zeros, {np.abs(water).max():.3g} V at most, which nothing can be held against; "
             "leave the frame out"
         )
-    found = tuple(Object(int(number), cast(Material, material)) for number, material in NAMED.findall(name))
-    for one in found:
-        if not 1 <= one.electrode <= N_ELECTRODES:
-            raise TankError(f"{where} names electrode {one.electrode}, expected 1 to {N_ELECTRODES}")
-    if len({one.electrode for one in found}) != len(found):
+    named = [(int(number[:5]), material) for number, material in NAMED.findall(name)]
+    electrodes = [electrode for electrode, _ in named]
+    for electrode in electrodes:
+        if not 1 <= electrode <= N_ELECTRODES:
+            raise TankError(f"{where} names electrode {electrode}, expected 1 to {N_ELECTRODES}")
+    if len(set(electrodes)) != len(electrodes):
         raise TankError(f"{where} names an electrode twice, expected one object before each")
-    return TankFrame(plain(name), water, objects, found)
+    return TankFrame(
+        plain(name),
+        water,
+        objects,
+        tuple(Object(electrode, cast(Material, material)) for electrode, material in named if material in SIGNED),
+        tuple(Unknown(electrode, plain(material)) for electrode, material in named if material not in SIGNED),
+    )

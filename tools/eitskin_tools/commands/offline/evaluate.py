@@ -85,10 +85,12 @@ def _devices(arguments: argparse.Namespace, request: Any) -> int:
 
 
 def _tank(arguments: argparse.Namespace) -> int:
-    from eitskin_tools.evaluation.tank import evaluate_tank, table
+    from eitskin_tools.evaluation.tank import SOLVERS, evaluate_tank, table
 
+    if arguments.solver not in SOLVERS:
+        raise UsageError(expected_one_of("with --tank, --solver", arguments.solver, SOLVERS))
     skin = None if arguments.skin is None else skins.chosen(arguments)
-    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress(), skin)
+    found = evaluate_tank(files.find(arguments.tank, files.TANK), _progress(), skin, arguments.solver)
     print(json.dumps(found) if arguments.json else table(found))
     return 0
 
