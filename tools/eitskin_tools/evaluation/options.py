@@ -72,9 +72,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--solver",
-        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t; with "
-        "--tank, tikhonov); the last three solve for pixels or units, whichever the labels are of, and with -pixels or "
-        "-units behind the name, as in tikhonov-units, always for these; they serve --tank, too",
+        help="vd2t, vd2t-int8, vd2t-small, verified (vd2t, checked by physics), tikhonov, l1 or sbl (default: vd2t; "
+        "with --tank, tikhonov); the last three serve --tank, too, and solve for pixels or units, whichever the labels "
+        "are of, or, with -pixels or -units behind the name, as in tikhonov-units, always for these",
     )
     parser.add_argument(
         "--all",

@@ -92,6 +92,21 @@ def fewer(frame: Frame, fit: Fit, effort: Effort) -> Fit:
     return fit
 
 
+def straightened(frame: Frame, fit: Fit, effort: Effort) -> Fit:
+    """Return the fit, or one with all touches upright where they are turned, if that is likelier."""
+    if not fit.turning or effort.searched():
+        return fit
+    pieces = fit.pieces.copy()
+    across = np.abs(np.mod(pieces[:, 5], 180.0) - 90.0) < 45.0
+    pieces[across, 3:5] = pieces[across, 4:2:-1]
+    pieces[:, 5] = 0.0
+    try:
+        other = fitted(frame, pieces, False, effort, effort.searched)
+    except IMPOSSIBLE:
+        return fit
+    return other if other.cost < fit.cost else fit
+
+
 def confirmed(frame: Frame, fit: Fit, shares: Array, effort: Effort) -> tuple[Fit, bool]:
     """Return the fit without touches that physics alone sees and that explain little; and whether time sufficed."""
     least = BESIDE if len(shares) else DECISIVE

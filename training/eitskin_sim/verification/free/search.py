@@ -29,6 +29,7 @@ from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.frame import check_frame
+from eitskin_sim.verification.free import improve
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
 from eitskin_sim.verification.free.found import (
@@ -201,7 +202,7 @@ class FreeVerifier:
             if better is None:
                 break
         unfinished = effort.searched() and not explained(fit)
-        fit = usually(frame, parted(frame, fit, effort), effort)
+        fit = improve.straightened(frame, usually(frame, parted(frame, fit, effort), effort), effort)
         if trail:
             fit = fewer(frame, fit, effort)
         fit, confirmed_all = confirmed(frame, fit, shares, effort)

@@ -38,10 +38,7 @@ PLAIN_MM: Final = 8.5
 """Root of the area from which a touch of contrast 50 reads otherwise than any of contrast 5."""
 
 LARGE_MM: Final = 14.0
-"""The same of contrast 2, of twice the side: beyond it a touch's size shows,"""
-
-FEW: Final = 2
-"""and of more touches than these it shows, too."""
+"""The same of contrast 2, of twice the side: beyond it a touch's size shows. It is asked of a touch that is alone."""
 
 STEPS: Final = 1
 """Derivatives taken of each: more do not draw better maps."""
@@ -84,7 +81,7 @@ def _gentler(frame: Frame, pieces: Array) -> tuple[tuple[float, float], ...]:
     root_mm = float(np.sqrt(areas_mm2(pieces).min()))
     if root_mm <= PLAIN_MM:
         return GENTLE
-    return LARGER if root_mm <= LARGE_MM and len(pieces) <= FEW else ()
+    return LARGER if root_mm <= LARGE_MM and len(pieces) == 1 else ()
 
 
 def scaled(pieces: Array, contrast: float) -> Array:
