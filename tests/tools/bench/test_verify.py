@@ -15,6 +15,7 @@ from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.bench.verify import slab
+from eitskin_tools.bench.verify.across import across
 from eitskin_tools.bench.verify.allowed import Allowed, pieces_of_touches
 from eitskin_tools.bench.verify.conditions import anywhere_conditions, unit_conditions
 from eitskin_tools.bench.verify.matched import LEVELS, of_rows
@@ -73,6 +74,17 @@ def test_paper_like_touches_lie_on_the_sheet_at_deformations_of_the_trials() -> 
         area = area_map(one.scene.touches, PAPER.grid)
         assert 0.0 < area.sum() < 0.5 * area.size
         assert one.truth == "area"
+
+
+def test_touches_that_lie_across_are_on_the_sheet_and_turned_by_any_angle() -> None:
+    found = across(0.4, 4.0, 3, 4)
+    shapes = [one.scene.touches[0].shapes[0] for one in found]
+    boxes = np.array([one.bounds_mm for one in shapes])
+    assert boxes.min() > 2.0
+    assert (boxes[:, 2:] < np.array(PAPER.grid.size_mm) - 2.0).all()
+    angles = np.array([one.angle_deg for one in shapes if isinstance(one, Ellipse)])
+    assert len(angles) == 12
+    assert np.ptp(angles) > 90.0
 
 
 def test_touches_that_slide_stay_on_the_sheet_and_move_by_as_much_each_frame() -> None:

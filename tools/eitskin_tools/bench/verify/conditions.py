@@ -12,6 +12,7 @@ from eitskin_sim.evaluation.trials import Softness
 from eitskin_sim.measurement.noise import Kind
 from eitskin_sim.scene.family import Family
 from eitskin_sim.scene.parts import Phantom
+from eitskin_tools.bench.verify.across import across
 from eitskin_tools.bench.verify.moving import sliding
 from eitskin_tools.bench.verify.paper_like import paper_like
 from eitskin_tools.evaluation.verified.resting import FRAMES
@@ -24,6 +25,9 @@ SINGLE_MM: Final = 10.0
 
 FAMILIES: Final[tuple[Family, ...]] = ("A", "B")
 """Of deformations."""
+
+LARGER: Final = ((3.0, 16.0), (2.0, 16.0), (2.0, 20.0))
+"""Contrasts and sides of gentle touches that are larger than a network of hard ones shows them."""
 
 PRESS_MM: Final = 16.0
 """Diameter of a press."""
@@ -108,6 +112,11 @@ def anywhere_conditions() -> list[Anywhere]:
         *(Anywhere(f"lab-like, presses of contrast {contrast:g}", _presses(contrast), LAB) for contrast in (0.4, 0.6)),
         *(Anywhere(f"contrast {contrast:g}, singles", _singles(contrast)) for contrast in (5.0, 3.0, 2.0, 1.5)),
         *(
+            Anywhere(f"across, of contrast {contrast:g}", _across(contrast, border))
+            for contrast, border in ((50.0, 0.0), (0.4, PRESS_BORDER_MM))
+        ),
+        *(Anywhere(f"contrast {contrast:g}, of {side:g} mm", _singles(contrast, side)) for contrast, side in LARGER),
+        *(
             Anywhere(f"{'tracked' if follow else 'not tracked'}, {touches} moving", _moving(touches), follow=follow)
             for touches in (1, 3)
             for follow in (True, False)
@@ -134,10 +143,14 @@ def _seen_at_rest() -> list[Anywhere]:
     ]
 
 
-def _singles(contrast: float = 50.0) -> Callable[[int, int], list[Phantom]]:
+def _singles(contrast: float = 50.0, side_mm: float = SINGLE_MM) -> Callable[[int, int], list[Phantom]]:
     return lambda deformations, each: trials.single(
-        SINGLE_MM, deformations, each, "A", Softness(contrast) if contrast != 50.0 else trials.HARD
+        side_mm, deformations, each, "A", Softness(contrast) if contrast != 50.0 else trials.HARD
     )
+
+
+def _across(contrast: float, border_mm: float) -> Callable[[int, int], list[Phantom]]:
+    return lambda deformations, each: across(contrast, border_mm, deformations, each)
 
 
 def _moving(touches: int) -> Callable[[int, int], list[Phantom]]:
