@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from eitskin_sim.scene.parts import Scene, Touch
-from eitskin_sim.scene.shapes import Disc, Rect
+from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
 from eitskin_sim.scene.touch_table import ELLIPSE, RECTANGLE
 from eitskin_sim.shapes.parameters import X, Y
 from eitskin_sim.verification.free.fit import Frame
@@ -72,7 +72,7 @@ def pieces_of_touches(touches: Sequence[Touch], sheet_S_per_m: float) -> Array:
     """Return touches as (n, 8) pieces; every shape of a touch is one.
 
     Args:
-        touches: Of rectangles and discs.
+        touches: Of rectangles, discs and ellipses.
         sheet_S_per_m: Conductivity of the sheet.
 
     Raises:
@@ -81,12 +81,16 @@ def pieces_of_touches(touches: Sequence[Touch], sheet_S_per_m: float) -> Array:
     found = []
     for touch in touches:
         for shape in touch.shapes:
+            contrast = touch.factor(sheet_S_per_m)
+            if isinstance(shape, Ellipse):
+                sides = shape.along_mm, shape.across_mm, shape.angle_deg
+                found.append([ELLIPSE, shape.x_mm, shape.y_mm, *sides, contrast, touch.border_mm])
+                continue
             if not isinstance(shape, Rect | Disc):
-                raise ValueError(f"{type(shape).__name__}: expected rectangles and discs")
+                raise ValueError(f"{type(shape).__name__}: expected rectangles, discs and ellipses")
             x0, y0, x1, y1 = shape.bounds_mm
             kind = RECTANGLE if isinstance(shape, Rect) else ELLIPSE
             middle = (x0 + x1) / 2.0, (y0 + y1) / 2.0
-            contrast = touch.factor(sheet_S_per_m)
             found.append([kind, *middle, x1 - x0, y1 - y0, 0.0, contrast, touch.border_mm])
     return np.array(found)
 
@@ -95,7 +99,7 @@ def _scatter(model: Model, noise: Noise, usual: Usual, pieces: Array) -> Array:
     """Return (draws, n) mm that centres are off."""
     change = model.solve(pieces)[1]
     white = model.whitener(change, model.flat_V, noise)
-    fit = Frame(model, white, change, usual, np.zeros(len(change))).at(pieces)
+    fit = Frame(model, white, change, usual, np.zeros(len(change))).at(pieces, bool(pieces[:, 5].any()))
     _, by, own = fit.linear
     covariance = np.linalg.pinv(by.T @ by, hermitian=True)
     number = np.full(own.shape, -1)
