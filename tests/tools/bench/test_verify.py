@@ -11,7 +11,7 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_sim.fem.solve import solve_scene
 from eitskin_sim.scene.area import area_map
 from eitskin_sim.scene.parts import Bend, Scene, Touch
-from eitskin_sim.scene.shapes import Disc, Ellipse, Rect
+from eitskin_sim.scene.shapes import Disc, Ellipse, Polygon, Rect
 from eitskin_sim.verification.free.usual import usual_of
 from eitskin_sim.verification.residual import Noise
 from eitskin_tools.bench.verify import slab
@@ -120,8 +120,10 @@ def test_touches_become_the_pieces_that_are_verified() -> None:
     touches = [Touch((Rect(40.0, 20.0, 50.0, 26.0),), contrast=0.4), Touch((Disc(80.0, 50.0, 8.0),), border_mm=4.0)]
     found = pieces_of_touches(touches, 2.0)
     assert found.tolist() == [[0, 45, 23, 10, 6, 0, 0.4, 0], [2, 80, 50, 16, 16, 0, 25.0, 4.0]]
-    with pytest.raises(ValueError, match="Ellipse: expected rectangles and discs"):
-        pieces_of_touches([Touch((Ellipse(80.0, 50.0, 16.0, 9.0, 20.0),))], 1.0)
+    turned = pieces_of_touches([Touch((Ellipse(80.0, 50.0, 16.0, 9.0, 20.0),), contrast=3.0)], 1.0)
+    assert turned.tolist() == [[2, 80, 50, 16, 9, 20.0, 3.0, 0]]
+    with pytest.raises(ValueError, match="Polygon: expected rectangles, discs and ellipses"):
+        pieces_of_touches([Touch((Polygon(((40.0, 20.0), (50.0, 20.0), (45.0, 30.0))),))], 1.0)
 
 
 def test_a_slab_s_frames_are_its_extrapolated_voltages_with_noise_of_each_law(monkeypatch: pytest.MonkeyPatch) -> None:
