@@ -25,7 +25,7 @@ class Step(NamedTuple):
     reset: bool
     """The device started anew since the last frame."""
     duplicate: bool
-    """The same sequence number and time as the last frame: the counters are unchanged."""
+    """The same sequence number as the last frame, at no earlier time: the counters are unchanged."""
 
 
 class StreamCounter:
@@ -71,10 +71,10 @@ class StreamCounter:
             self._sequence, self._device_us = sequence, device_us
             return Step(sequence, device_us, 0, False, False)
         forward = (sequence - self._sequence) % MODULUS
-        again = forward == 0
-        if again and device_us == self._device_us % MODULUS:
+        earlier = (device_us - self._device_us) % MODULUS > MODULUS // 2
+        if forward == 0 and not earlier:
             return Step(self._sequence, self._device_us, 0, False, True)
-        if again or forward - 1 > self._max_lost:
+        if forward == 0 or forward - 1 > self._max_lost:
             self.resets += 1
             self._sequence, self._device_us = sequence, device_us
             return Step(sequence, device_us, 0, True, False)

@@ -53,12 +53,13 @@ def test_a_gap_of_the_largest_size_is_loss_and_one_more_is_a_reset():
 def test_the_same_frame_twice_is_a_duplicate_that_changes_nothing():
     counter = StreamCounter()
     counter.step(3, 100)
-    step = counter.step(3, 100)
-    assert (step.duplicate, step.device_us, step.lost) == (True, 100, 0)
+    for device_us in (100, 999):
+        step = counter.step(3, device_us)
+        assert (step.duplicate, step.device_us, step.lost) == (True, 100, 0)
     assert counter.step(4, 200).device_us == 200
 
 
-def test_the_same_number_at_another_time_is_a_reset():
+def test_the_same_number_at_an_earlier_time_is_a_reset():
     counter = StreamCounter()
     counter.step(0, 900_000_000)  # the device starts anew before it sends another one
     step = counter.step(0, 5_000)
