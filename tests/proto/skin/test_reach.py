@@ -1,10 +1,8 @@
 """How far a skin's file may say that things are off: what cannot be is refused by its key."""
 
-from pathlib import Path
-
 import pytest
 
-from eitskin_proto.skin.toml import load, parse
+from eitskin_proto.skin.toml import parse
 
 HEAD = 'format = "eitskin-skin"\nversion = 1\n'
 ARC = "arc_length_mm.value = [10, 40, 70, 100, 130, 160, 190, 220, 250, 280, 310, 340, 370, 400, 430, 460]\n"
@@ -54,7 +52,3 @@ def test_what_can_be_is_read_and_what_calibration_found_is_as_uncertain_as_it_wa
     ):
         parse(HEAD + text)
     parse(HEAD + 'calibrated_from = "feed"\n[layer]\nthickness_mm = {value = 2, normal = 1}')
-
-
-def test_the_document_s_example_can_be() -> None:
-    load(Path(__file__).parents[3] / "docs" / "examples" / "skin.toml")
