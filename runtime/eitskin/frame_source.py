@@ -37,6 +37,9 @@ LONGEST_BAD_S: Final = 60.0
 LOOK_NS: Final = 50_000_000
 """Without a frame that can be used for so long, it is looked at what the matter is."""
 
+MOST_EVENTS: Final = 8
+"""Events that one frame tells at most if it is to tell those of a device's own words, too."""
+
 MOST_AT_ONCE: Final = 64
 """Payloads of which the newest is looked for; a device faster than this loop has its rest dropped next time."""
 
@@ -291,4 +294,4 @@ class FrameSource:
             return
         event = Event.unpack(payload)
         self._failed |= event.code == EventCode.FRONT_END_FAILED
-        self._pipeline.intake.tell_next(f"device:{event.text.lower()}")
+        self._pipeline.intake.tell_next(f"device:{event.text.lower()}", MOST_EVENTS)

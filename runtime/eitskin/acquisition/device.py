@@ -77,7 +77,8 @@ class Device:
         """It scans a few drives only, at a rate that HELLO does not tell."""
         self.stopping = False
         """Nobody waits for answers any more; may be set from another thread, which then wakes the transport."""
-        self._tag, self._returned = 0, None  # type: int, PortReturned | None
+        self._tag = 0
+        self._returned: PortReturned | None = None
         self.hello = self._greeted()
         """What the device said about itself."""
         self.time_sample: TimeSample | None = None

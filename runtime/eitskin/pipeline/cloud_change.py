@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from eitskin.errors import BadReference
 from eitskin.model.geometry import GeometryGraph, Given
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.held_prediction import prediction_against
@@ -61,8 +60,6 @@ class CloudChange:
         if predicted is not None:
             surface = skin.grid.flat_cloud_mm() if cloud is None else cloud
             check_prediction(surface, predicted, predicted_flat, reference, skin)
-            if predicted_flat is None and reference is None:
-                raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
             fills = self._pipeline.health is not None
             ratio = prediction_against(predicted, predicted_flat, reference, fills=fills)
         with self._lock:

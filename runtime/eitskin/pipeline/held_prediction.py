@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from eitskin.errors import BadReference
 from eitskin.model.buffers import Buffers
 from eitskin.model.denormals import flushed
 from eitskin.model.geometry import Geometry
@@ -27,12 +28,13 @@ def prediction_against(
         fills: Whether weak rows are filled in, and so can be held against a whole prediction; else they say nothing.
 
     Raises:
-        ValueError: The voltages are malformed, or there is nothing to hold them against.
+        BadReference: There is nothing to hold it against.
+        ValueError: The voltages are malformed, or cannot be of one sheet.
     """
     against = predicted_flat
     if against is None:
         if reference is None:
-            raise ValueError("a prediction needs predicted_flat, or a reference to hold it against")
+            raise BadReference("a prediction needs predicted_flat, or a captured reference to hold it against")
         against = reference.flat().voltages_V
     ratio = log_ratio(predicted, against)
     if reference is not None and (predicted_flat is None or not fills):

@@ -40,9 +40,6 @@ REASONS: Final = ("malformed", "duplicate", "configuration", "partial", "implaus
 WITHHELD: Final = {reason: f"withheld:{reason}" for reason in REASONS}
 """The event of the next published frame."""
 
-MOST_EVENTS: Final = 16
-"""Events before it that one frame tells."""
-
 REMEMBERED: Final = 8
 """Frames that a frame may repeat: a front end that hangs may have several buffers."""
 
@@ -183,9 +180,14 @@ class Intake:
         self.tell_next(WITHHELD[reason])
         return False
 
-    def tell_next(self, event: str) -> None:
-        """Let the next published frame say that something happened; in the frame loop's thread."""
-        if event not in self._since and len(self._since) < MOST_EVENTS:
+    def tell_next(self, event: str, most: int | None = None) -> None:
+        """Let the next published frame say that something happened; in the frame loop's thread.
+
+        Args:
+            event: What.
+            most: Leave it out where so many are told already; None for an event that is never left out.
+        """
+        if event not in self._since and (most is None or len(self._since) < most):
             self._since += (event,)
 
     def give_up(self, reason: str) -> bool:

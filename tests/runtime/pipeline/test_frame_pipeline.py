@@ -4,6 +4,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from eitskin.frame_source import MOST_EVENTS
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.reference.captured import Reference
 from eitskin_proto.wire.frames import Frame
@@ -108,6 +109,19 @@ def test_what_a_frame_that_is_withheld_would_have_said_the_next_one_says(pipelin
     assert not go(pipeline, payload(0 * counts, 12))
     assert go(pipeline, payload(counts, 13))
     assert pipeline.record.events == ("lost", "cloud", "withheld:no_signal")
+
+
+def test_a_device_s_own_words_do_not_crowd_out_what_happened(pipeline, counts):
+    for number in range(40):
+        pipeline.intake.tell_next(f"device:{number}", MOST_EVENTS)
+    assert go(pipeline, payload(counts, 10))
+    assert go(pipeline, payload(counts, 3))
+    assert pipeline.record.events == ("device_reset",)
+    for number in range(40):
+        pipeline.intake.tell_next(f"device:{number}", MOST_EVENTS)
+    assert go(pipeline, payload(counts, 5))
+    assert len(pipeline.record.events) == MOST_EVENTS + 1
+    assert pipeline.record.events[-1] == "lost"
 
 
 def test_maps_of_frames_with_one_number_are_told_apart(pipeline, counts, touched):

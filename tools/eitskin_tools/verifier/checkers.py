@@ -15,7 +15,7 @@ from eitskin_sim.verification.free.found import FreeTouch
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.starts import shares_of
 from eitskin_sim.verification.prepared import prepared
-from eitskin_sim.verification.units import BUDGET_S, FEW, HARD_BUDGET_S, UnitTouch, UnitVerifier
+from eitskin_sim.verification.units import UnitTouch, UnitVerifier
 from eitskin_sim.verification.verdict import Verdict as Found
 from eitskin_tools.evaluation.verified.units import (
     REBUILT,
@@ -27,8 +27,8 @@ from eitskin_tools.evaluation.verified.units import (
     unit_heights,
     unit_starts,
 )
-from eitskin_tools.verifier import reasons
 from eitskin_tools.verifier.letters import Array, FrameLetter, RestLetter, Setup
+from eitskin_tools.verifier.reasons import reason_of
 
 FREE_BUDGET_S: Final = 0.2
 """What a frame of touches anywhere may take, unless told otherwise."""
@@ -118,7 +118,6 @@ class UnitChecker:
         self._shown: Material | None = None
         self._last: tuple[FrameLetter, UnitVerdict] | None = None
         self._rebuilt = self._tried = 0
-        self._may_s = 0.0
 
     def check(self, frame: FrameLetter) -> Verdict:
         """Return the touched units that explain a frame best."""
@@ -127,22 +126,18 @@ class UnitChecker:
         may = self._rebuilt < REBUILT and self._tried < TRIED
         self._shown = material_shown(found, self._material) if may else None
         verdict = found.chi_squared, found.degrees_of_freedom, found.p_value, found.flagged
-        return verdict, self._touches(found.touches), reasons.of_units(found, self._may_s)
+        return verdict, self._touches(found.touches), reason_of(found)
 
     def _verified(self, verifier: UnitVerifier, frame: FrameLetter) -> UnitVerdict:
         shape = self._shape
         heights = unit_heights(frame.map.astype(np.float64), shape.grid)
-        rows, starts = shape.usable & ~frame.missing, unit_starts(heights)
-        counts = [len(self._before), *(int(one.sum()) for one in starts)]
-        hard = not rows.all() or max(counts) > FEW  # as the verifier takes it
-        self._may_s = self._budget_s or (HARD_BUDGET_S if hard else BUDGET_S)
         return verifier.verify(
             frame.change.astype(np.float64),
             shape.reference_V,
-            starts,
+            unit_starts(heights),
             shape.noise,
-            rows=rows,
-            budget_s=self._may_s,
+            rows=shape.usable & ~frame.missing,
+            budget_s=self._budget_s,
             before=self._before,
             heights=heights,
         )
@@ -223,8 +218,8 @@ class FreeChecker:
         self._last = verdict.pieces if len(verdict.pieces) else None
         placed = shape.placed([one.centre_mm for one in verdict.touches])
         touches = tuple(_free(one, *where) for one, where in zip(verdict.touches, placed, strict=True))
-        why = reasons.of_shapes(verdict, shares, shape.skin, self._budget_s)
-        return (verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged), touches, why
+        told = verdict.chi_squared, verdict.degrees_of_freedom, verdict.p_value, verdict.flagged
+        return told, touches, reason_of(verdict)
 
     def rest(self, letter: RestLetter) -> str:
         """Learn how the untouched sheet differs from its scan."""

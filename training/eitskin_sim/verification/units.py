@@ -153,6 +153,7 @@ class UnitVerifier:
             evaluations=judge.evaluations,
             seconds=time.perf_counter() - begin,
             nuisances=frame.nuisances(ratio),
+            unfinished=clock() >= deadline,
         )
 
     def _start(self, bits: npt.ArrayLike) -> tuple[npt.NDArray[np.intp], Array]:

@@ -36,6 +36,8 @@ class Verdict(Generic[Touch]):
     seconds: float
     """What it took."""
     nuisances: tuple[Fitted, ...] = ()
+    unfinished: bool = False
+    """Whether time ended the search before these explained the frame, or were confirmed."""
 
     @property
     def flagged(self) -> bool:

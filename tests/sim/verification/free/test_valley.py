@@ -11,7 +11,6 @@ from eitskin_proto.skin.skin import PAPER
 from eitskin_proto.skin.touch_kind import TouchKind
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.chi_squared import LEVEL
-from eitskin_sim.verification.free import search
 from eitskin_sim.verification.free.effort import Effort
 from eitskin_sim.verification.free.fit import Frame, refine
 from eitskin_sim.verification.free.found import FreeVerdict, drawn, map_of, touches_of
@@ -150,8 +149,9 @@ def test_a_frame_that_time_did_not_suffice_to_explain_is_flagged(
 ) -> None:
     """At p between the level of flags and what counts as explained, the search goes on; its end by time is said."""
     monkeypatch.setattr("eitskin_sim.verification.free.found.p_value", lambda *_: 3.0 * LEVEL)
-    monkeypatch.setattr(search, "moved", lambda *_: ("", None))
+    monkeypatch.setattr("eitskin_sim.verification.free.improve.moved", lambda *_: ("", None))
     monkeypatch.setattr(Effort, "searched", lambda _: late)
     found = verified(model, HARD)
     assert found.p_value == 3.0 * LEVEL
+    assert found.unfinished == late
     assert found.flagged == late

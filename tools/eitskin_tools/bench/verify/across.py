@@ -22,7 +22,14 @@ MARGIN_MM: Final = 3.0
 
 
 def across(contrast: float, border_mm: float, deformations: int, each: int) -> list[Phantom]:
-    """Return ``each`` ellipses, one a map, at every deformation of family A."""
+    """Return ``each`` ellipses, one a map, at every deformation of family A.
+
+    Args:
+        contrast: Of each.
+        border_mm: Width of its graded border; 0 is sharp.
+        deformations: How many deformations.
+        each: Maps at each.
+    """
     found, size = [], np.array(PAPER.grid.size_mm)
     for number, bend in enumerate(trials.deformations_of(deformations, "A")):
         rng = np.random.default_rng([SEED, number])

@@ -81,8 +81,8 @@ class FreeVerdict(Verdict[FreeTouch]):
     trail: tuple[str, ...] = ()
     """Which moves were taken."""
     contested: bool = False
-    """Whether the network plainly shows a touch that is not among these, one is smaller than touches of this skin are,
-    or time did not suffice to find or to confirm them."""
+    """Whether the network plainly shows a touch that is not among these, or one is smaller than touches of this skin
+    are."""
     likely: Likely = ()
     """Shares of belief, and touches as they are drawn: ``pieces``, and those of other contrasts that the data allow."""
     scatter: Array = field(default_factory=lambda: np.zeros((0, 0, COUNT)))
@@ -101,8 +101,8 @@ class FreeVerdict(Verdict[FreeTouch]):
 
     @property
     def flagged(self) -> bool:
-        """Whether physics cannot explain the frame by these touches, or they are ``contested``."""
-        return self.contested or self.p_value < self.level
+        """Whether physics cannot explain the frame by these touches, or they are ``contested`` or ``unfinished``."""
+        return self.contested or self.unfinished or self.p_value < self.level
 
 
 def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:

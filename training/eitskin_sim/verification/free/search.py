@@ -41,7 +41,6 @@ from eitskin_sim.verification.free.found import (
     scatter_of,
     touches_of,
 )
-from eitskin_sim.verification.free.improve import STEPS, confirmed, fewer, fitted, joined, moved, parted, usually
 from eitskin_sim.verification.free.seen import closed, left_out, too_small
 from eitskin_sim.verification.free.sheet.deformation import Deformation
 from eitskin_sim.verification.free.sheet.model import model_of_cloud
@@ -150,7 +149,7 @@ class FreeVerifier:
 
         trail: list[str] = []
         fit, unfinished = self._search(start, start(), shares, effort, trail)
-        fit = joined(fit.frame, fit, shares, effort)
+        fit = improve.joined(fit.frame, fit, shares, effort)
         every = likely(fit.frame, fit, effort)
         self._seen = fit.pieces, rectangles
         drawn_whole = tuple((share, closed(pieces, shares, self._skin.grid)) for share, pieces in every)
@@ -163,9 +162,10 @@ class FreeVerifier:
             effort.fits,
             effort.seconds,
             (),
+            unfinished,
             fit.pieces,
             tuple(trail),
-            unfinished or self._contested(every, shares) > DOUBT,
+            self._contested(every, shares) > DOUBT,
             drawn_whole,
             scatter_of(fit),
             fit.frame.joints,
@@ -190,9 +190,10 @@ class FreeVerifier:
         """
         frame, fit = begun
         if not explained(fit):
-            frame, fit = self._settled(frame, usually(frame, parted(frame, fit, effort), effort), effort)
+            usual = improve.usually(frame, improve.parted(frame, fit, effort), effort)
+            frame, fit = self._settled(frame, usual, effort)
         while not effort.searched() and not explained(fit):
-            name, better = moved(frame, fit, effort)
+            name, better = improve.moved(frame, fit, effort)
             if better is not None:
                 frame, fit = self._settled(frame, better, effort)
                 trail.append(name)
@@ -202,10 +203,10 @@ class FreeVerifier:
             if better is None:
                 break
         unfinished = effort.searched() and not explained(fit)
-        fit = improve.straightened(frame, usually(frame, parted(frame, fit, effort), effort), effort)
+        fit = improve.straightened(frame, improve.usually(frame, improve.parted(frame, fit, effort), effort), effort)
         if trail:
-            fit = fewer(frame, fit, effort)
-        fit, confirmed_all = confirmed(frame, fit, shares, effort)
+            fit = improve.fewer(frame, fit, effort)
+        fit, confirmed_all = improve.confirmed(frame, fit, shares, effort)
         if (anew := self._loosened(fit, start, effort)) is not None:
             trail.append("loosen")
             return self._search(start, anew, shares, effort, trail)
@@ -265,9 +266,10 @@ class FreeVerifier:
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
-            limits = (STEPS, ENOUGH) if self.deformation.was_made_anew else (FEW, ROUGHLY)
+            limits = (improve.STEPS, ENOUGH) if self.deformation.was_made_anew else (FEW, ROUGHLY)
             turning = bool(one[:, 5].any())
-            frame, fit = self._settled(frame, fitted(frame, one, turning, effort, effort.searched, *limits), effort)
+            found = improve.fitted(frame, one, turning, effort, effort.searched, *limits)
+            frame, fit = self._settled(frame, found, effort)
             if best is not None and best.frame is not frame:
                 best = frame.at(best.pieces, best.turning)
             if best is None or fit.cost < best.cost:
@@ -292,6 +294,6 @@ class FreeVerifier:
                 break
             self._made(partial(self.deformation.make_anew, amplitudes), effort)
             frame = self._frame(frame.change)
-            fit = fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW, ROUGHLY)
+            fit = improve.fitted(frame, fit.pieces, fit.turning, effort, effort.searched, FEW, ROUGHLY)
             whole = False
-        return frame, fit if whole else refine(frame, fit, STEPS, effort.searched)
+        return frame, fit if whole else refine(frame, fit, improve.STEPS, effort.searched)
