@@ -18,6 +18,9 @@ HOLD_FRAMES: Final = 100
 LONGEST_HOLD: Final = 6400
 """Half a minute."""
 
+MOST_MS: Final = 1e6
+"""A budget of more is none: a quarter of an hour."""
+
 EASY: Final = 0.5
 """A frame that took less than this part of the budget is easy."""
 

@@ -75,6 +75,9 @@ def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
     assert "CPU [4000]" in refused(capsys, "run", "--config", robot("realtime.affinity = [4000]"))[1]
     path = robot('verify.mode = "always"', "verify.affinity = [4000]")
     assert "verify.affinity: CPU [4000], expected some of [" in refused(capsys, "run", "--config", path, "--check")[1]
+    path = robot('verify.mode = "always"', "verify.budget_ms = 1e7")
+    said = refused(capsys, "run", "--config", path, "--check")[1]
+    assert "verify.budget_ms is 1e+07, expected at most 1000000" in said
 
 
 def test_a_folder_that_cannot_be_made_or_is_open_to_others_is_refused(robot, capsys, tmp_path):

@@ -24,7 +24,6 @@ from eitskin_tools.view.messages import unpacked
 from ..recording.conftest import CLOUD as CLOUD_MM
 from ..recording.conftest import TINY, measured, recorded
 
-
 MOST_BY_NOISE = 26
 """Levels of 255 by which a map may differ from that of another frame in which only noise had changed."""
 
@@ -49,7 +48,7 @@ def test_all_parts_together_show_every_published_frame_with_its_map(path, items,
     monkeypatch.setattr(parts_module, "PART_S", 0.1)
     published = [item for item in items if isinstance(item, Frame)]
     film = Film(path, TINY)
-    parts = [[(head, body) for head, body in unpacked(film.part(n)) if head["kind"] == "frame"] for n in range(film.parts)]
+    parts = [[one for one in unpacked(film.part(n)) if one[0]["kind"] == "frame"] for n in range(film.parts)]
     found = [frame for part in parts for frame in part]
     begins = [part[0][0]["seq"] for part in parts for _ in part]
     assert [head["seq"] for head, _ in found] == [frame.sequence for frame in published]

@@ -4,6 +4,7 @@ import os
 from pathlib import Path
 
 from eitskin.errors import RobotError
+from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin.robot.config import Robot, SkinSettings
 from eitskin_proto.errors import SkinError
 from eitskin_tools.command_line import files
@@ -23,6 +24,9 @@ def check(robot: Robot) -> None:
             for key, cpus in (("affinity", one.realtime.affinity), ("verify.affinity", one.verify.affinity)):
                 if missing := sorted(set(cpus) - available):
                     raise RobotError(f"{key}: CPU {missing}, expected some of {sorted(available)}")
+            for key, budget_ms in (("budget_ms", one.budget_ms), ("verify.budget_ms", one.verify.budget_ms)):
+                if budget_ms is not None and budget_ms > MOST_MS:
+                    raise RobotError(f"{key} is {budget_ms:g}, expected at most {MOST_MS:.0f}")
         except (SkinError, ValueError, OSError) as error:
             raise RobotError(f"skin {one.name}: {error}") from error
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
+from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import needs
 from eitskin_tools.command_line.suggest import expected_one_of
 from eitskin_tools.errors import UsageError
@@ -14,9 +15,6 @@ if TYPE_CHECKING:
     from eitskin.messaging.frame_record import FrameRecord
 
 MODES: Final = ("off", "idle", "always")
-
-MOST_BUDGET_MS: Final = 1e6
-"""A quarter of an hour."""
 
 NICE: Final = 10
 """Unless told otherwise: a runtime on the same core comes first."""
@@ -61,9 +59,9 @@ def check(arguments: argparse.Namespace) -> None:
             raise UsageError(f"--verify-{given[0].replace('_', '-')} goes with --verify idle or --verify always")
         return
     budget_ms, nice = arguments.verify_budget_ms, arguments.verify_nice
-    if budget_ms is not None and not 0 < budget_ms <= MOST_BUDGET_MS:
+    if budget_ms is not None and not 0 < budget_ms <= MOST_MS:
         raise UsageError(
-            f"--verify-budget-ms is {budget_ms:g}, expected more than 0 and at most {MOST_BUDGET_MS:.0f}; --verify off "
+            f"--verify-budget-ms is {budget_ms:g}, expected more than 0 and at most {MOST_MS:.0f}; --verify off "
             "verifies nothing"
         )
     if nice is not None and not 0 <= nice <= 19:

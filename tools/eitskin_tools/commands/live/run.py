@@ -17,6 +17,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from eitskin.pipeline.latency_budget import MOST_MS
 from eitskin_tools.command_line import files, touches
 from eitskin_tools.command_line.belonging import flag
 from eitskin_tools.command_line.suggest import expected_one_of
@@ -270,10 +271,10 @@ def _check(arguments: argparse.Namespace) -> None:
         value = getattr(arguments, name)
         if value is not None and value < least:
             raise UsageError(f"{flag(name)} is {value}, expected at least {least}")
-    for name in ("seconds", "budget_ms", "reconnect", "idle_after"):
+    for name, most in {"seconds": 1e9, "budget_ms": MOST_MS, "reconnect": 1e9, "idle_after": 1e9}.items():
         value = getattr(arguments, name)
-        if value is not None and not 0 < value < 1e9:
-            raise UsageError(f"{flag(name)} is {value}, expected more than 0")
+        if value is not None and not 0 < value <= most:
+            raise UsageError(f"{flag(name)} is {value:g}, expected more than 0 and at most {most:.0f}")
     if arguments.solver is not None and arguments.solver not in SOLVERS:
         raise UsageError(expected_one_of("--solver", arguments.solver, SOLVERS))
     if any(not 0 <= number < 16 for number in arguments.exclude_electrode):
