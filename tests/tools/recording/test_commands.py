@@ -290,7 +290,7 @@ def test_seconds_are_over_by_the_clock_too_where_the_stream_falls_silent(
         return stream
 
     stream.take = lambda found: setattr(stream, "recorded_s", 0.1 * (stream.frames - 1))
-    intake = SimpleNamespace(next=next_one, silent=None)
+    intake = SimpleNamespace(next=next_one, silent=None, unusable=None)
     monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     words = SimpleNamespace(seconds=4.0, frames=None, timeout_s=None, quiet=True)
     assert not record._go_on(words, stream, intake, SimpleNamespace(asked=False))  # type: ignore[arg-type]

@@ -78,7 +78,7 @@ def test_where_nothing_comes_what_came_is_forced_onto_the_disk(tmp_path: Path, m
 
     recorder: Any = SimpleNamespace(series=series, full=False, frames=1, recorded_s=0.0)
     words = SimpleNamespace(seconds=None, frames=None, timeout_s=None, quiet=True)
-    intake = SimpleNamespace(next=silence, silent=None)
+    intake = SimpleNamespace(next=silence, silent=None, unusable=None)
     assert not record._go_on(words, recorder, intake, ended)  # type: ignore[arg-type]
     assert disk.bytes == series.size > before
     series.close()
@@ -126,7 +126,7 @@ def test_what_came_more_than_three_tenths_of_a_second_ago_is_in_the_files_whenev
 
     monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
     words = SimpleNamespace(seconds=None, frames=None, timeout_s=None, quiet=True)
-    intake = SimpleNamespace(next=next_one, silent=None)
+    intake = SimpleNamespace(next=next_one, silent=None, unusable=None)
     with contextlib.closing(recorder):
         assert not record._go_on(words, recorder, intake, stop)  # type: ignore[arg-type]
     assert recorder.series is not None
@@ -154,7 +154,7 @@ def test_on_a_terminal_a_line_says_each_second_how_far_it_is(monkeypatch: pytest
         monkeypatch.setattr(sys, "stderr", terminal)
         monkeypatch.setattr(record, "time", SimpleNamespace(monotonic=lambda: now_s[0]))
         words = SimpleNamespace(seconds=None, frames=None, timeout_s=3.0, quiet=False)
-        intake = SimpleNamespace(next=next_one, silent=None)
+        intake = SimpleNamespace(next=next_one, silent=None, unusable=None)
         assert not record._go_on(words, stream, intake, record._Stop())  # type: ignore[arg-type]
         monkeypatch.undo()
         said = ""

@@ -1,11 +1,15 @@
 """``eitskin replay --wait`` begins when whoever came has subscribed to all that it wants."""
 
+import threading
+import time
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
+from eitskin.errors import NoFrame
 from eitskin_tools.commands.recorded import replay
+from eitskin_tools.recording.intake import Intake
 
 
 class Coming:
@@ -52,3 +56,39 @@ def test_it_ends_when_nobody_waits_any_more(monkeypatch: pytest.MonkeyPatch) -> 
     )
     replay._wait(skin, publisher)
     assert publisher.looks == 1
+
+
+class Unusable:
+    """A subscription to which messages come that it cannot use, and one that it can once that was seen."""
+
+    def __init__(self) -> None:
+        self.rejected, self.waits, self.closed = 0, False, False
+        self.seen = threading.Event()
+
+    def __iter__(self) -> "Unusable":
+        return self
+
+    def __next__(self) -> object:
+        if self.rejected:
+            self.seen.wait(60.0)
+            return "usable"
+        self.rejected += 1
+        raise NoFrame(f"{self.rejected} of version 4, expected 3")
+
+    def close(self) -> None:
+        self.closed = True
+
+
+def test_a_recorder_tells_what_cannot_be_used_from_silence() -> None:
+    source = Unusable()
+    intake = Intake([lambda: source])
+    try:
+        while intake.unusable is None:
+            time.sleep(0.001)
+        assert "of version 4, expected 3" in str(intake.unusable)
+        source.seen.set()
+        assert intake.next(60.0) == "usable"
+        assert intake.unusable is None
+    finally:
+        intake.close()
+    assert source.closed

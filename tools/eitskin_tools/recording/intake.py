@@ -50,6 +50,8 @@ class Intake:
         """Messages that were not taken because the disk was too slow."""
         self.silent: SkinError | None = None
         """Why nothing comes, as the last source to wait in vain said it; None once something came since."""
+        self.unusable: SkinError | None = None
+        """The same of a source to which something comes that it cannot use: of another version, say."""
         self._threads = [
             threading.Thread(target=self._take, args=(source,), name=f"record-{number}", daemon=True)
             for number, source in enumerate(sources)
@@ -63,12 +65,12 @@ class Intake:
         except Exception as error:
             self._queue.put(error)
             return
-        rhythm = Rhythm()
+        rhythm, rejected = Rhythm(), 0
         try:
             while not self._closing.is_set():
                 try:
                     for found in subscription:
-                        self.silent = None
+                        self.silent = self.unusable = None
                         if self._queue.qsize() < MOST_WAITING:
                             self._queue.put(found)
                         else:
@@ -81,6 +83,8 @@ class Intake:
                             return
                 except NoFrame as error:
                     self.silent = error
+                    if subscription.rejected > rejected:
+                        self.unusable, rejected = error, subscription.rejected
         except Exception as error:
             self._queue.put(error)
         finally:

@@ -137,7 +137,7 @@ def _go_on(arguments: argparse.Namespace, recorder: Any, intake: Any, stopped: _
             if recorder.full:
                 return True
             if recorder.series is None and now_s - begin_s > (patience_s := arguments.timeout_s or FIRST_S):
-                raise _nothing(arguments.endpoint, patience_s, silent=intake.silent is not None)
+                raise intake.unusable or _nothing(arguments.endpoint, patience_s, silent=intake.silent is not None)
             if arguments.timeout_s is not None and now_s - heard_s > arguments.timeout_s:
                 return False
             if not recorder.frames:
