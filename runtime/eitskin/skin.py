@@ -29,7 +29,7 @@ from eitskin.model.skin_in_use import Given, bundle_and_skin
 from eitskin.pipeline.cloud_change import CloudChange
 from eitskin.pipeline.frame_pipeline import Pipeline
 from eitskin.pipeline.idle import IdleGate, IdleMode
-from eitskin.pipeline.latency_budget import MOST_MS
+from eitskin.pipeline.latency_budget import in_ns
 from eitskin.pipeline.region_worker import RegionWorker
 from eitskin.reference import captured as references
 from eitskin.reference.captured import DEFAULT_FRAMES, Reference
@@ -81,8 +81,7 @@ class Skin:
         compensate_drift: bool | None = None,
         skin: Given = None,
     ) -> None:
-        if budget_ms is not None and not 0 < budget_ms <= MOST_MS:
-            raise ValueError(f"budget_ms is {budget_ms:g}, expected more than 0 and at most {MOST_MS:.0f}")
+        budget_ns = in_ns(budget_ms)
         self.bundle, self.description = bundle_and_skin(bundle, skin)
         loaded = references.taken(reference, self.description)
         self.transport = open_line(port, baud) if isinstance(port, str) else port
@@ -94,7 +93,7 @@ class Skin:
             self.pipeline = Pipeline(
                 self.bundle,
                 self.device.hello,
-                None if budget_ms is None else round(budget_ms * 1e6),
+                budget_ns,
                 solver=solver,
                 skip_unchanged=skip_unchanged,
                 health=health_of(self.bundle, exclude=exclude, compensate_drift=compensate_drift),

@@ -25,6 +25,19 @@ EASY: Final = 0.5
 """A frame that took less than this part of the budget is easy."""
 
 
+def in_ns(budget_ms: float | None) -> int | None:
+    """Return a budget of milliseconds in nanoseconds; None is none.
+
+    Raises:
+        ValueError: It is not above 0, or more than ``MOST_MS``.
+    """
+    if budget_ms is None:
+        return None
+    if not 0 < budget_ms <= MOST_MS:
+        raise ValueError(f"budget_ms is {budget_ms:g}, expected more than 0 and at most {MOST_MS:.0f}")
+    return round(budget_ms * 1e6)
+
+
 class LatencyBudget:
     """Follows the latency of frames against a budget.
 

@@ -2,7 +2,7 @@ import itertools
 
 import pytest
 
-from eitskin.pipeline.latency_budget import HOLD_FRAMES, LONGEST_HOLD, LatencyBudget
+from eitskin.pipeline.latency_budget import HOLD_FRAMES, LONGEST_HOLD, LatencyBudget, in_ns
 
 SLOW, FAST, FAIR = 2_000_000, 100_000, 800_000
 BUDGET = 1_000_000
@@ -64,3 +64,11 @@ def test_the_ladder_does_not_flutter_between_two_levels():
 def test_a_budget_that_is_not_positive_is_refused():
     with pytest.raises(ValueError, match="-5"):
         LatencyBudget(-5, 3)
+
+
+def test_a_budget_is_of_milliseconds_and_within_a_quarter_of_an_hour():
+    assert in_ns(None) is None
+    assert in_ns(2.5) == 2_500_000
+    for budget_ms in (0.0, -1.0, float("nan"), float("inf"), 2e6):
+        with pytest.raises(ValueError, match="expected more than 0 and at most 1000000"):
+            in_ns(budget_ms)
