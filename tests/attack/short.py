@@ -1,12 +1,19 @@
 """Tests of the short form of attacks, which a folder's test module makes for its own."""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import pytest
 
 from .catalogue import ATTACKS, load
 from .outcome import Effort, Outcome
+
+SLOW: Final = frozenset({
+    "subscribers.topics", "subscribers.connections", "subscribers.descriptors", "subscribers.silent",
+    "subscribers.honest", "subscribers.churn", "subscribers.giants", "device.clocks", "device.greetings",
+    "device.answers", "device.hangs", "device.terminated", "files.readers", "files.commands",
+})  # fmt: skip
+"""Whose short form takes ten seconds and more: ``make slow`` has them, not ``make test``."""
 
 
 def short_form(folder: str) -> tuple[Any, Callable[[Outcome], None]]:
@@ -19,8 +26,9 @@ def short_form(folder: str) -> tuple[Any, Callable[[Outcome], None]]:
     """
     names = [name for name, where in ATTACKS.items() if where.startswith(f"{folder}.")]
     assert names, f"no attack is in {folder}"
+    params = [pytest.param(name, marks=[pytest.mark.slow] if name in SLOW else []) for name in names]
 
-    @pytest.fixture(scope="module", params=names)
+    @pytest.fixture(scope="module", params=params)
     def outcome(request: pytest.FixtureRequest) -> Outcome:
         found = load(request.param)(Effort())
         assert found.attack == request.param
