@@ -1,4 +1,4 @@
-"""``eitskin replay --wait`` begins when whoever came has subscribed to all that it wants."""
+"""Who waits for a stream: ``eitskin replay --wait`` for subscribers, ``eitskin record`` for what it can use."""
 
 import threading
 import time
@@ -83,7 +83,8 @@ def test_a_recorder_tells_what_cannot_be_used_from_silence() -> None:
     source = Unusable()
     intake = Intake([lambda: source])
     try:
-        while intake.unusable is None:
+        end_s = time.monotonic() + 60.0
+        while intake.unusable is None and time.monotonic() < end_s:
             time.sleep(0.001)
         assert "of version 4, expected 3" in str(intake.unusable)
         source.seen.set()

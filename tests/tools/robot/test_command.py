@@ -75,6 +75,9 @@ def test_a_cpu_that_there_is_not_is_refused(robot, capsys):
     assert "CPU [4000]" in refused(capsys, "run", "--config", robot("realtime.affinity = [4000]"))[1]
     path = robot('verify.mode = "always"', "verify.affinity = [4000]")
     assert "verify.affinity: CPU [4000], expected some of [" in refused(capsys, "run", "--config", path, "--check")[1]
+
+
+def test_a_budget_of_more_than_a_quarter_of_an_hour_is_refused(robot, capsys):
     path = robot('verify.mode = "always"', "verify.budget_ms = 1e7")
     said = refused(capsys, "run", "--config", path, "--check")[1]
     assert "verify.budget_ms is 1e+07, expected at most 1000000" in said
