@@ -56,7 +56,7 @@ class Tracker:
         grid: Of the skin.
     """
 
-    __slots__ = ("_before", "_now", "_pixel_mm", "_tracks", "_used", "_width", "newest")
+    __slots__ = ("_before", "_device_us", "_now", "_pixel_mm", "_tracks", "_used", "_width", "newest")
 
     def __init__(self, grid: Grid) -> None:
         self._pixel_mm, self._width = grid.pixel_mm, grid.shape[1] + 2
@@ -66,6 +66,8 @@ class Tracker:
         self._used = np.zeros(0, dtype=np.intp)
         self._now = np.full(size, -1, dtype=np.int64)
         self._tracks: list[Track] = []
+        self._device_us = 0
+        """When the last frame was scanned."""
         self.newest = 0
         """The number given last."""
 
@@ -87,6 +89,10 @@ class Tracker:
             found: The frame's touches.
             device_us: When it was scanned.
         """
+        if device_us < self._device_us:  # a device that started anew counts from 0; ages go on
+            for track in self._tracks:
+                track.born_us += device_us - self._device_us
+        self._device_us = device_us
         xs, ys, peaks = ([row[column] for row in found.rows] for column in (0, 1, 6))
         count = len(xs)
         now, before = self._now, self._before

@@ -52,6 +52,17 @@ def test_a_touch_keeps_its_number_while_it_moves_and_grows_older(film):
         assert found.touches[0].centre_mm[0] == pytest.approx(20.0 + 9.0 * step, abs=0.05)
 
 
+def test_a_touch_grows_older_although_the_device_counts_time_anew(film):
+    shown = np.float32(square(20.0, 50.0)).ravel()
+    ages = []
+    for device_us in (9_000_000, 9_500_000, 1_000, 6_000):
+        packed = film.watch.look(shown, device_us, FLAT, device_us)
+        (touch,) = unpack_touches(packed[0], LAYOUT.size, *packed[1:]).touches
+        assert touch.id == 1
+        ages.append(touch.age_s)
+    assert ages == pytest.approx([0.0, 0.5, 0.5, 0.505])
+
+
 def test_a_jump_is_another_touch(film):
     film.show(square(20.0, 50.0))
     found = film.show(square(20.0 + 2.5 * GATE_MM, 50.0))
