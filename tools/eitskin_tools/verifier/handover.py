@@ -33,7 +33,7 @@ HEAR_NS: Final = 50_000_000
 """Between two looks for what a verifier says of itself, while no verdict is waited for."""
 
 REMEMBERED: Final = 2000
-"""Verdicts whose times are kept."""
+"""Verdicts whose times are kept, and letters that are known to have been taken back."""
 
 LATE: Final = "what it computes takes longer than it may; if it hangs it is ended, and started anew"
 """Said meanwhile."""
@@ -65,7 +65,7 @@ class Handover:
         self._told = "", ""
         self._told_ns = self._hear_ns = self._number = 0
         self._posted = self._answered = self._withdrawn = 0
-        self._blank: list[int] = []
+        self._blank: deque[int] = deque(maxlen=REMEMBERED)
         self._asked = False
         self.counts = {"checked": 0, "flagged": 0, "skipped": 0}
         self._spent_ms: deque[float] = deque(maxlen=REMEMBERED)
@@ -111,7 +111,7 @@ class Handover:
     def _take(self, record: FrameRecord) -> None:
         if not record.touched or record.map_is_zero:
             self._forget()
-            if not record.touched:
+            if not (record.touched or record.idle):  # an idle frame leaves dV as the last whole one had it
                 self._rest()
                 return
         elif record.inferred and not self._is_known():
@@ -215,7 +215,8 @@ class Handover:
             return
         _, letter, told, flagged, spent_ms = answer
         between = letter - self._answered - 1 - sum(number < letter for number in self._blank)
-        self._blank = [number for number in self._blank if number > letter]
+        while self._blank and self._blank[0] < letter:
+            self._blank.popleft()
         self.counts["skipped"] += max(0, between) + (flagged is None)
         self._answered = letter
         if flagged is not None:
