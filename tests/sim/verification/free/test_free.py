@@ -15,7 +15,7 @@ from eitskin_sim.scene.parts import Touch
 from eitskin_sim.scene.shapes import Rect
 from eitskin_sim.shapes.parameters import areas_mm2
 from eitskin_sim.verification.free.fit import TRIES, Fit, Frame, bounded, refine
-from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of
+from eitskin_sim.verification.free.found import FreeVerdict, map_of, scatter_of, touches_of
 from eitskin_sim.verification.free.search import FreeVerifier
 from eitskin_sim.verification.free.sheet.model import Model
 from eitskin_sim.verification.free.sheet.waves import waves_of
@@ -165,6 +165,15 @@ def test_errors_of_a_fit_are_told_by_the_derivatives_of_its_last_short_step() ->
     assert not best._linear, "its last step gained next to nothing"
     told, own = scatter_of(best), scatter_of(frame.at(best.pieces))
     assert np.sqrt(np.square(told).sum(axis=0)) == pytest.approx(np.sqrt(np.square(own).sum(axis=0)), rel=0.2)
+
+
+def test_where_a_touch_lies_that_another_one_hides_is_not_known_at_all() -> None:
+    two = np.vstack([moved([0, 0, 0, 30.0, 30.0, 0, 0, 0]), moved([0, 2.0, 3.0, -2.0, 0, 0, 0, 0])])
+    large, hidden = touches_of(verifier()._frame(seen(two) / flat_V() - 1.0).at(two))
+    assert max(large.centre_error_mm) < 0.5
+    assert min(hidden.centre_error_mm) > 150.0
+    assert np.isfinite(hidden.centre_error_mm).all()
+    assert hidden.strength_error_mm2 < 1e4
 
 
 def uneven_metric(xy_mm: Array) -> Array:

@@ -114,8 +114,9 @@ def touches_of(fit: Fit, others: Sequence[Array] = ()) -> tuple[FreeTouch, ...]:
     """
     if not len(fit.pieces):
         return ()
-    _, by, own = fit.errors
-    covariance = np.linalg.pinv(by.T @ by, hermitian=True)
+    own = fit.errors[2]
+    ways = scatter_of(fit)[:, own]
+    covariance = ways.T @ ways
     number = np.full(own.shape, -1)
     number[own] = np.arange(own.sum())
     areas, strengths = areas_mm2(fit.pieces), strengths_mm2(fit.pieces)
