@@ -128,6 +128,7 @@ class RobotSubscription:
         now_s = time.monotonic()
         self._heard_s = dict.fromkeys(self.skins, now_s)
         self._due_s = dict.fromkeys(self.skins, now_s + self._first_s)
+        self._look_s = now_s + LOOK_MS / 1000
 
     @property
     def received(self) -> dict[str, int]:
@@ -172,9 +173,10 @@ class RobotSubscription:
         left_ms = (min(self._due_s.values()) - time.monotonic()) * 1000
         ready = self._poller.poll(int(max(0, min(left_ms + 1, LOOK_MS))))
         self._turns.extend(self._by_socket[socket] for socket, _ in ready)
-        if not ready:
-            for one in self._subscriptions.values():
-                one.look()
+        if (now_s := time.monotonic()) >= self._look_s:
+            self._look_s = now_s + LOOK_MS / 1000
+            for name in self._subscriptions.keys() - self._turns:
+                self._subscriptions[name].look()
 
     def _raise_if_silent(self) -> None:
         now_s = time.monotonic()

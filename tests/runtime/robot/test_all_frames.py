@@ -12,6 +12,7 @@ from eitskin.errors import RobotError, SilentSkin, StaleFrame
 from eitskin.messaging.frame import EVERY_FRAME
 from eitskin.messaging.frame_packer import FramePacker
 from eitskin.messaging.publish import Publisher
+from eitskin.messaging.received.subscriber import LARGEST_TAKEN
 from eitskin.touches.surface import Surface
 from eitskin.touches.watch import TouchWatch
 from eitskin_proto.skin.skin import PAPER
@@ -160,6 +161,23 @@ def test_a_silent_skin_is_named_and_the_other_goes_on(robot):
         assert "no frame of skin left from ipc://" in silent["left"]
         assert "within 0.5 s" in silent["left"]
         assert frames.silent_s()["left"] > 0.4
+
+
+def test_a_skin_whose_connection_was_lost_for_good_comes_again_while_the_other_streams(robot):
+    path, skins = robot
+    with eitskin.subscribe_all(path, timeout_s=PATIENCE_S) as frames:
+        wait_for(skins)
+        skins["left"].send()
+        while not frames.received["left"]:
+            next(frames)
+        skins["left"].publisher.send(memoryview(bytes(skins["left"].packer.message()) + bytes(LARGEST_TAKEN)))
+        end = time.monotonic() + PATIENCE_S
+        with sending(skins["left"]), sending(skins["right"]):
+            while not frames._subscriptions["left"].reconnected:
+                next(frames)
+                assert time.monotonic() < end, "nobody looked at its connection"
+            while next(frames).skin != "left":
+                assert time.monotonic() < end, "it did not come again"
 
 
 def test_frames_that_waited_here_are_no_silence(robot):
