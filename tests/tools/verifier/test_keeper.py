@@ -1,13 +1,17 @@
-"""Who leaves a verifier does not wait for one that gets no core to end on."""
+"""Who leaves a verifier does not wait for one that gets no core to end on; where it cannot start, it does so later."""
 
+import errno
 import os
 import signal
+import socket
 import subprocess
 import sys
 import threading
 
 import pytest
 
+from eitskin.messaging.verified.message import STARTING, WAITING
+from eitskin_tools.processes.pauses import Pauses
 from eitskin_tools.verifier.keeper import Keeper, Place
 
 from .conftest import PATIENCE_S, until
@@ -36,3 +40,23 @@ def test_leaving_does_not_wait_for_a_process_that_does_not_end(monkeypatch):
         for thread in threading.enumerate():
             if thread.name == "verifier-leaves":
                 thread.join(PATIENCE_S)
+
+
+@pytest.mark.process
+@pytest.mark.parametrize("where", [(os, "memfd_create"), (socket, "socketpair"), (subprocess, "Popen")])
+def test_without_descriptors_it_starts_another_time(monkeypatch, where):
+    keeper = Keeper(Place(program=STAYS), Pauses(0.1, 0.2, 60.0))
+
+    def none_left(*_, **__):
+        raise OSError(errno.EMFILE, os.strerror(errno.EMFILE))
+
+    with monkeypatch.context() as held:
+        held.setattr(*where, none_left)
+        keeper.__enter__()
+        until(lambda: keeper.state == WAITING)
+        assert keeper.why == "the verifier cannot be started: Too many open files; it starts again in 0.1 s"
+    try:
+        until(lambda: keeper.pid)
+        assert (keeper.state, keeper.restarts > 0) == (STARTING, True)
+    finally:
+        keeper.__exit__()

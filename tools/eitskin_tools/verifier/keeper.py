@@ -10,7 +10,7 @@ import socket
 import subprocess
 import sys
 import threading
-from contextlib import suppress
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 from typing import Final
 
@@ -135,20 +135,34 @@ class Keeper(Lookout):
             self._failures = 0
 
     def _start(self) -> None:
-        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-        for end in (ours, theirs):
-            end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST_ANSWER)
-        ours.setblocking(False)
-        self._errors = os.memfd_create("eitskin-verifier-stderr")
-        told = {
-            "memory": self.mailbox.descriptor, "bell": self.bell, "answers": theirs.fileno(), "parent": os.getpid(),
-            "nice": self.place.nice, "idle": self.place.idle, "skip": self.mailbox.written[FRAME],
-            "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
-        }  # fmt: skip
         self._still_looks = self._looks = 0
         self._hung = self.is_late = False
         self.mailbox.late_s = 0.0
         try:
+            self.answers = self._started()
+        except OSError as error:  # too few processes or descriptors: another time
+            self._fail(f"cannot be started: {error.strerror or error}")
+        else:
+            self.state, self.why = STARTING, ""
+
+    def _started(self) -> socket.socket:
+        """Start the process, and return where it answers.
+
+        Raises:
+            OSError: It cannot be started.
+        """
+        ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        with ExitStack() as left, theirs:
+            left.enter_context(ours)
+            for end in (ours, theirs):
+                end.setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, 4 * LARGEST_ANSWER)
+            ours.setblocking(False)
+            self._errors = os.memfd_create("eitskin-verifier-stderr")
+            told = {
+                "memory": self.mailbox.descriptor, "bell": self.bell, "answers": theirs.fileno(), "parent": os.getpid(),
+                "nice": self.place.nice, "idle": self.place.idle, "skip": self.mailbox.written[FRAME],
+                "cpus": list(self.place.cpus or os.sched_getaffinity(0)),
+            }  # fmt: skip
             self._process = subprocess.Popen(
                 [*self.place.program, json.dumps(told)],
                 stdin=subprocess.DEVNULL,
@@ -158,13 +172,8 @@ class Keeper(Lookout):
                 env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
                 process_group=0,
             )
-        except OSError as error:  # too few processes or descriptors: another time
-            self._fail(f"cannot be started: {error.strerror or error}")
-        else:
-            self.answers = ours
-            self.state, self.why = STARTING, ""
-        finally:
-            theirs.close()
+            left.pop_all()
+        return ours
 
     def _ended(self, process: subprocess.Popen[bytes]) -> None:
         status = process.returncode
@@ -174,7 +183,9 @@ class Keeper(Lookout):
         self._fail("hung, and was ended" if self._hung else f"ended {how}" + (f": {said}" if said else ""))
 
     def _fail(self, why: str) -> None:
-        os.close(self._errors)
+        if self._errors >= 0:
+            os.close(self._errors)
+            self._errors = -1
         self._failures += 1
         if self._failures >= self._most_failures:
             self.state, self.why = FAILED, f"the verifier {why}; {self._failures} times in a row, so it is given up"
