@@ -25,6 +25,8 @@ Array = npt.NDArray[np.float64]
 MOST_TOUCHES: Final = 16
 """Touches of one map that are listed: those whose pixels of at least one half sum up to most."""
 
+BELOW_PI: Final = float(np.nextafter(np.float32(np.pi), np.float32(0.0)))
+"""The largest angle of a message, in which the next number of 4 bytes is more than pi."""
 
 Row = tuple[float, float, float, float, float, float, float]
 """x and y of a touch's centre in mm, its longer and shorter axis in mm, angle in rad, area in mm2, peak."""
@@ -159,7 +161,7 @@ class Finder:
         return (
             x + self._middle_mm[0], y + self._middle_mm[1],
             4.0 * math.sqrt(max(middle + spread, 0.0)), 4.0 * math.sqrt(max(middle - spread, 0.0)),
-            angle if angle < math.pi else 0.0,  # of a negative one next to 0
+            angle if angle <= BELOW_PI else 0.0,  # of a negative one next to 0
             total * self._pixel_mm2, peak,
         )  # fmt: skip
 

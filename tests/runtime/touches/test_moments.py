@@ -57,6 +57,16 @@ def test_axes_are_right_on_average_over_where_a_touch_lies(finder):
     assert np.mean(discs) == pytest.approx(10.0, rel=0.02)
 
 
+@pytest.mark.parametrize("lean", [1e-16, 1e-9, 1e-7, 1e-5])
+def test_an_angle_is_below_pi_in_a_message_too(finder, lean):
+    leaning = np.zeros(GRID.shape)
+    leaning[14:16, 10:20] = 1.0
+    leaning[14, 15:] += lean  # the axis turns against the clock by next to nothing
+    angle = only(finder.find(leaning))[4]
+    assert 0.0 <= float(np.float32(angle)) < np.pi
+    assert np.sin(angle) == pytest.approx(0.0, abs=1e-5)
+
+
 @pytest.mark.parametrize("angle", [0.3, 1.2, 2.5])
 def test_an_ellipse_lies_as_it_lies(finder, angle):
     found = only(finder.find(ellipse(70.0, 50.0, 20.0, 8.0, angle)))
