@@ -6,13 +6,14 @@ import numpy as np
 import pytest
 
 from eitskin.messaging.frame_record import PUBLISH, FrameRecord
+from eitskin.messaging.regions import Region, whole
 from eitskin.messaging.verified.message import STARTING
 from eitskin.reference.captured import Reference
 from eitskin_proto.skin.skin import PAPER
 from eitskin_tools.evaluation.verified.resting import FRAMES
 from eitskin_tools.verifier.handover import REMEMBERED, Handover
-from eitskin_tools.verifier.letters import RestLetter
-from eitskin_tools.verifier.mailbox import REST, Mailbox
+from eitskin_tools.verifier.letters import FrameLetter, RestLetter
+from eitskin_tools.verifier.mailbox import FRAME, REST, Mailbox
 
 NOISE = 3e-3
 
@@ -26,7 +27,7 @@ class Line:
         pipeline = SimpleNamespace(
             buffers=buffers, health=None, skin=PAPER, normaliser=SimpleNamespace(volts_per_count=0.0),
             bundle=SimpleNamespace(id="b", labels="area", touch_kind="raising"),
-            intake=SimpleNamespace(tell_next=lambda event: None),
+            intake=SimpleNamespace(tell_next=lambda event: None), whole=whole(PAPER.grid.shape),
         )  # fmt: skip
         reference = Reference(np.ones(104), np.full(104, NOISE), 100, "s", 0, "c", "")
         skin = SimpleNamespace(pipeline=pipeline, reference=reference, loop=SimpleNamespace(run_id="r"))
@@ -66,6 +67,16 @@ def test_frames_of_a_few_drives_are_not_what_the_sheet_reads_at_rest(line):
     for _ in range(2 * FRAMES):
         line.frame(idle=True)
     assert mailbox.take(REST) is None
+
+
+def test_a_map_of_a_region_alone_is_not_where_physics_starts(line):
+    line.record.regions = (Region(0, 9, 0, 9),)  # as others need it; the whole is computed some frames later
+    line.frame(touched=True)
+    mailbox = line.handover._keeper.mailbox
+    assert mailbox.take(FRAME) is None
+    line.record.regions = whole(PAPER.grid.shape)
+    line.frame(touched=True)
+    assert FrameLetter.of(mailbox.take(FRAME)[1]).seq == line.record.sequence
 
 
 def test_touches_that_come_and_go_while_nobody_answers_take_no_more_and_more_memory(line):
