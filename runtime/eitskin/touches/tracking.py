@@ -9,7 +9,7 @@ pairs first. What goes on as nothing, and what begins::
     died      not seen for ``HOLD_FRAMES`` frames; until then it is not listed, but keeps its number if it is back
 
 A touch is listed in the first frame that shows it: who wants no flicker looks at its age. Numbers begin with 1 and are
-never used twice.
+never used twice, until there are no more of them.
 """
 
 from dataclasses import dataclass
@@ -20,6 +20,9 @@ import numpy as np
 from eitskin.touches.moments import MOST_TOUCHES, Found
 from eitskin.touches.touch import BORN, DIED, MERGED, SPLIT
 from eitskin_proto.skin.grid import Grid
+
+MOST: Final = 2**32 - 1
+"""The largest number of a message, behind which they begin again: shreds of a map take a month to get there."""
 
 GATE_MM: Final = 10.0
 """How far a touch moves from one frame to the next: 2 m/s at 200 frames/s. Nearer ones are not told apart anyway."""
@@ -106,7 +109,7 @@ class Tracker:
         for touch in range(count):
             if result[touch] is None and peaks[touch] >= BIRTH:
                 parent = lay_in[touch] if lay_in[touch] in goes_on else 0
-                self.newest += 1
+                self.newest = self.newest % MOST + 1
                 result[touch] = Track(self.newest, parent, device_us, xs[touch], ys[touch])
                 events.append((SPLIT if parent else BORN, self.newest, parent))
         left: list[Track] = []

@@ -126,6 +126,12 @@ def test_numbers_are_never_used_twice_also_when_nobody_asked_for_a_while(film):
     assert said(found) == [("born", 2, 0)]
 
 
+def test_numbers_begin_again_where_a_message_has_no_larger_one(film):
+    film.watch.tracker.newest = 2**32 - 2
+    assert ids(film.show(square(20.0, 50.0))) == [2**32 - 1]
+    assert ids(film.show(np.maximum(square(20.0, 50.0), square(100.0, 50.0)))) == [1, 2**32 - 1]
+
+
 def test_noise_for_ever_gives_bounded_lists_and_no_number_twice(film):
     rng = np.random.default_rng(0)
     born, ended = set(), set()
