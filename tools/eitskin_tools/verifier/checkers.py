@@ -214,7 +214,8 @@ class FreeChecker:
         found = self._finder.find(frame.map)
         shares = shares_of(found.pixels, found.touch, found.weights, found.count, shape.grid)
         volts = shape.reference_V * (1.0 + frame.change.astype(np.float64))
-        verdict = self._verifier.verify(volts, shares, self._last, self._budget_s)
+        last, self._last = self._last, None  # a frame that fails with it leaves the next one without
+        verdict = self._verifier.verify(volts, shares, last, self._budget_s)
         self._last = verdict.pieces if len(verdict.pieces) else None
         placed = shape.placed([one.centre_mm for one in verdict.touches])
         touches = tuple(_free(one, *where) for one, where in zip(verdict.touches, placed, strict=True))

@@ -86,7 +86,8 @@ class TouchedSheet:
             pieces: (n, 8) touches; they may meet and overlap.
 
         Raises:
-            ValueError: A border cannot be represented, a touch would change nothing, or takes more than there is.
+            ValueError: A border cannot be represented, a touch would change nothing, or takes more than there is; or
+                all of them lie beyond the sheet.
         """
         sheet = self.sheet
         if not len(pieces):
@@ -94,6 +95,8 @@ class TouchedSheet:
             base = Blocks(none, none, np.zeros((0, 9, 9)))
             return Solved(pieces, base, none, np.zeros((0, 16)), self._at_terminals)
         base = touched(sheet, [pieces])
+        if not len(base.element):
+            raise ValueError("touches lie beyond the sheet")
         own = self.grid.dofs[base.element]
         dofs, place = np.unique(own, return_inverse=True)
         hidden = int(dofs[0] < 0)  # a column for elements under no electrode

@@ -120,6 +120,18 @@ def test_where_the_map_is_off_it_still_is_so_a_followed_touch_moves_as_the_map_d
     assert followed(last, now, now[:0])[0, 1:3] == pytest.approx(now[0, 1:3])
 
 
+def test_a_followed_touch_stays_on_the_sheet_although_the_map_moves_beyond_where_it_was_off() -> None:
+    own = verifier()
+    own.deform(flat_cloud())
+    at_border, shown, then = (moved([0, x - 60.0, 0, -4.0, -2.0, 0, 0, 0]) for x in (6.0, 14.0, 2.0))
+    last = own.verify(seen(at_border), share(shown), budget_s=LONG_S).pieces
+    found = own.verify(seen(then), share(then), last, budget_s=LONG_S)
+    assert len(found.pieces) == 1
+    assert found.pieces[0, 1:3] == pytest.approx(then[0, 1:3], abs=2.0)
+    with pytest.raises(ValueError, match="beyond the sheet"):
+        true_model().solve(moved([0, -80.0, 0, 0, 0, 0, 0, 0]))
+
+
 def test_settled_touches_stay_and_their_derivatives_serve_their_errors(monkeypatch: pytest.MonkeyPatch) -> None:
     frame = verifier()._frame(seen(SQUARE) / flat_V() - 1.0)
     assert not frame.at(SQUARE).settled

@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 import numpy.typing as npt
 
+from eitskin_proto.skin.skin import Skin
 from eitskin_sim.scene.soft_touch import LEAST_BORDER_MM
 from eitskin_sim.scene.touch_table import Array
 from eitskin_sim.shapes.parameters import (
@@ -31,6 +32,9 @@ from eitskin_sim.verification.free.prior.joints import Joints
 from eitskin_sim.verification.free.sheet.model import Model
 from eitskin_sim.verification.free.usual import Usual
 from eitskin_sim.verification.residual import Whitener
+
+INSIDE_MM: Final = 0.5
+"""From the sheet's border to a centre, at least."""
 
 LEAST_HALF_MM: Final = 1.5
 MOST_HALF_MM: Final = 45.0
@@ -243,8 +247,7 @@ def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array
     move[own] = step
     before = values[:, LOG_CONTRAST].copy()
     values += np.clip(move, -STEPS, STEPS)
-    size = np.array(frame.model.skin.outline.size_mm)
-    values[:, [X, Y]] = np.clip(values[:, [X, Y]], 0.5, size - 0.5)
+    values[:, [X, Y]] = _held(values[:, [X, Y]], frame.model.skin)
     halves = [HALF_LENGTH, HALF_WIDTH]
     values[:, halves] = np.clip(values[:, halves], LEAST_HALF_MM, MOST_HALF_MM)
     log = np.clip(values[:, LOG_CONTRAST], *np.log(CONTRASTS))
@@ -255,3 +258,14 @@ def bounded(frame: Frame, pieces: Array, own: npt.NDArray[np.bool_], step: Array
     narrow = 2.0 * values[:, halves].min(axis=1)
     values[graded, BORDER] = np.clip(values[graded, BORDER], LEAST_BORDER_MM, np.minimum(narrow[graded] - 0.01, 8.0))
     return pieces_of(pieces[:, 0], values)
+
+
+def on_sheet(pieces: Array, skin: Skin) -> Array:
+    """Return touches whose centres are held within a skin's sheet."""
+    found = pieces.copy()
+    found[:, 1:3] = _held(pieces[:, 1:3], skin)
+    return found
+
+
+def _held(centres_mm: Array, skin: Skin) -> Array:
+    return np.clip(centres_mm, INSIDE_MM, np.array(skin.outline.size_mm) - INSIDE_MM)

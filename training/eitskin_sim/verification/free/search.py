@@ -31,7 +31,7 @@ from eitskin_sim.verification.chi_squared import LEVEL
 from eitskin_sim.verification.frame import check_frame
 from eitskin_sim.verification.free import improve
 from eitskin_sim.verification.free.effort import Effort
-from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, refine
+from eitskin_sim.verification.free.fit import ENOUGH, Fit, Frame, on_sheet, refine
 from eitskin_sim.verification.free.found import (
     FreeVerdict,
     Likely,
@@ -262,7 +262,7 @@ class FreeVerifier:
         """Return the first start that explains the frame once it is fitted, or the best of them."""
         tries = tries_of(rectangles, upright, self._usual)
         if last is not None:
-            tries.insert(0, followed(last, rectangles, self._before(last)))
+            tries.insert(0, on_sheet(followed(last, rectangles, self._before(last)), self._skin))
         tries.append(np.zeros((0, 8)))
         best = None
         for one in tries:
