@@ -83,7 +83,7 @@ class Instrument:
     gain: Quantity = _known(1.0, 0.1, 10.0, each="a measured pair")
     """Of each measured pair."""
     offset_V: Quantity = _known(0.0, -1.0, 1.0, each="a measured pair")
-    """Of each measured pair, under the nominal current."""
+    """Of each measured pair, under 1 A: of a device of 1 mA a thousand times what it adds."""
     stray_pF: Quantity = _known(0.0, 0.0, 1e5, each="an electrode")
     """Capacitance from each terminal to ground."""
     frequency_Hz: float = _of(20000.0, 1.0, 1e7)

@@ -14,7 +14,7 @@ from eitskin_sim.calibration.bends import BendError
 from eitskin_sim.calibration.fit import CalibrationError
 from eitskin_sim.calibration.printed import table
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.report import _unknown, calibrate
+from eitskin_sim.calibration.report import _unknown, calibrate, per_ampere
 from eitskin_sim.devices.readings import responses_of
 from eitskin_sim.fem.solve import factorise_scene
 from eitskin_sim.measurement.front_end import FrontEnd
@@ -143,6 +143,33 @@ def test_a_press_that_contradicts_the_others_is_named(recorded):
     wrong = press(rng, PLACES[2], at=(30.0, 20.0))
     with pytest.raises(CalibrationError, match=r"press 2 at \(75, 70\) mm contradicts the others: .*drive \d+ measure"):
         calibrate(STATED, replace(recorded, bents=(), presses=(*recorded.presses, wrong)), 50.0)
+
+
+def test_presses_that_change_nothing_are_refused_instead_of_making_touches_that_nobody_feels(recorded):
+    rng = np.random.default_rng(11)
+    faint = tuple(press(rng, xy, contrast=0.995) for xy in PLACES[:2])
+    with pytest.raises(CalibrationError, match=r"presses change no more than noise and a drift of 1% do: .*press_V"):
+        calibrate(STATED, replace(recorded, bents=(), presses=faint), 50.0)
+
+
+def test_presses_that_go_the_other_way_than_the_skin_says_are_told_so_and_do_not_contradict_each_other(recorded):
+    rng = np.random.default_rng(12)
+    raising = tuple(press(rng, xy, contrast=3.0) for xy in PLACES[:2])
+    with pytest.raises(CalibrationError, match=r"^presses raise conductance, and \[touches\] of skin ours .* lower"):
+        calibrate(STATED, replace(recorded, bents=(), presses=raising), 50.0)
+    raised = replace(STATED, touches=replace(STATED.touches, lower=False, higher=True))
+    with pytest.raises(CalibrationError, match=r"^presses lower conductance, and \[touches\] of skin ours .* raise"):
+        calibrate(raised, replace(recorded, bents=()), 50.0)
+
+
+def test_voltages_of_the_other_sign_are_those_of_a_current_that_is_turned(recorded):
+    turned = per_ampere(STATED, replace(recorded, reference_V=-recorded.reference_V, bents=(), presses=()))
+    assert turned[1] == -1.0
+    assert np.array_equal(turned[0].reference_V, recorded.reference_V)
+    whole, current_A = per_ampere(STATED, replace(recorded, reference_V=-1e-3 * recorded.reference_V))
+    assert current_A == pytest.approx(-1e-3, rel=0.3)
+    assert np.allclose(whole.reference_V * current_A, -1e-3 * recorded.reference_V)
+    assert np.allclose(whole.presses[0].voltages_V * current_A, recorded.presses[0].voltages_V)
 
 
 def test_a_bend_that_is_no_bend_of_this_sheet_is_named(recorded):

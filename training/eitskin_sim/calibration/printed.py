@@ -26,7 +26,10 @@ def table(report: dict[str, Any]) -> str:
             shown = f"{name}[{k}]" if several else name
             lines.append(f"{shown:28}{value:12.5g}{error:11.2g}{prior:11.2g} {one['unit']}".rstrip())
     if report["current_A"] != 1.0:
-        lines.append(f"read under about {report['current_A']:.2g} A, if the layer conducts as stated; level is for 1 A")
+        lines.append(
+            f"read under about {report['current_A']:.2g} A, if the layer conducts as stated; level and offsets are for "
+            "1 A"
+        )
     far = np.abs(list(report["residuals"].values()))
     lines.append(
         f"residuals over their noise: rms {np.sqrt(np.mean(far**2)):.2f}, largest {far.max():.1f}; misfit "

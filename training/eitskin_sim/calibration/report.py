@@ -12,7 +12,7 @@ from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration.fit import CHANCE, FAR, REMEDY, CalibrationError, Fit, UnsettledError, fit
 from eitskin_sim.calibration.model import Model
 from eitskin_sim.calibration.recording import Later, Recording
-from eitskin_sim.calibration.session import Progress, Session
+from eitskin_sim.calibration.session import Progress, Session, check_felt
 from eitskin_sim.calibration.stamp import BORDER, GROWTH, OWN, PLACE, STRENGTH, ways
 from eitskin_sim.calibration.twin import UNKNOWN, calibrated_skin
 from eitskin_sim.calibration.unseen import UNSEEN
@@ -64,12 +64,16 @@ def per_ampere(skin: Skin, recording: Recording) -> tuple[Recording, float]:
     """Return a recording as under 1 A, and the current that it was taken with as far as that can be told.
 
     The layer's conductivity and the current are told apart by the contacts alone, so voltages that are within
-    ``NEAR_1_A`` of the stated skin's under 1 A are left as they are: that is the level's to find.
+    ``NEAR_1_A`` of the stated skin's under 1 A are left as they are: that is the level's to find. A current below 0 is
+    one whose voltages have the sign that other programs give a pair.
     """
     model = Model(skin, recording)
     stated = model.read(np.zeros(model.count), derivatives=False).voltages_V
     current_A = float(np.median(np.abs(recording.reference_V) / np.abs(stated)))
     if 1.0 / NEAR_1_A < current_A < NEAR_1_A:
+        current_A = 1.0
+    current_A *= float(np.sign(np.median(recording.reference_V / stated)))
+    if current_A == 1.0:
         return recording, 1.0
 
     def scaled(moments: tuple[Later, ...]) -> tuple[Later, ...]:
@@ -90,6 +94,8 @@ def _with_moments(session: Session, flat: Fit, progress: Progress | None) -> tup
         return float(np.sum(one.residuals(start) ** 2))
 
     chosen = tried[0] if len(tried) == 1 else min(tried, key=off)
+    if recording.presses:
+        check_felt(chosen, start)
     names = [*row_names(chosen.flat), *(f"{one.name} {row}" for one in chosen.moments for row in MOMENT_ROWS)]
     found = _named_if_unsettled(
         lambda: fit(chosen, progress, start=start, soft=LATER, done=flat.steps, rough=True), names

@@ -11,11 +11,13 @@ from typing import Final
 
 import numpy as np
 import numpy.typing as npt
+from scipy.stats import chi2
 
 from eitskin_proto.sensor.table import N_ROWS
 from eitskin_proto.skin.skin import Skin
 from eitskin_sim.calibration import stamp as stamps
 from eitskin_sim.calibration.bends import bend_error
+from eitskin_sim.calibration.fit import CHANCE, CalibrationError
 from eitskin_sim.calibration.model import GAUGE, Lying, Model, Read
 from eitskin_sim.calibration.recording import Later, Recording
 from eitskin_sim.calibration.rows import noise_V, of_table
@@ -31,6 +33,9 @@ UNEVEN: Final = 0.1
 
 PRESS_ERROR: Final = 0.03
 """Of a press's own change, row by row: elements of 3 mm, and no stamp's outline is exactly a disc or a rectangle."""
+
+SURE: Final = 0.5
+"""Cosine of what a press changed and what the model says: from here on its way is told."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,6 +118,21 @@ class Session:
             jacobians.append(np.asarray(np.linalg.solve(factor, rate), dtype=np.float64))
         return np.concatenate(parts), np.concatenate(jacobians)
 
+    def changed(self) -> float:
+        """Return the mean square, over noise and drift, of what the press that is felt most changed."""
+        presses = [(self._change(one), one.covariance) for one in self.moments if one.lying.touched_by]
+        return max(float(change @ np.linalg.solve(covariance, change)) / len(change) for change, covariance in presses)
+
+    def alike(self, z: Array) -> Array:
+        """Return (presses,) how what each changed goes with what the model says: cosines, what rows share left out."""
+        flat, found = of_table(self.flat.read(z, derivatives=False).voltages_V), []
+        for moment in self.moments:
+            if moment.lying.touched_by:
+                should = of_table(self.flat.read(z, moment.lying, derivatives=False).voltages_V) / flat
+                one, other = (part - part.mean() for part in (self._change(moment), should))
+                found.append(float(one @ other / (np.linalg.norm(one) * np.linalg.norm(other) + 1e-300)))
+        return np.array(found)
+
     def _whitening(self, moment: Moment, flat: Read, read: Read) -> tuple[Array, Array]:
         """Return the (104, 104) factor of what dV may be off by, and (104,) what it should be."""
         should = of_table(read.voltages_V) / of_table(flat.voltages_V) - 1.0
@@ -164,6 +184,30 @@ class Session:
             name = f"press {number} at ({x:g}, {y:g}) mm"
             found.append(Moment(name, one, lying, self._covariance(one), *np.zeros((2, N_ROWS))))
         return found
+
+
+def check_felt(session: Session, z: Array) -> None:
+    """Refuse presses that change nothing, and those that all go the way that the skin rules out.
+
+    Args:
+        session: With presses.
+        z: (count,) where the search begins.
+
+    Raises:
+        CalibrationError: They do.
+    """
+    presses, skin = session.flat.recording.presses, session.flat.skin
+    if session.changed() <= float(chi2.isf(CHANCE / len(presses), N_ROWS)) / N_ROWS:
+        raise CalibrationError(
+            f"presses change no more than noise and a drift of {DRIFT:.0%} do: nothing is told of what a press is "
+            "like; press harder, or leave press_V, press_xy_mm and stamp_mm out"
+        )
+    if len(stamps.ways(skin.touches)) == 1 and (session.alike(z) < -SURE).all():
+        found, stated = ("raise", "lower") if session.way < 0 else ("lower", "raise")
+        raise CalibrationError(
+            f"presses {found} conductance, and [touches] of skin {skin.name} says that touches {stated} it: correct "
+            "lower and higher there"
+        )
 
 
 Progress = Callable[[int, float], None]
